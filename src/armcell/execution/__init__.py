@@ -1,4 +1,4 @@
-"""Execution of trajectories: the motion gate, the executor, coupled arms, several programs on one clock."""
+"""Execution of trajectories: motion gate, executor, coupled arms, cooperative scheduler."""
 
 from armcell.execution.admittance import Admittance, AdmittanceSettings
 from armcell.execution.executor import ExecutionSteps, execute, execute_coupled, execution_steps

@@ -1,4 +1,4 @@
-"""The executor: one state machine for every motion, with FollowJointTrajectory semantics.
+"""The executor: one state machine for all motions, with FollowJointTrajectory semantics.
 
 A motion passes these states; each one can end it with a result:
 
@@ -113,7 +113,7 @@ def _source(driver: Driver, may_play: bool = False) -> Source:
 
 
 def _advanced(driver: Driver, steps: ExecutionSteps) -> ExecutionResult:
-    """Run the steps of a motion to their end, with the driver's clock advanced between them."""
+    """Run the steps of a motion to the end and advance the driver's clock between the steps."""
     while True:
         try:
             next(steps)
@@ -139,7 +139,7 @@ def _steps(
 
 
 class _Execution:
-    """State of one motion; see the states at the top of this file."""
+    """Execution state of one motion, from the start check to the result."""
 
     def __init__(
         self, driver: Driver, motion: Executable, settings: ExecutionSettings, progress: Progress | None
@@ -150,7 +150,7 @@ class _Execution:
         self.tracking = 0.0  # [rad or m] largest tracking error so far
 
     def run(self, make_source: Source) -> ExecutionSteps:
-        """Execute the motion; see `ExecutionSteps`."""
+        """Execute the motion step by step, as a generator (see `ExecutionSteps`)."""
         measured = self.driver.joint_state().reindexed(self.names)
         if len(self.trajectory.times) == 0:
             self.driver.stop()  # ROS: an empty trajectory means stop
@@ -172,7 +172,7 @@ class _Execution:
 
     # --- before the motion ---
     def _check_start(self, measured: JointState) -> ExecutionResult | None:
-        """Return the result for an arm that is not at the trajectory's start, or None."""
+        """Return a failure if the arm is not at the trajectory's start, else None."""
         error, column = largest(np.abs(measured.positions - self.trajectory.positions[0]))
         tolerance, code = self.settings.start_tolerance, ErrorCode.CONTROL_FAILED
         if error <= tolerance:
@@ -187,7 +187,7 @@ class _Execution:
         )  # fmt: skip
 
     def _dry_run(self) -> ExecutionResult | None:
-        """Return the result of a motion that the dry run in simulation refuses, or None."""
+        """Return a failure if the dry run in simulation refuses the motion, else None."""
         dry_runs = Capability.DRY_RUN in self.driver.capabilities
         refused = self.driver.rehearse(self.trajectory) if dry_runs else None
         return None if refused is None else self._result(refused.code, refused.message, refused.evidence)
@@ -211,7 +211,7 @@ class _Execution:
                 return outcome
 
     def _check(self, source: SetpointSource) -> Outcome | None:
-        """Compare the arm with the setpoints; return the reason to stop it, or None."""
+        """Compare the arm with the setpoints; return the reason to stop the arm, or None."""
         found = source.tracking_error()
         if found is not None:
             self.tracking = max(self.tracking, found[0])
@@ -224,7 +224,7 @@ class _Execution:
         return None
 
     def _settle(self, source: SetpointSource) -> Outcome | None:
-        """Return SUCCESS if the arm rests at the goal, a failure if it took too long, or None."""
+        """Return SUCCESS if the arm rests at the goal, a failure if settling took too long, or None."""
         state = self.driver.joint_state()
         found = largest(np.abs(state.positions[source.columns] - source.goal))
         v = state.velocities
@@ -244,7 +244,7 @@ class _Execution:
 
     # --- results ---
     def _fault(self) -> Outcome | None:
-        """Return the outcome of a motion that a fault of the robot stops, or None."""
+        """Return a failure if a fault of the robot stops the motion, else None."""
         fault = self.driver.fault()
         if fault is None:
             return None
@@ -274,7 +274,7 @@ class _Execution:
 def blend_from(
     measured: JointState, trajectory: JointTrajectory, settings: ExecutionSettings
 ) -> JointTrajectory | None:
-    """Return the quintic blend from an arm's current motion into a trajectory; None at rest.
+    """Return the quintic blend from an arm's current motion into a trajectory; None if at rest.
 
     The blend is an offset from the trajectory that ends at zero position and velocity.
     """

@@ -36,7 +36,7 @@ NOT_STARTED = "not_started"  # evidence key of a motion that the gate refused
 
 
 class World(Protocol):
-    """Interface of a cell in which arms move, as the motion gate needs it."""
+    """Interface through which the motion gate reads a cell: scene, objects, contacts and clock."""
 
     @property
     def base(self) -> PlanningScene:
@@ -68,7 +68,7 @@ class World(Protocol):
 
 
 class MotionGate:
-    """Certifies motions in one world as collision-free and tracks the running ones.
+    """Gate that certifies motions in one world as collision-free and tracks running motions.
 
     Motions are certified in the thread that moves the arms. Any thread may call `conflict`.
 
@@ -106,7 +106,7 @@ class MotionGate:
         ignore: GuardedMotion | None = None,
         planned: PlanningScene | None = None,
     ) -> Conflict | None:
-        """Return the first collision of a motion from now on, also with running motions, or None.
+        """Return a motion's first collision from now on, also with running motions, or None.
 
         Args:
             ignore: a running motion to ignore, usually the motion under test.
@@ -133,7 +133,7 @@ class MotionGate:
 
 
 class Executable(threading.Event, ABC):
-    """A trajectory that the executor accepts; setting this event makes the executor stop."""
+    """A trajectory that the executor accepts, and an event that stops the motion when set."""
 
     def __init__(self, trajectory: JointTrajectory, cancel: threading.Event | None = None):
         super().__init__()
@@ -171,7 +171,10 @@ def executable(motion: object) -> Executable:
 
 
 class UngatedMotion(Executable):
-    """A motion in an isolated simulation (dry run, test, benchmark) where contacts are findings."""
+    """A motion without a collision check, for isolated simulations (dry run, test, benchmark).
+
+    Contacts in such a simulation are findings.
+    """
 
     def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
         return None
@@ -279,7 +282,7 @@ class GuardedMotion(Executable):
         ]  # fmt: skip
 
     def _prove(self, names: Iterable[str] = ()) -> None:
-        """Check the remaining motion for collisions; if `names` is given, only with those objects."""
+        """Check the remaining motion for collisions, only with the objects `names` if given."""
         self._proven_for = (self._world.base, self._gate.version)
         scene = self._scene()
         self._objects = frozenset(scene.objects)
@@ -314,7 +317,7 @@ class GuardedMotion(Executable):
 
 
 def describe(found: Conflict, passed: float, began: bool) -> str:
-    """Return one sentence about a conflict: the pair, the position, the time, and the remedy.
+    """Return a sentence about a conflict: the pair, the position, the time and the remedy.
 
     Args:
         passed: completed part of the motion [s].
@@ -337,7 +340,7 @@ def describe(found: Conflict, passed: float, began: bool) -> str:
 
 @dataclass(frozen=True)
 class DriverWorld:
-    """World of a driver without a cell: its scene with the measured joints and objects."""
+    """World of a driver without a cell: the driver's scene with measured joints and objects."""
 
     driver: Any
     base: PlanningScene

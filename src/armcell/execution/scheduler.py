@@ -17,11 +17,17 @@ EPSILON = 1e-9  # [s]
 
 
 class _Ended(BaseException):
-    """Ends a waiting program after another one failed; a BaseException, so no handler stops it."""
+    """Exception that ends a waiting program after another program has failed.
+
+    It is a BaseException, so that no handler in the program stops it.
+    """
 
 
 class CooperativeScheduler:
-    """Scheduler that runs one program at a time on a shared driver clock; see `run_cooperatively`."""
+    """Scheduler that runs one program at a time on a shared driver clock.
+
+    See `run_cooperatively`.
+    """
 
     def __init__(self, driver: Driver, names: Iterable[str]):
         self.driver = driver
@@ -75,7 +81,10 @@ class CooperativeScheduler:
 
 
 class ArmDriver(DriverProxy):
-    """Driver of one program: time passes for all programs, and `stop` acts on the program's own joints."""
+    """Driver of one program on a robot that several programs share.
+
+    A sleep lets time pass for all programs; `stop` acts on the program's own joints.
+    """
 
     def __init__(self, scheduler: CooperativeScheduler, name: str, joint_names: tuple[str, ...]):
         super().__init__(scheduler.driver)

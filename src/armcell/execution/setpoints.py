@@ -1,4 +1,4 @@
-"""Sources of setpoints for the executor: streamed, played by the robot, and coupled arms on one clock."""
+"""Setpoint sources for the executor: streaming, playback by the robot, coupled arms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SCALING_RATE = 2.0  # [1/s] limit on the speed scaling's rate: a pause brakes wi
 
 
 class SetpointSource(ABC):
-    """Source of the setpoints of one motion.
+    """Base class of the setpoint sources; an object sends the setpoints of one motion.
 
     The executor calls `start` once, then for each driver period `send`, `tracking_error` and `failure`.
 
@@ -50,7 +50,7 @@ class SetpointSource(ABC):
         self._completed_at: float | None = None  # [s]
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
-        """Begin the motion; return a result if the motion ends at once, else None.
+        """Start the motion; return a result if the motion ends at once, else None.
 
         Args:
             blend: offset to add to the setpoints, for a source that `blends`; None for an arm at rest.
@@ -59,24 +59,24 @@ class SetpointSource(ABC):
 
     @abstractmethod
     def send(self) -> bool:
-        """Command the next setpoint; return False if the driver has let the time pass itself."""
+        """Command the next setpoint; return False if the driver has advanced its clock itself."""
 
     @abstractmethod
     def tracking_error(self) -> tuple[float, int] | None:
         """Return the largest tracking error [rad or m] and its column; None if only the goal counts."""
 
     def failure(self) -> Outcome | None:
-        """Return the reason to stop the motion, apart from tolerances, or None."""
+        """Return the reason to stop the motion, other than a violated tolerance, or None."""
         return None
 
     def settling_time(self) -> float:
-        """Return the time [s] since `complete`."""
+        """Return the time [s] since the last setpoint was sent (`complete`)."""
         if self._completed_at is None:
             self._completed_at = self.driver.now
         return self.driver.now - self._completed_at
 
     def cancel(self) -> None:
-        """Begin to end the motion early: discard the setpoints that the robot already has."""
+        """Begin to stop the motion early: discard the setpoints that the robot already has."""
         return None
 
     def halted(self) -> bool:
@@ -84,12 +84,12 @@ class SetpointSource(ABC):
         return True
 
     def end(self, outcome: Outcome) -> None:
-        """End what `start` has begun; the motion has ended with an outcome."""
+        """Finish the source's work after the motion has ended with an outcome."""
         return None
 
 
 class StreamedSetpoints(SetpointSource):
-    """One setpoint per driver period, by the driver's clock.
+    """Source that sends one setpoint per driver period, by the driver's clock.
 
     Args:
         plays: True if the driver plays parts of the trajectory itself, which advances its clock; False to
@@ -159,7 +159,10 @@ class StreamedSetpoints(SetpointSource):
 
 
 class RobotPlayback(SetpointSource):
-    """Trajectory that the robot plays itself by its own clock; the executor monitors its progress."""
+    """Source for a trajectory that the robot plays itself, by its own clock.
+
+    The executor monitors the robot's progress.
+    """
 
     def __init__(self, driver: Driver, trajectory: JointTrajectory, settings: ExecutionSettings):
         super().__init__(driver, trajectory, settings)
@@ -217,7 +220,7 @@ class RobotPlayback(SetpointSource):
 
 
 class CoupledSetpoints(SetpointSource):
-    """One setpoint per driver period for several arms, by one clock that the slowest arm scales.
+    """Source that sends setpoints to several arms by one clock, which the slowest arm scales.
 
     Args:
         correct: maps the trajectory time [s] and the setpoints q, v, each (n,), to the setpoints to send.
@@ -333,6 +336,6 @@ def largest(errors: Array) -> tuple[float, int]:
 
 
 def max_speed(driver: Driver, columns: NDArray[np.int64]) -> float:
-    """Return the largest measured speed [rad/s or m/s] of some joints; 0 if the driver measures none."""
+    """Return the largest measured speed [rad/s or m/s] of some joints; 0 if none is measured."""
     v = driver.joint_state().velocities
     return 0.0 if v is None else float(np.max(np.abs(v[columns]), initial=0.0))

@@ -1,4 +1,4 @@
-"""Tolerances and time limits of an execution."""
+"""Tolerances and time limits for the execution of a trajectory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from armcell.core.checks import checked, require
 @dataclass(frozen=True)
 @checked()
 class ExecutionSettings:
-    """Tolerances and time limits of an execution; 0.01 rad at the start is MoveIt's default."""
+    """Tolerances and time limits for the execution of a trajectory.
+
+    The start tolerance of 0.01 rad is MoveIt's default.
+    """
 
     start_tolerance: float = 0.01  # [rad or m] between the measured state and the trajectory's start
     path_tolerance: float = 0.1  # [rad or m] tracking error that aborts the motion

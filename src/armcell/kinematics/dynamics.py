@@ -1,8 +1,8 @@
-"""Inverse dynamics: which joint torques a motion takes, and their limits (Numba).
+"""Inverse dynamics: the joint torques that a motion requires, and the torque limits (Numba).
 
 The recursive Newton-Euler algorithm (Luh, Walker and Paul 1980; Featherstone, "Rigid Body Dynamics
-Algorithms", chapter 5) with all vectors in root axes. Friction, damping and rotor inertia are not in it.
-Checked against pinocchio's rnea in the tests.
+Algorithms", chapter 5) with all vectors in root axes. The model has no friction, damping or rotor inertia.
+The tests compare the results with pinocchio's rnea.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ def _cross(a, b, out):
 @njit(cache=True)
 def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset, mass, centre, inertia,
                  gravity, q, dq, ddq, out):  # fmt: skip
-    """Joint torques (m, dof) of m states q, dq, ddq (m, dof): `out` is filled.
+    """Compute the joint torques of m states q, dq, ddq (m, dof) into `out` (m, dof).
 
     Args:
         parent, ..., offset: the tree, see `KinematicTree`.
         mass, centre, inertia: of every link (links,), (links, 3), (links, 3, 3), in the link's frame,
-            inertia about the centre of mass.
+            inertia about the center of mass.
         gravity: acceleration (3,) in the root frame.
     """
     joints = len(parent)
@@ -76,7 +76,7 @@ def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset,
                         else:
                             spin[link, i] += v * a[i]
                             turn[link, i] += w * a[i] + v * t1[i]
-            # Force on the centre of mass, moment about the link's origin.
+            # Force on the center of mass, moment about the link's origin.
             for i in range(3):
                 force[link, i] = moment[link, i] = 0.0
             if mass[link] == 0.0 and np.all(inertia[link] == 0.0):
@@ -120,16 +120,17 @@ def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset,
 
 
 class InverseDynamics:
-    """Torques of some of a robot's joints; the others stand still at given positions.
+    """Inverse dynamics of some of a robot's joints; the other joints rest at given positions.
 
     Args:
-        joint_names: the joints that move; all actuated ones by default.
-        positions: (dof,) of all joints, for those that stand still; the model's default positions else.
-        payloads: what links carry besides their own mass: (link name, inertial in the link's frame).
+        joint_names: joints that move; all actuated joints by default.
+        positions: positions (dof,) of all joints, used for resting joints; by default the model's default
+            positions.
+        payloads: loads on links besides the links' own mass: (link name, inertial in the link's frame).
         gravity: acceleration (3,) [m/s^2] in the root frame.
     Raises:
-        UnknownNameError: a joint or link that the robot does not have.
-        InputError: nothing that these joints move has a mass, or a payload's mass is not positive.
+        UnknownNameError: a joint or link does not exist.
+        InputError: no link that the joints move has a mass, or a payload's mass is not positive.
     """
 
     def __init__(
@@ -168,11 +169,11 @@ class InverseDynamics:
             )
 
     def _add(self, link: int, inertial: Inertial) -> None:
-        """Put a body on a link: masses add up, inertias about the common centre of mass."""
+        """Add a body to a link: sum the masses, and the inertias about the common center of mass."""
         R = inertial.T_link_com.rotation.matrix
         m0, m1, c0, c1 = self.mass[link], inertial.mass, self.centre[link], inertial.T_link_com.translation
         mass = m0 + m1
-        # A link without mass may still have a moment of inertia in its URDF; pinocchio counts it too.
+        # A link without mass may still have a moment of inertia in its URDF; pinocchio includes it too.
         centre = (m0 * c0 + m1 * c1) / mass if mass > 0.0 else c1
         total = np.zeros((3, 3))
         for m, c, I in ((m0, c0, self.inertia[link]), (m1, c1, R @ inertial.inertia @ R.T)):
@@ -181,7 +182,7 @@ class InverseDynamics:
         self.mass[link], self.centre[link], self.inertia[link] = mass, centre, total
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Torques (or forces) (m, n) [Nm or N] for positions, velocities and accelerations (m, n)."""
+        """Return joint torques (m, n) [Nm or N] for positions, velocities, accelerations (m, n)."""
         at, speed, gain = self._whole(q, self.positions), self._whole(dq, 0.0), self._whole(ddq, 0.0)
         out = np.empty_like(at)
         tree = self._tree
@@ -192,7 +193,7 @@ class InverseDynamics:
         return out[:, self.columns]
 
     def _whole(self, values: ArrayLike, others: float | Array) -> Array:
-        """Values (m, n) of these joints as (m, dof)."""
+        """Expand values (m, n) of the moving joints to all joints (m, dof)."""
         values = np.atleast_2d(float_array(values, None, "joint values"))
         if values.shape[1:] != (len(self.columns),):
             raise InputError(f"joint values must have shape (m, {len(self.columns)}), not {values.shape}")
@@ -202,11 +203,13 @@ class InverseDynamics:
 
     @property
     def limits(self) -> Array:
-        """The joints' effort limits (n,) [Nm or N], from the URDF."""
+        """Effort limits of the moving joints (n,) [Nm or N], from the URDF."""
         return self.model.limits(self.joint_names, "effort")
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Torques along a path as tau = a u + b x + c with path acceleration u and squared path speed x.
+        """Return the coefficients of the joint torques along a path: tau = a u + b x + c.
+
+        u is the path acceleration and x the squared path speed.
 
         Args:
             positions, first, second: points of the path and its derivatives (m, n).

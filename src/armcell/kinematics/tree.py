@@ -1,4 +1,4 @@
-"""Forward kinematics and Jacobians of a robot's whole tree, on flat arrays (Numba)."""
+"""Forward kinematics and Jacobians of a robot's whole kinematic tree on flat arrays (Numba)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ _KINDS = {"fixed": FIXED, "revolute": REVOLUTE, "continuous": REVOLUTE, "prismat
 
 @njit(cache=True)
 def forward(parent, T_parent_joint, kind, axis, column, multiplier, offset, q, out):
-    """Fill `out` (links, 4, 4) with T_root_link; link 0 is the root, link i+1 the child of joint i."""
+    """Compute all link poses T_root_link into `out` (links, 4, 4) at joint positions q.
+
+    Link 0 is the root, link i+1 the child of joint i.
+    """
     for i in range(4):
         for j in range(4):
             out[0, i, j] = 1.0 if i == j else 0.0
@@ -66,7 +69,10 @@ def forward(parent, T_parent_joint, kind, axis, column, multiplier, offset, q, o
 
 @njit(cache=True)
 def chain_jacobian(Ts, point, joints, kind, axis, column, multiplier, group_column, out):
-    """Fill `out` (6, n): velocity of `point` (3,) [root frame] over angular velocity, per group joint."""
+    """Compute the geometric Jacobian of a point into `out` (6, n), one column per group joint.
+
+    Rows: velocity of `point` (3,) [root frame], then angular velocity.
+    """
     out[:] = 0.0
     for k in range(len(joints)):
         joint = joints[k]
@@ -96,7 +102,10 @@ def chain_jacobian(Ts, point, joints, kind, axis, column, multiplier, group_colu
 
 
 class KinematicTree:
-    """A `RobotModel` as arrays. One per model: `kinematic_tree(model)`."""
+    """A `RobotModel`'s kinematic tree as flat arrays for compiled functions.
+
+    `kinematic_tree(model)` returns the one tree of a model.
+    """
 
     def __init__(self, model: RobotModel):
         self.model = model
@@ -125,7 +134,7 @@ class KinematicTree:
         self._group_columns: dict[tuple[str, ...], NDArray[np.int64]] = {}
 
     def link_transforms(self, q: ArrayLike) -> Array:
-        """T_root_link of every link in `link_names` order, (links, 4, 4), at positions q (dof,)."""
+        """Return T_root_link of every link (links, 4, 4), in `link_names` order, at q (dof,)."""
         out = np.empty((len(self.link_names), 4, 4))
         q = np.ascontiguousarray(float_array(q, (self.model.dof,), "positions", finite=False))
         forward(
@@ -142,7 +151,7 @@ class KinematicTree:
         return out
 
     def full_positions(self, q: ArrayLike) -> dict[str, float]:
-        """Positions of all movable joints, mimic joints included, by name."""
+        """Return the positions of all movable joints by name, including mimic joints, at q (dof,)."""
         q = float_array(q, (self.model.dof,), "positions")
         return {
             name: float(self.multiplier[i] * q[self.column[i]] + self.offset[i])
@@ -151,7 +160,7 @@ class KinematicTree:
         }
 
     def link_pose(self, q: ArrayLike, link: str) -> SE3:
-        """T_root_link of one link.
+        """Return the pose T_root_link of one link at positions q (dof,).
 
         Raises:
             UnknownNameError: no such link.
@@ -160,7 +169,7 @@ class KinematicTree:
         return self.link_poses(q, (link,))[0]
 
     def link_poses(self, q: ArrayLike, links: Sequence[str]) -> list[SE3]:
-        """Return `link_pose` of several links, in the time of one."""
+        """Return the poses T_root_link of several links from one forward-kinematics pass."""
         for link in links:
             if link not in self.link_index:
                 raise UnknownNameError("link", link, self.link_index)
@@ -173,7 +182,7 @@ class KinematicTree:
         return poses
 
     def path_to(self, link: str) -> NDArray[np.int64]:
-        """Indices of the joints between the root and a link, root first."""
+        """Return the indices of the joints between the root and a link, root first."""
         if link not in self.link_index:
             raise UnknownNameError("link", link, self.link_index)
         return self._path_to(link).copy()
@@ -188,7 +197,7 @@ class KinematicTree:
         return self._paths[link]
 
     def _group_column(self, names: tuple[str, ...]) -> NDArray[np.int64]:
-        """Return each actuated joint's column (dof,) among some joints; -1 for other joints."""
+        """Return each actuated joint's column (dof,) in `names`, or -1 if it is not in `names`."""
         if names not in self._group_columns:
             columns = np.full(self.model.dof, -1, dtype=np.int64)
             columns[self.model.columns(names)] = np.arange(len(names))
@@ -202,11 +211,13 @@ class KinematicTree:
         joint_names: tuple[str, ...] | None = None,
         point: ArrayLike = ORIGIN,
     ) -> Array:
-        """Geometric Jacobian (6, n) at a point of a link, in the root frame: linear over angular velocity.
+        """Return the geometric Jacobian (6, n) at a point of a link, in the root frame.
+
+        Rows: linear velocity, then angular velocity.
 
         Args:
             q: positions (dof,).
-            joint_names: columns wanted; all actuated joints by default.
+            joint_names: joints of the columns; all actuated joints by default.
             point: (3,) [m] in the link's frame.
         """
         self.model.link(link)
@@ -227,5 +238,8 @@ class KinematicTree:
 
 @lru_cache(maxsize=64)
 def kinematic_tree(model: RobotModel) -> KinematicTree:
-    """The tree of a model, made once (models are frozen and hash by identity)."""
+    """Return the kinematic tree of a robot model; each model's tree is built only once.
+
+    Models are frozen and hash by identity.
+    """
     return KinematicTree(model)

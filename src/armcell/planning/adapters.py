@@ -52,9 +52,9 @@ def adapter_names() -> tuple[str, ...]:
 
 
 def normalize_adapter_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Convert adapter names to armcell's.
+    """Convert adapter names, armcell's or MoveIt's, to armcell's names.
 
-    Accepts MoveIt's (`default_planning_request_adapters/...`).
+    MoveIt's names may have the prefix `default_planning_request_adapters/`.
 
     Raises:
         UnknownNameError: an adapter does not exist. InputError: the list lacks 'validation'.
@@ -74,9 +74,9 @@ def normalize_adapter_names(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def apply_request_adapters(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Apply the request's adapters in their order.
+    """Apply a planning request's adapters in their order.
 
-    Return the changed request or the reason for refusal.
+    Return the changed request, or the reason why an adapter refuses it.
 
     Raises:
         InputError: an adapter does not exist or cannot handle the request.
@@ -101,9 +101,10 @@ def apply_request_adapters(validated: ValidatedRequest) -> ValidatedRequest | Ou
 
 @request_adapters.register("fix_start_state_bounds")
 def fix_start_state_bounds(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Move a start state that is at most `MAX_BOUNDS_ERROR` outside the limits inside.
+    """Move a start state that is slightly outside the joint limits to the limits.
 
-    The motion leads there.
+    The start may be outside by at most `MAX_BOUNDS_ERROR`. The planned motion begins with a lead-in from the
+    robot's actual state to the moved start.
     """
     model, positions = validated.scene.model, validated.scene.positions
     if np.all((positions >= model.lower) & (positions <= model.upper)):
@@ -112,7 +113,7 @@ def fix_start_state_bounds(validated: ValidatedRequest) -> ValidatedRequest | Ou
     inside = positions.copy()
     inside[columns] = np.clip(positions[columns], model.lower[columns], model.upper[columns])
     moved = np.abs(inside - positions)
-    if not 1e-3 < np.max(moved) <= MAX_BOUNDS_ERROR:  # less is rounding, more is a mistake
+    if not 1e-3 < np.max(moved) <= MAX_BOUNDS_ERROR:  # less: rounding; more: a mistake
         return validated
     report = {
         name: (float(positions[k]), float(inside[k])) for k, name in enumerate(model.joint_names) if moved[k]
@@ -162,9 +163,9 @@ def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest |
 
 
 def in_robot_frames(scene: PlanningScene, constraints: Constraints) -> Constraints:
-    """Re-express constraints so that every frame is the world or a link (of an attached object.
+    """Re-express constraints in frames of the robot: the world frame or a link's frame.
 
-    Its link).
+    The frame of an attached object becomes the frame of the link that carries the object.
     """
 
     def base(frame: str) -> str:

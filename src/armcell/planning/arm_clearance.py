@@ -1,7 +1,4 @@
-"""Clearance between the arms of a multi-arm group.
-
-How much a start and its goals allow, and a checker for it.
-"""
+"""Clearance between the arms of a multi-arm group: the achievable distance and its checker."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ SPARE = 1e-3  # [m] subtracted from the distance at a start or goal that is smal
 
 @dataclass(frozen=True, eq=False)
 class ArmClearance:
-    """Distance that several arms keep from each other on a motion.
+    """Minimum distance that the arms of a multi-arm group keep from each other on a motion.
 
     Attributes:
         distance: [m]; 0 means that the arms only do not touch.
@@ -50,7 +47,7 @@ def achievable_arm_clearance(
     goals: Sequence[Array],
     wanted: float,
 ) -> ArmClearance | None:
-    """Compute the clearance between arms (by group) that a free start and goals (n,) allow.
+    """Compute the largest clearance between arms that a free start and the goals (n,) allow.
 
     Returns:
         The clearance, at most `wanted` [m]; None for fewer than two arms or a zero `wanted`.

@@ -1,6 +1,6 @@
-"""Certify and time a path.
+"""Certification and timing of a path.
 
-Round its corners, prove it collision-free, parameterize it, add the lead-in.
+The functions round the path's corners, prove the path collision-free, compute its timing and add the lead-in.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ PADDED_ROUNDINGS = (
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
-    """A certified and timed motion, or the certificate that shows where the path touches."""
+    """A certified and timed motion, or the certificate that shows the contact on the path."""
 
     certificate: Certificate
     trajectory: JointTrajectory | None = None
@@ -77,13 +77,13 @@ def certify_and_time(
 ) -> CertifiedMotion:
     """Round the corners of a path (k, n), certify it and compute its timing.
 
-    Corners whose rounding touches an obstacle are rounded less, at last not at all: the motion then stops
-    there.
+    Corners whose rounding touches an obstacle are rounded less and in the end remain sharp: the motion then
+    stops at the corner.
 
     Args:
-        keeps_padding: whether a polyline (m, n) keeps the padding too if each joint may deviate by a slack
-            (n,). A rounding that keeps the padding is preferred to a larger one that is only free of
-            contact.
+        keeps_padding: returns whether a polyline (m, n) keeps the padding if each joint may deviate by a
+            slack (n,). A rounding that keeps the padding is preferred to a larger rounding that is only
+            free of contact.
         torque: torque limits to respect, see `torque_model`.
         jerk_limits: respect the model's jerk limits (not scaled) and follow the path exactly.
     Raises:
@@ -146,18 +146,17 @@ def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseD
 
 
 def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> float:
-    """Compute the distance [m] that a motion is proven to keep (at most 0.25).
+    """Compute the distance [m] (at most 0.25) that a motion is proven to keep from obstacles.
 
-    See `KernelChecker.clearance`.
-
-    A pair in resting contact at the start counts from the point where it no longer moves apart.
+    See `KernelChecker.clearance`. A pair in resting contact at the start counts from the point where it no
+    longer moves apart.
     """
     return clearance_from_rest(checker, trajectory.positions)
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
-    """A path (k, n) with its trajectory if it is certified, or the reason why it is not."""
+    """A path (k, n) with its certified trajectory, or the reason why certification failed."""
 
     waypoints: Array
     trajectory: JointTrajectory | None = None
@@ -170,9 +169,9 @@ class PlannedMotion:
 def certify_request_motion(
     validated: ValidatedRequest, checker: KernelChecker, waypoints: Array
 ) -> PlannedMotion | Outcome:
-    """Certify and time a path for a request.
+    """Certify and time a path (k, n) for a planning request.
 
-    An Outcome means that no other path can succeed either.
+    Return an Outcome if no other path can succeed either.
     """
     request = validated.request
     if validated.workspace is not None and (q := validated.workspace.first_outside(waypoints)) is not None:
@@ -223,15 +222,15 @@ def complete_motion(
 
 
 def contact_note(validated: ValidatedRequest) -> str:
-    """Describe the contacts that a motion leaves first, for the result's message."""
+    """Describe the start contacts that a motion leaves first, as text for the result's message."""
     contacts = validated.evidence.get("start_repaired", {}).get("contacts", ())
     return "the motion first leaves contact: " + "; ".join(c.describe() for c in contacts) if contacts else ""
 
 
 def time_lead_in(validated: ValidatedRequest, checker: KernelChecker) -> JointTrajectory | None:
-    """Time the motion from the robot's actual state to the planning start.
+    """Compute the timed motion from the robot's actual state to the planning start.
 
-    None if it is not proven free.
+    Return None if the motion is not proven collision-free.
     """
     lead = validated.lead_in
     if lead is None:

@@ -1,4 +1,4 @@
-"""The wait for the first compilation: a second process, and a progress line."""
+"""Helpers for the first compilation of the kernels: a second process and a progress line."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def in_another_process(*statements: str) -> Iterator[None]:
-    """Run Python statements in another process meanwhile, if there is more than one core; wait for its end.
+    """Run Python statements in a second process while the block runs, and wait for both to end.
 
-    The statements must be optional work: an error in that process has no effect.
+    Machines with one core start no second process. The statements must be optional work: an error in the
+    second process has no effect.
     """
     process, none, call = None, subprocess.DEVNULL, [sys.executable, "-c", "; ".join(statements)]
     if (os.cpu_count() or 1) > 1 and sys.executable:
@@ -33,7 +34,7 @@ def in_another_process(*statements: str) -> Iterator[None]:
 
 @contextmanager
 def progress_line(text: str) -> Iterator[None]:
-    """Show a text with the seconds that have passed on the terminal, until the block ends."""
+    """Show a text and the elapsed seconds on the terminal until the block ends."""
     if not sys.stderr.isatty():
         yield
         return

@@ -1,6 +1,6 @@
-"""A link or attached object that a planning group moves.
+"""Pose, velocity and Cartesian speed limits of a frame that a planning group moves.
 
-Its pose and velocity, and Cartesian speed limits.
+The frame is a link or a frame attached to a link.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ class MovedFrame:
             self.T_link_point = scene.frame_pose(self.link).inv() @ scene.frame_pose(name)
 
     def full(self, q: ArrayLike) -> Array:
-        """Return positions (dof,) of all joints, with the group's joints at q (n,)."""
+        """Return the positions (dof,) of all robot joints, with the group's joints at q (n,)."""
         positions = self.scene.positions.copy()
         positions[self.scene.model.columns(self.joint_names)] = q
         return positions
 
     def pose(self, q: ArrayLike) -> SE3:
-        """Compute the pose T_world_name at joint positions q (n,) of the group."""
+        """Compute the frame's pose T_world_name at joint positions q (n,) of the group."""
         return self.tree.link_pose(self.full(q), self.link) @ self.T_link_point
 
     def link_target(self, T_world_name: SE3) -> SE3:
-        """Convert a target pose of this frame to the target pose of the carrying link."""
+        """Convert a target pose of the moved frame to the target pose of the link that carries it."""
         return T_world_name @ self.T_link_point.inv()
 
     def velocity(self, q: ArrayLike, qd: ArrayLike) -> Array:
@@ -69,7 +69,7 @@ class MovedFrame:
 
 
 def with_joint_positions(scene: PlanningScene, joint_names: tuple[str, ...], q: ArrayLike) -> PlanningScene:
-    """Return the scene with some joints at q (n,), without checking limits."""
+    """Return a copy of the scene with the named joints at q (n,), without checking limits."""
     positions = scene.positions.copy()
     positions[scene.model.columns(joint_names)] = q
     return replace(scene, positions=positions)
@@ -79,7 +79,7 @@ BETWEEN = 4  # speed samples between two points of a trajectory
 
 
 def check_cartesian_speed(speed: float | None) -> None:
-    """Raise an InputError unless a speed [m/s] is positive or None."""
+    """Raise an InputError unless a Cartesian speed limit [m/s] is positive or None."""
     if speed is not None and not (np.isfinite(speed) and speed > 0):
         raise InputError(f"max_cartesian_speed is {speed:g} m/s, it must be positive")
 
@@ -87,7 +87,7 @@ def check_cartesian_speed(speed: float | None) -> None:
 def limit_cartesian_speed(
     trajectory: JointTrajectory, moved_frame: MovedFrame, speed: float
 ) -> JointTrajectory:
-    """Stretch a motion in time so that the frame's origin never exceeds `speed` [m/s]."""
+    """Slow down a motion in time so that the frame's origin never exceeds `speed` [m/s]."""
     return stretched(trajectory, max(1.0, peak_cartesian_speed(trajectory, moved_frame) / speed))
 
 

@@ -1,6 +1,4 @@
-"""Plan among obstacles that move along known paths.
-
-Unchanged, after a wait, or around everything they sweep.
+"""Planning among obstacles that move along known paths.
 
 The planner does not search in time. It tries three motions and proves each one in time: the motion planned
 without the obstacles; the same motion after a wait; a motion around the whole swept volume. It does not
@@ -33,10 +31,10 @@ def plan_among_moving(
     clearance: float = 0.0,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan a motion that is proven free of static obstacles and, in time, of moving obstacles.
+    """Plan a motion that is proven free of static obstacles and of obstacles in known motion.
 
     Args:
-        start_time: when the motion begins [s of the obstacles' clock].
+        start_time: start of the motion [s of the obstacles' clock].
         clearance: distance to keep from moving obstacles [m].
     Returns:
         Like `plan`; `evidence["moving"]` is "as planned", "waits" or "around"; the trajectory includes
@@ -88,7 +86,7 @@ def _waiting(
     scene: PlanningScene, trajectory: JointTrajectory, moving: Sequence[MovingObject], start_time: float,
     clearance: float, deadline: float,
 ) -> tuple[float, JointTrajectory] | None:  # fmt: skip
-    """Find the shortest wait that lets the obstacles pass, and the motion after that wait."""
+    """Find the shortest wait that lets the moving obstacles pass, and the motion after the wait."""
     last = max(float(item.times[-1]) for item in moving)
     standing = resting(trajectory.joint_names, trajectory.positions[0])
     stay: TimedCertificate = certify_timed(scene, standing, moving, start_time, clearance, until=last)
@@ -108,9 +106,9 @@ def _around(
     scene: PlanningScene, request: PlanRequest, moving: Sequence[MovingObject], start_time: float,
     clearance: float, duration: float, cancel: threading.Event | None,
 ) -> PlanResult | None:  # fmt: skip
-    """Plan around the volume that obstacles sweep during the motion.
+    """Plan a motion around the volume that moving obstacles sweep during the motion.
 
-    Retry with a longer sweep if needed.
+    If this motion fails the certification in time, plan again with a longer sweep.
     """
     for lasts in (1.5 * duration, 4.0 * duration):
         crowded = scene

@@ -1,4 +1,4 @@
-"""The planning pipeline: validate the request, find a path, simplify, certify and time it."""
+"""The planning pipeline: validate a request, find a path, simplify, certify and time it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from armcell.scene import PlanningScene
 Array = NDArray[np.float64]
 
 MAX_ROUNDS = 5
-"""How often planning repeats with another seed if a path fails certification."""
+"""Maximum number of planning rounds, each with another seed, if paths fail certification."""
 PADDED_ROUNDS = 3
 """Rounds in search of a motion with full padding, if a motion without contact exists already."""
 
@@ -55,7 +55,7 @@ ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds and attempts 
 
 @with_explanation(PlanRequest)
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
-    """Plan a certified, timed motion of one group.
+    """Plan a certified, timed motion of one planning group.
 
     Args:
         scene: the world; its state is the start unless the request names one.
@@ -95,7 +95,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
 
 
 def _links(request: PlanRequest) -> Iterator[str | None]:
-    """Yield the links whose inverse kinematics the goals need."""
+    """Yield the links whose inverse kinematics the request's goals need."""
     for goal in request.goals:
         if isinstance(goal, PoseGoal):
             yield goal.link
@@ -105,10 +105,10 @@ def _links(request: PlanRequest) -> Iterator[str | None]:
 
 @dataclass(frozen=True, eq=False)
 class StartAndGoals:
-    """A free start (n,) and free goals (n,) with sampling bounds and their checker.
+    """A free start (n,) and free goals (n,), with sampling bounds and a collision checker.
 
     Attributes:
-        validated: the request from that start; after resting contact, its `lead_in` leads to the start.
+        validated: the request with this start; after resting contact, its `lead_in` leads to the start.
     """
 
     validated: ValidatedRequest
@@ -121,7 +121,7 @@ class StartAndGoals:
 
 
 def find_start_and_goals(validated: ValidatedRequest) -> StartAndGoals | Outcome:
-    """Find start and goals as joint positions, or the reason why they are invalid."""
+    """Find a request's start and goals as joint positions, or the reason why they are invalid."""
     scene = validated.scene
     try:
         scene.model.check_positions(scene.positions, margin=1e-3)
@@ -152,9 +152,9 @@ PADDED_SHARE = 0.5
 
 
 def search(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
-    """Plan with the clearance between arms if possible.
+    """Search for a motion that keeps the clearance between arms.
 
-    Otherwise plan any collision-free motion.
+    If no such motion is found, search for any collision-free motion.
     """
     request = validated.request
     arms = arms_of(validated.scene.model, request.group)
@@ -191,7 +191,10 @@ def _report_arm_clearance(result: PlanResult, distance: float, words: str) -> Pl
 
 
 def search_once(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
-    """Return the straight line if it is free, otherwise the shortest motion of all attempts."""
+    """Return the straight line to a goal if it is free.
+
+    Otherwise return the shortest motion of all planning attempts.
+    """
     problem = _problem(validated, endpoints, validated.request.seed)
     line = _direct(problem)
     if line is not None:
@@ -218,7 +221,10 @@ def search_once(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanRe
 
 
 def _endpoints_of_thread(validated: ValidatedRequest, endpoints: StartAndGoals) -> StartAndGoals:
-    """Copy start and goals with a new checker: threads must not share a checker's workspace."""
+    """Copy start and goals with a new checker for use in another thread.
+
+    Threads must not share a checker's workspace.
+    """
     checker = KernelChecker(validated.scene, validated.joint_names)
     checker.relax_margins(endpoints.start)
     return replace(
@@ -246,10 +252,8 @@ def _problem(validated: ValidatedRequest, endpoints: StartAndGoals, seed: int) -
 def attempt(validated: ValidatedRequest, endpoints: StartAndGoals, number: int) -> PlanResult:
     """Plan from one seed until a path can be certified and timed.
 
-    Retry a few times to keep the padding as well.
-
-    Planners check the padding only at samples, so a thin obstacle can be nearer than the padding in
-    between.
+    Planners check the padding only at samples, so between samples a thin obstacle can be nearer than the
+    padding. A few more rounds therefore try to find a motion that keeps the padding everywhere.
     """
     answer, why, unpadded = None, "", None
     enough = time.monotonic() + PADDED_SHARE * validated.request.planning_time
@@ -329,7 +333,7 @@ def _unsolved(
 
 
 def _direct(problem: Problem) -> Array | None:
-    """Return the straight line to a goal if it is free with padding; no path is shorter."""
+    """Return the straight line to a goal if it is free with padding; no path can be shorter."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])

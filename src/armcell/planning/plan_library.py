@@ -1,7 +1,7 @@
 """Plan library: stores motions as files and proves them again before reuse.
 
-The library looks up motions by robot, group and goal, among those that start near the present start. It
-keeps the parts that are still free and replans the parts that are blocked now.
+The library looks up motions by robot, group and goal and uses those that start near the current start. It
+keeps the parts of a motion that are still free and replans the blocked parts.
 """
 
 from __future__ import annotations
@@ -54,9 +54,7 @@ Array = NDArray[np.float64]
 def fingerprint(*values: Any) -> str:
     """Hash the content of values to 32 hexadecimal digits.
 
-    Equal robots, scenes and goals give equal hashes.
-
-    File locations do not count.
+    Equal robots, scenes and goals give equal hashes. File locations do not count.
 
     Raises:
         TypeError: a value has a type that cannot be hashed.
@@ -107,25 +105,25 @@ POSE_TOLERANCE = (1e-4, 1e-3)  # [m], [rad] smallest tolerances: the accuracy of
 
 @dataclass
 class LibraryStatistics:
-    """Counts of how a plan library answered its requests."""
+    """Counts of reused, repaired and newly planned motions of a plan library."""
 
-    hits: int = 0  # a stored motion, proven again
-    repairs: int = 0  # a stored motion with replanned parts
-    misses: int = 0  # planned without a stored motion
+    hits: int = 0  # stored motions, proven again
+    repairs: int = 0  # stored motions with replanned parts
+    misses: int = 0  # motions planned without a stored motion
     passed_on: int = 0  # requests with options that the library does not cover
     unreadable: int = 0  # unreadable files
 
 
 @dataclass(frozen=True, eq=False)
 class _Stored:
-    """A stored motion: waypoints (k, n) of the group's joints, and the key of its scene."""
+    """A stored motion: waypoints (k, n) of the group's joints, and the hash of its scene."""
 
     scene: str
     waypoints: Array
 
 
 class PlanLibrary:
-    """A folder of stored motions, one JSON file each.
+    """A folder of stored motions with one JSON file per motion.
 
     Args:
         start_region: largest distance of each joint from a stored motion's start [rad or m].
@@ -177,9 +175,9 @@ class PlanLibrary:
         self, scene: PlanningScene, request: PlanRequest, problem: str, began: float,
         cancel: threading.Event | None,
     ) -> PlanResult | None:  # fmt: skip
-        """Return a stored motion for this start and goal, proven or repaired.
+        """Return a stored motion for the request's start and goal, proven again or repaired.
 
-        None if no stored motion is usable.
+        Return None if no stored motion is usable.
         """
         names = scene.model.group(request.group).joint_names
         start = scene.positions[scene.model.columns(names)]
@@ -244,7 +242,10 @@ class PlanLibrary:
 
 
 def _read(file: Path, model: RobotModel, names: tuple[str, ...]) -> _Stored:
-    """Read a stored motion; only its numbers are used, and they are proven before use."""
+    """Read a stored motion from a JSON file.
+
+    Only the motion's numbers are used, and they are proven before use.
+    """
     try:
         if file.stat().st_size > MAX_BYTES:
             raise InputError(f"is larger than {MAX_BYTES} bytes", file=file)
@@ -271,7 +272,7 @@ def _model_hash(model: RobotModel) -> str:
 
 
 def _problem_hash(model: RobotModel, request: PlanRequest) -> str:
-    """Hash robot, group and goals; the time stamp of a goal state does not count."""
+    """Hash robot, group and goals of a request; the time stamp of a goal state does not count."""
     goals = [
         (dict(zip(g.state.joint_names, g.state.positions.tolist(), strict=True)), g.tolerance)
         if isinstance(g, JointGoal) else g
@@ -281,7 +282,7 @@ def _problem_hash(model: RobotModel, request: PlanRequest) -> str:
 
 
 def _scene_hash(scene: PlanningScene) -> str:
-    """Hash the obstacles and attached objects, without the robot's own state."""
+    """Hash a scene's obstacles and attached objects, without the robot's own state."""
     held = {n: (b.object.shapes, b.link, b.T_link_object, b.touch_links) for n, b in scene.attached.items()}
     things = {n: (o.shapes, o.T_world_object) for n, o in scene.objects.items()}
     arm_clearance = (scene.padding, scene.link_padding, scene.link_scale, scene.allowed)
@@ -289,7 +290,7 @@ def _scene_hash(scene: PlanningScene) -> str:
 
 
 def _needs_new_plan(request: PlanRequest) -> bool:
-    """Return whether a request has options that stored motions do not cover."""
+    """Return whether a planning request has options that stored motions do not cover."""
     return (
         bool(request.path_constraints)
         or pipeline_for(request.pipeline_id, request.planner_id) == PILZ
@@ -324,7 +325,7 @@ def _repaired(
     checker: KernelChecker, scene: PlanningScene, request: PlanRequest, waypoints: Array, began: float,
     cancel: threading.Event | None,
 ) -> Array | None:  # fmt: skip
-    """Replan the blocked parts of a stored motion and simplify the result; None if that fails."""
+    """Replan the blocked parts of a stored motion and simplify the result; None on failure."""
     free = [checker.is_free(q) for q in waypoints]
     if not free[-1]:
         return None
@@ -361,7 +362,7 @@ def _finished(
     checker: KernelChecker, scene: PlanningScene, request: PlanRequest, waypoints: Array, began: float,
     how: str,
 ) -> PlanResult | None:  # fmt: skip
-    """Round, certify and time a stored motion; None if the proof fails."""
+    """Round, certify and time a stored motion; return None if the certification fails."""
     torque = torque_model(scene, checker.joint_names) if request.torque_limits else None
     try:
         finished = certify_and_time(

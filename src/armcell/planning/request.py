@@ -1,4 +1,4 @@
-"""Validation of a planning request: checks for misuse, and the workspace box of the tip."""
+"""Validation of a planning request: checks for misuse, and the workspace limits of the tip."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ STEP = 0.02  # [rad] between workspace checks along a motion
 
 
 class Workspace:
-    """The box in the world that the origin of the group's tip must not leave.
+    """The box in the world frame that the origin of the group's tip must not leave.
 
     Raises:
-        InputError: not two corners, or the low corner is not below the high one; a group without a tip.
+        InputError: not two corners; the low corner is not below the high corner; the group has no tip.
     """
 
     def __init__(self, scene: PlanningScene, request: PlanRequest):
@@ -44,12 +44,12 @@ class Workspace:
         self.tip = MovedFrame(scene, request.group)
 
     def excess(self, q: ArrayLike) -> float:
-        """Compute how far [m] the tip is outside the box at positions q (n,); 0 inside."""
+        """Compute the distance [m] of the tip from the workspace box at positions q (n,); 0 inside."""
         at = self.tip.pose(q).translation
         return float(np.linalg.norm(np.maximum(np.maximum(self.low - at, at - self.high), 0.0)))
 
     def describe(self, q: ArrayLike) -> str:
-        """Describe the tip's position relative to the box."""
+        """Describe the tip's position relative to the workspace box at positions q (n,)."""
         low, high, at = (
             ", ".join(f"{v:.3g}" for v in p) for p in (self.low, self.high, self.tip.pose(q).translation)
         )
@@ -59,7 +59,10 @@ class Workspace:
         )
 
     def first_outside(self, positions: ArrayLike) -> Array | None:
-        """Return the first positions (n,) of a motion (k, n) with the tip outside the box, or None."""
+        """Return the first positions (n,) of a motion (k, n) with the tip outside the workspace.
+
+        The result is None if the tip stays in the workspace.
+        """
         points = np.asarray(positions, dtype=float)
         for a, b in itertools.pairwise(points):
             for t in np.linspace(
@@ -74,16 +77,16 @@ class Workspace:
 class ValidatedRequest:
     """A planning request after validation, with its scene, planner and deadline.
 
-    Adapters return changed copies.
+    Adapters return changed copies of the request.
     """
 
     scene: PlanningScene  # at the start of the request
     request: PlanRequest
-    choice: PlannerChoice  # of a planner
-    joint_names: tuple[str, ...]  # of the group
+    choice: PlannerChoice  # the planner and its settings
+    joint_names: tuple[str, ...]  # joints of the group
     began: float  # [s] of time.monotonic()
     cancel: threading.Event
-    adapters: tuple[str, ...] = ()  # by our names
+    adapters: tuple[str, ...] = ()  # armcell's names of the adapters
     workspace: Workspace | None = None
     lead_in: Array | None = None  # (k, n): from the robot's actual state to the planning start
     evidence: Mapping[str, Any] = field(default_factory=dict)  # reports of adapters, copied to the result
@@ -94,11 +97,11 @@ class ValidatedRequest:
 
     @property
     def deadline(self) -> float:
-        """Time [s] of time.monotonic() at which planning must end."""
+        """Time [s] on the clock of time.monotonic() at which planning must end."""
         return self.began + self.request.planning_time
 
     def forbids(self, q: Array) -> str:
-        """Explain why collision-free positions q (n,) are not allowed; empty if they are."""
+        """Explain why collision-free positions q (n,) are not allowed; "" if they are allowed."""
         if self.workspace is not None and self.workspace.excess(q) > 0.0:
             return self.workspace.describe(q)
         return ""
@@ -140,7 +143,7 @@ def validate_request(
     began = time.monotonic()
     if not group.joint_names:
         raise InputError(f"group {request.group!r} has no joints")
-    if request.start is not None:  # an unknown joint in it is misuse and raises
+    if request.start is not None:  # raises if the start has an unknown joint
         scene = replace(scene, positions=scene.state.updated(request.start).positions)
     if request.max_cartesian_speed is not None:
         MovedFrame(scene, request.group, request.speed_link)

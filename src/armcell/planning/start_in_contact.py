@@ -1,8 +1,8 @@
-"""Leave contact at the start: find a motion from a start state in contact to a free state.
+"""Leaving contact at the start: motions from a start state in contact to a free state.
 
-The rule of `collision.resting` proves the motion. Pairs in contact are pushed apart along the directions in
-which their distances grow, all at once, by least squares over the group's joints, with as little rotation
-of the bodies as possible. If that fails, random samples search for a free state near the start.
+The rule of `collision.resting` proves the motion. Least squares over the group's joints pushes all pairs in
+contact apart at the same time, along the directions in which their distances grow, with as little rotation
+of the bodies as possible. If this fails, random samples search for a free state near the start.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ CLEARANCE = 2e-3  # [m] beyond the padding that a sampled start keeps from objec
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """A motion from a start in contact (n,) to a free state.
+    """A motion from a start state (n,) in contact to a free state.
 
     Attributes:
         points: (k, n) from the start to a free state.
         contacts: contacts at the start.
         proven: whether the motion is proven to leave the contact.
-        blocked: the contact that prevents the proof; None if there is none.
+        blocked: the contact that prevents the proof, or None.
     """
 
     points: Array
@@ -66,11 +66,11 @@ def find_departure(
     deepest: float = RESTING,
     keeps: Callable[[Array], bool] = lambda points: True,
 ) -> Departure | None:
-    """Find a motion out of contact from a start (n,); None if no free state is near.
+    """Find a motion from a start (n,) in contact to a free state; None if no free state is near.
 
     Args:
         deepest: depth [m] of the deepest contact that may be left.
-        keeps: whether a motion (k, n) satisfies the other requirements of the request.
+        keeps: returns whether a motion (k, n) satisfies the other requirements of the request.
     """
     contacts = touching(checker, start)
     blocked: Contact | None = None
@@ -95,7 +95,7 @@ def find_departure(
 def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> ValidatedRequest | Outcome:
     """Move a start out of resting contact and store the motion as `lead_in`, or refuse.
 
-    `start_repaired` in the evidence reports the distance between the two states.
+    `start_repaired` in the evidence reports the distance between the old and the new start.
     """
     start = validated.scene.positions[checker.columns]
     contacts = touching(checker, start)
@@ -121,7 +121,7 @@ def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
 
 
 def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
-    """Build a test whether a motion (k, n) keeps a request's workspace and path constraints."""
+    """Return a function that tests whether a motion (k, n) keeps workspace and path constraints."""
     request, workspace = validated.request, validated.workspace
     is_pilz = (
         normalized_pipeline_id(request.pipeline_id) == PILZ
@@ -145,7 +145,7 @@ def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
 
 
 def start_from_departure(validated: ValidatedRequest, found: Departure, begins_at: str) -> ValidatedRequest:
-    """Return the request with the end of a departure as its start."""
+    """Return a copy of the request that starts at the free end of a departure from contact."""
     start, free = found.points[0], found.points[-1]
     report = {
         "contacts": found.contacts,
@@ -184,9 +184,9 @@ def _refused(what: str, contacts: list[Contact], found: Departure | None) -> Out
 
 
 def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | None:
-    """Push all touching pairs `distance` [m] apart.
+    """Push all touching pairs of bodies `distance` [m] apart.
 
-    Return configurations (k, n) from the start, or None.
+    Return the configurations (k, n) from the start on, or None if the pairs cannot be separated.
     """
     exact, model, columns = checker.exact, checker.model, checker.columns
     low = np.minimum(model.lower[columns], start)
@@ -212,7 +212,7 @@ def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | No
 def _push(
     exact: ExactChecker, q: Array, near: Mapping[Pair, float], apart: Collection[Pair], distance: float
 ) -> Array:
-    """Compute the joint step (n,) that separates touching pairs without closing other gaps."""
+    """Compute the joint step (n,) that separates touching bodies without closing other gaps."""
     rows, wanted, turning = [], [], []
     bodies = list(near)
     rates = _rates(exact, q, bodies)
@@ -231,10 +231,10 @@ def _push(
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
-    """Differentiate the distance of each body pair by each joint (pairs, n) [m/rad], centrally.
+    """Compute central differences of each body pair's distance by each joint (pairs, n) [m/rad].
 
-    Two flat faces in contact come nearer for either sense of rotation; the central difference cancels that
-    and leaves the motion along the pair's normal.
+    Two flat faces in contact come nearer for either direction of rotation; the central difference cancels
+    this effect and leaves the motion along the pair's normal.
     """
     rows = {pair: _rows(exact, pair) for pair in bodies}
     rates = np.empty((len(bodies), len(q)))
@@ -255,7 +255,7 @@ def _rows(exact: ExactChecker, pair: Pair) -> list[tuple[int, int]]:
 
 
 def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
-    """Compute the relative angular velocity of a pair's bodies per joint velocity (3, n)."""
+    """Compute the relative angular velocity (3, n) of a pair's two bodies per joint velocity."""
     a, b = _rows(exact, pair)[0]
     full, names = exact.full(q), exact.joint_names
     turn = np.zeros((3, len(q)))
@@ -267,9 +267,9 @@ def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
 
 
 def _nearest_free(checker: KernelChecker, start: Array, rng: np.random.Generator) -> Array | None:
-    """Find a free state (n,) near the start.
+    """Find a collision-free state (n,) near the start by random sampling.
 
-    The nearest sample of the smallest ball that has one, bisected.
+    Take the nearest free sample in the smallest ball that contains one, then bisect toward the start.
     """
     low, high = checker.model.lower[checker.columns], checker.model.upper[checker.columns]
     for radius in REPAIR_RADII:

@@ -1,4 +1,4 @@
-"""Compile the planner's kernels, or load them from the cache, before any timed planning."""
+"""Warm-up that compiles the planner's kernels, or loads them, before timed planning."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ BOUNDS = np.array([0.0]), np.array([0.05])  # joint limits of the gripper in the
 
 
 def prepare(scene: PlanningScene, group: str) -> None:
-    """Compute what all plans of a group share before the first plan: covers, colliding pairs."""
+    """Compute the data that all plans of a planning group share, before the first plan.
+
+    The data are collision covers, pairs of links that can collide, and the inverse kinematics.
+    """
     warm_up()
     KernelChecker(scene, scene.model.group(group).joint_names)
     if scene.model.group(group).tip_link:
@@ -41,7 +44,7 @@ def prepare(scene: PlanningScene, group: str) -> None:
 
 @lru_cache(maxsize=64)
 def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
-    """Prepare the inverse kinematics of a chain.
+    """Prepare the inverse kinematics of a chain, so that the first solve does not compile.
 
     Arms with a closed-form solution use other kernels.
     """
@@ -53,13 +56,13 @@ def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
 
 @lru_cache(maxsize=1)
 def warm_up() -> float:
-    """Compile all kernels of the default planner, or load them from the cache.
+    """Compile all kernels of the default planner, or load them from the cache on disk.
 
     The first call on a machine (or after source changes) compiles: two processes share the work, and a
     progress line on the terminal shows the wait. Later runs load the kernels from disk.
 
     Returns:
-        The seconds it took. Later calls return at once.
+        The duration of the warm-up [s]. Later calls return at once.
     """
     began = time.monotonic()
     compiled = Path(os.environ["NUMBA_CACHE_DIR"]) / "planner_compiled"
@@ -80,9 +83,10 @@ def warm_up() -> float:
 
 
 def compile_rest() -> None:
-    """Compile, in a process of its own, all that `warm_up` needs except the collision check.
+    """Compile, in a separate process, all kernels for `warm_up` except collision checking.
 
-    Planners call the check by its address, so a check that finds every configuration free stands in for it.
+    Planners call the collision check by its address, so a check that reports every configuration as free
+    replaces it here.
     """
     block.check_address = block.free_check_address  # pyright: ignore[reportAttributeAccessIssue]
     _plan_small_problem()
@@ -100,10 +104,7 @@ def _plan_small_problem() -> None:
 
 
 def small_problem() -> tuple[KernelChecker, Array, Array]:
-    """Build a tiny planning problem for warm-up.
-
-    The checker of a gripper and two of its positions.
-    """
+    """Build a tiny planning problem for warm-up: a gripper's checker and two gripper positions."""
     model = load_robot("parallel_gripper")
     checker = KernelChecker(PlanningScene.of(model), model.group("gripper").joint_names)
     return checker, np.array([0.01]), np.array([0.04])

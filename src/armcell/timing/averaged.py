@@ -15,7 +15,7 @@ from armcell.core import InputError, JointTrajectory
 
 Array = NDArray[np.float64]
 
-SAME = 1e-7  # [s] times nearer than this count as equal
+SAME = 1e-7  # [s] times with a smaller difference count as equal
 GROWTH = 1.15
 
 
@@ -58,7 +58,7 @@ def _averaged(t: Array, p: Array, speeds: Array, window: float) -> tuple[Array, 
     )
 
     def integral(x: Array) -> Array:
-        """Return the integral of the piecewise linear motion from time 0 to `x`; at rest outside."""
+        """Return the integral of the piecewise linear motion from time 0 to `x`; at rest outside it."""
         k = np.clip(np.searchsorted(t, x, side="right") - 1, 0, len(t) - 1)
         e = np.clip(x, t[0], t[-1]) - t[k]
         v = speeds[np.minimum(k, len(speeds) - 1)] if len(speeds) else np.zeros((len(x), p.shape[1]))

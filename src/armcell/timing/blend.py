@@ -1,4 +1,4 @@
-"""Smooth paths through waypoints: straight lines with corners rounded by arcs or splines.
+"""Smooth paths through waypoints: straight lines, and corners rounded by arcs or splines.
 
 The deviation at each corner is bounded. Arcs: Kunz and Stilman, "Time-optimal trajectory generation for path
 following with bounded acceleration and velocity" (RSS 2012), section IV.
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class BlendedPath:
-    """A path of lines and rounded corners through or near waypoints (k, n).
+    """A joint path of straight lines and rounded corners through or near waypoints (k, n).
 
     A corner that may not be rounded remains sharp, and the motion must stop there; `stops` contains the path
     parameters of these corners.
@@ -79,7 +79,7 @@ class BlendedPath:
         return self.kind, self.origin, self.x, self.y, self.lengths, self.radius
 
     def evaluate(self, piece: NDArray[np.int64], s: Array) -> tuple[Array, Array, Array]:
-        """Return points, first and second derivatives (m, n) of the path on the given pieces.
+        """Return points and the first and second path derivatives (m, n) on the given path pieces.
 
         Args:
             piece: (m,) indices of path pieces.
@@ -94,7 +94,7 @@ class BlendedPath:
         return pieces.evaluate(*self.arrays, piece, s)
 
     def at(self, s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return points, first and second derivatives (m, n) of the path at parameters s (m,)."""
+        """Return points and the first and second derivatives (m, n) of the path at s (m,)."""
         s = np.atleast_1d(float_array(s, None, "s"))
         piece = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.kind) - 1)
         return self.evaluate(piece, np.clip(s - self.starts[piece], 0.0, self.lengths[piece]))

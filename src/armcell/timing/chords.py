@@ -1,4 +1,7 @@
-"""A timed motion as straight pieces on a common clock, with a proven bound of what they leave out (Numba)."""
+"""Approximation of timed motions by straight pieces on a common clock (Numba).
+
+Each joint's approximation error has a proven bound.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +17,28 @@ _NONE = np.zeros((0, 0))
 
 
 def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
-    """Positions (k, n) at times (k,) [s] of the trajectory's clock, held at both ends; as `sample`."""
+    """Return a trajectory's joint positions (k, n) at times (k,) [s] on its own clock.
+
+    Before the first point and after the last, the joints hold their positions, as in `sample`.
+    """
     return _positions(np.ascontiguousarray(times, dtype=np.float64), *_arrays(trajectory))
 
 
 def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
-    """Times, positions, velocities, accelerations, and which of these are given: 0 positions, 1 velocities
-    too, 2 all."""
+    """Return a trajectory's times, positions, velocities, accelerations and its kind.
+
+    The kind is 0 for positions only, 1 with velocities, 2 with velocities and accelerations.
+    """
     v, a = trajectory.velocities, trajectory.accelerations
     kind = 0 if v is None else 1 if a is None else 2
     return trajectory.times, trajectory.positions, _NONE if v is None else v, _NONE if a is None else a, kind
 
 
 def acceleration_bounds(trajectory: JointTrajectory) -> Array:
-    """The most that each joint (n,) accelerates anywhere between the points; 0 for straight pieces.
+    """Return an upper bound of each joint's acceleration (n,) anywhere in a trajectory.
+
+    A polynomial is bounded by its Bernstein coefficients; the bound uses those of the second derivative.
+    Straight pieces have the bound 0.
 
     A polynomial is within its Bernstein coefficients; those of the second derivative are taken.
     """
@@ -38,16 +49,16 @@ def chords(
     trajectories: tuple[JointTrajectory, ...], starts: tuple[float, ...], begin: float, end: float,
     error: float = 5e-4,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Several motions on one clock as straight pieces.
+    """Approximate several motions on one clock by straight pieces.
 
     Args:
-        starts: when each motion begins [s of the common clock]; before and after it stands still.
-        begin, end: the part of the common clock that is wanted.
-        error: about the most that a joint may be off the pieces [rad or m].
+        starts: start of each motion [s of the common clock]; its joints rest before and after the motion.
+        begin, end: section of the common clock to approximate [s].
+        error: approximate maximum deviation of a joint from the pieces [rad or m].
     Returns:
         Times (k,), positions (k, n) of all joints side by side, and a bound (n,) of each joint's error.
     Raises:
-        InputError: a motion whose velocity jumps (none given, or not at rest at its ends).
+        InputError: a motion's velocity jumps (it has no velocities, or is not at rest at its ends).
     """
     for t in trajectories:
         _check_smooth(t)

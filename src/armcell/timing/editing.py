@@ -80,7 +80,10 @@ def synchronized(trajectories: Sequence[JointTrajectory]) -> tuple[JointTrajecto
 
 
 def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
-    """Return the trajectory from its end to its start; symmetric limits remain satisfied."""
+    """Return the trajectory played backward in time.
+
+    Symmetric limits remain satisfied.
+    """
     v, a = trajectory.velocities, trajectory.accelerations
     return replace(
         trajectory,
@@ -92,24 +95,24 @@ def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
 
 
 def delayed(trajectory: JointTrajectory, wait: float) -> JointTrajectory:
-    """Return the trajectory after a standstill of `wait` [s] at its start position; `wait` > 0."""
+    """Return the trajectory after a standstill of `wait` > 0 [s] at its start position."""
     later = replace(trajectory, times=trajectory.times + wait)
     return started_from(trajectory.start, later)
 
 
 # --- points ---
 def resting(joint_names: Iterable[str], positions: ArrayLike, time: float = 0.0) -> JointTrajectory:
-    """Return the trajectory with one point: joints (n,) at rest, to be reached at `time` [s]."""
+    """Return a one-point trajectory: the joints rest at the positions (n,) at `time` [s]."""
     q = float_array(positions, (None,), "positions")[None]
     return JointTrajectory(tuple(joint_names), np.array([time]), q, np.zeros_like(q), np.zeros_like(q))
 
 
 def started_from(state: JointState, trajectory: JointTrajectory) -> JointTrajectory:
-    """Return the trajectory with a point at time 0 added: a state's positions and velocities.
+    """Return the trajectory with an added point at time 0: a state's positions and velocities.
 
     Args:
-        state: of at least the trajectory's joints; without velocities the joints are at rest.
-        trajectory: its first point is later than 0 s.
+        state: state of at least the trajectory's joints; without velocities the joints are at rest.
+        trajectory: trajectory whose first point is later than 0 s.
     Raises:
         UnknownNameError: the state does not have a joint.
     """
@@ -127,7 +130,7 @@ def started_from(state: JointState, trajectory: JointTrajectory) -> JointTraject
 
 
 def section(trajectory: JointTrajectory, begin: float, end: float, apart: float = 0.0) -> JointTrajectory:
-    """Return the part of a trajectory between two times [s]; its times stay on the trajectory's clock.
+    """Return the part of a trajectory between two times [s], with unchanged time stamps.
 
     Args:
         trajectory: with velocities and accelerations.
@@ -146,9 +149,9 @@ def section(trajectory: JointTrajectory, begin: float, end: float, apart: float 
 
 
 def _point(trajectory: JointTrajectory, t: float) -> tuple[Array, Array, Array]:
-    """Return position, velocity and acceleration (n,) at a time [s].
+    """Return a trajectory's position, velocity and acceleration (n,) at a time [s].
 
-    At its ends, `JointTrajectory.sample` is at rest; a part of a motion need not be.
+    Unlike `JointTrajectory.sample`, the function does not assume rest at the trajectory's ends.
     """
     if t == trajectory.times[0]:
         return _row(trajectory, 0)
@@ -165,7 +168,7 @@ def _row(trajectory: JointTrajectory, i: int) -> tuple[Array, Array, Array]:
 def with_resting_joints(
     trajectory: JointTrajectory, state: JointState, joint_names: Iterable[str]
 ) -> JointTrajectory:
-    """Return the motion of `joint_names`, in this order; joints that do not move rest at `state`.
+    """Return the motion of `joint_names`, in this order; joints without motion rest at `state`.
 
     Raises:
         UnknownNameError: neither the trajectory nor the state has a joint.
@@ -188,9 +191,9 @@ def with_resting_joints(
 
 
 def concatenated(*parts: JointTrajectory) -> JointTrajectory:
-    """Concatenate trajectories of the same joints; each begins where the part before it ends.
+    """Concatenate trajectories of the same joints; each begins where the previous part ends.
 
-    The first point of a part is dropped, because it equals the last point of the part before. Velocities
+    The first point of a part is dropped, because it equals the last point of the previous part. Velocities
     (accelerations) are kept if all parts have them.
 
     Raises:

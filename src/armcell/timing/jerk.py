@@ -1,15 +1,16 @@
-"""Jerk-limited timing that stays exactly on its path (Numba).
+"""Jerk-limited timing of a path without deviation from the path (Numba).
 
-Corners are splines whose curvature does not jump (`BlendedPath(..., smooth=True)`). They are taken at a
-constant speed, at which velocity, acceleration and jerk of every joint have closed forms. On the lines
-between, the path speed changes by ramps of bounded acceleration and jerk (the double-S profile; Biagiotti
-and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", section 3.4). So between two
-points of the trajectory each joint moves by a polynomial of degree four at most, which the quintic
-interpolation repeats exactly: the limits hold at all times and the path is kept to rounding.
+Corners are splines with continuous curvature (`BlendedPath(..., smooth=True)`). The motion passes them at
+a constant speed, at which velocity, acceleration and jerk of every joint have closed forms. On the lines
+between corners, the path speed changes by ramps of bounded acceleration and jerk (the double-S profile;
+Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", section 3.4). Between
+two points of the trajectory each joint therefore moves by a polynomial of degree four at most, which the
+quintic interpolation reproduces exactly: the limits hold at all times, and the motion keeps the path up to
+rounding.
 
-It is not the fastest jerk-limited motion (nobody solves that exactly: the problem is not convex) but for
-straight moves it is, which is checked against ruckig. Ruckig itself plans from state to state: joints
-leave the path, and its community edition sends waypoints to a server.
+For straight moves the result is the fastest jerk-limited motion, which tests check against ruckig. In
+general it is not: the problem is not convex, and no solver finds the exact optimum. Ruckig itself plans
+from state to state: joints leave the path, and its community edition sends waypoints to a server.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from armcell.timing.sampling import peaks
 Array = NDArray[np.float64]
 
 MIN_PHASE = 1e-3
-"""[s] Phases of a ramp are not shorter, and a line cruises at least so long: shorter ones would cost the
-jerk, a third difference of positions, its digits."""
+"""[s] Minimum duration of a ramp's phases and of cruising on a line. In shorter phases the jerk, a third
+difference of positions, loses its precision."""
 
 MIN_GAP = 2e-4  # [s] between trajectory points
 EPS = 1e-12
@@ -36,9 +37,9 @@ EPS = 1e-12
 
 @njit(cache=True)
 def _ramp(dv, a, j):
-    """Times of changing and of constant acceleration in a speed change dv >= 0; increasing in dv.
+    """Return the durations of changing and of constant acceleration for a speed change dv >= 0.
 
-    Where a phase would be shorter than MIN_PHASE, the ramp is made gentler instead.
+    Both durations increase with dv. If a phase would be shorter than MIN_PHASE, the ramp becomes gentler.
     """
     if dv <= 0.0:
         return 0.0, 0.0
@@ -58,7 +59,9 @@ def _distance(v0, v1, a, j):
 
 @njit(cache=True)
 def _fastest(v0, v1, a, j, length, most):
-    """Largest speed up to `most` that a line from speed v0 to v1 can reach; max(v0, v1) if none above.
+    """Return the highest speed up to `most` on a line from speed v0 to v1; at least max(v0, v1).
+
+    v1 < 0: the line may end at the highest speed.
 
     v1 < 0: the line may end at the speed it reaches.
     """
@@ -76,7 +79,10 @@ def _fastest(v0, v1, a, j, length, most):
 
 @njit(cache=True)
 def _ramp_phases(piece, s, v0, v1, a, j, at, out):
-    """Append a speed change: three phases (piece, s, v, a, jerk, time) to `out`; the new count and s."""
+    """Append the phases of a speed change to `out`; return the new phase count and the new s.
+
+    The up to three phases are (piece, s, v, a, jerk, duration).
+    """
     change, flat = _ramp(abs(v1 - v0), a, j)
     if change == 0.0:
         return at, s
@@ -99,7 +105,10 @@ def _ramp_phases(piece, s, v0, v1, a, j, at, out):
 
 @njit(cache=True)
 def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
-    """Phases (k, 6) of constant path jerk: piece, place in it, speed, acceleration, jerk, duration."""
+    """Return the motion's phases of constant path jerk (k, 6) along the path pieces.
+
+    The columns are piece, path parameter in the piece, speed, acceleration, jerk and duration.
+    """
     m, n = x.shape
     most, acc, jer = np.full(m, 1e18), np.full(m, 1e18), np.full(m, 1e18)
     for p in range(m):
@@ -114,7 +123,7 @@ def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
                 most[p] = min(most[p], velocity[k] / d, np.sqrt(acceleration[k] * length[p] / (1.5 * c)))
                 most[p] = min(most[p], np.cbrt(jerk[k] * length[p] ** 2 / (6.0 * c)))
         jer[p] = min(jer[p], acc[p] / MIN_PHASE)
-    # Speed where pieces meet: a corner has one speed throughout, a line may change it.
+    # Speed at the joints between pieces: constant in a corner, variable on a line.
     speed = np.full(m + 1, 1e18)
     speed[0] = speed[m] = 0.0
     for p in range(m):
@@ -150,7 +159,7 @@ def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
 
 @njit(cache=True)
 def states(times, begins, phase, kind, origin, x, y, length, radius):
-    """Positions, velocities and accelerations (m, n) at increasing times (m,)."""
+    """Return joint positions, velocities and accelerations (m, n) at increasing times (m,)."""
     m, n = len(times), x.shape[1]
     q, dq, ddq = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
     k = 0
@@ -176,9 +185,10 @@ def jerk_limited(
     jerk: ArrayLike,
     settings: TimingSettings = TimingSettings(),
 ) -> JointTrajectory:
-    """A trajectory exactly along a path with smooth corners, within velocity, acceleration and jerk limits.
+    """Return a trajectory exactly along a path, within velocity, acceleration and jerk limits.
 
-    It has points where the path jerk changes, and every `settings.sample_time` between.
+    The path must have smooth corners. The trajectory has points at the changes of the path jerk and, between
+    them, every `settings.sample_time`.
 
     Args:
         velocity, acceleration, jerk: limits (n,) [rad/s], [rad/s^2], [rad/s^3], already scaled.
@@ -203,13 +213,13 @@ def jerk_limited(
     v[0] = v[-1] = a[0] = a[-1] = 0.0
     peak_v, peak_a = peaks(times, q, v, a, velocity, acceleration)
     over = max(peak_v, np.sqrt(peak_a), np.cbrt(_largest_jerk(times, q, v, a, jerk)))
-    if over > 1.0:  # rounding, and what phases shorter than MIN_GAP leave
+    if over > 1.0:  # rounding, and errors of phases shorter than MIN_GAP
         times, v, a = times * over, v / over, a / over**2
     return JointTrajectory(joint_names, times, q, v, a)
 
 
 def _times(begins: Array, step: float) -> Array:
-    """Where the phases begin and a regular grid between, at least MIN_GAP apart."""
+    """Return trajectory times at least MIN_GAP apart: starts of the phases and a regular grid."""
     end = begins[-1]
     knots = begins[np.concatenate([[True], np.diff(begins) >= MIN_GAP])]
     knots = np.append(knots[knots <= end - MIN_GAP], end)
@@ -220,7 +230,10 @@ def _times(begins: Array, step: float) -> Array:
 
 
 def _largest_jerk(times: Array, q: Array, v: Array, a: Array, jerk: Array) -> float:
-    """Largest |jerk| / limit of the quintic interpolation: at its intervals' ends and, at most, between."""
+    """Return the largest ratio |jerk| / limit of a trajectory's quintic interpolation.
+
+    The ratio is computed at the ends of each interval and at the maximum between them.
+    """
     h = np.diff(times)[:, None]
     d = np.diff(q, axis=0)
     v0, v1, a0, a1 = v[:-1], v[1:], a[:-1], a[1:]

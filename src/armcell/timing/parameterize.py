@@ -45,7 +45,7 @@ class TimingSettings:
 
 
 class TorqueModel(Protocol):
-    """A model of a robot's joint torques and their limits."""
+    """Protocol of a model that computes a robot's joint torques and their limits."""
 
     @property
     def limits(self) -> Array:
@@ -53,9 +53,10 @@ class TorqueModel(Protocol):
         ...
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return the coefficients (m, 3, n) of u, x and 1 in the joint torques at points of a path.
+        """Return the coefficients (m, 3, n) of the joint torques at points of a path.
 
-        u is the path acceleration and x the squared path speed.
+        The torques are linear in u and x: the coefficients belong to u, x and 1, with path acceleration u and
+        squared path speed x.
 
         Args:
             positions: points of the path (m, n).
@@ -69,7 +70,7 @@ class TorqueModel(Protocol):
 
 
 class TorqueLimitError(ArmcellError):
-    """A failure because a joint lacks the torque to hold still at a point of the path.
+    """Timing failure: a joint lacks the torque to hold still at a point of the path.
 
     Slower motion cannot help in this case.
     """
@@ -91,7 +92,7 @@ def parameterize(
     settings: TimingSettings = TimingSettings(),
     torque: TorqueModel | None = None,
 ) -> JointTrajectory:
-    """Return the fastest trajectory along a path within the joint and torque limits.
+    """Return the fastest trajectory along a path within joint limits and optional torque limits.
 
     The trajectory is at rest at both ends and at the path's sharp corners. Its velocities and accelerations
     are within the limits at all times of its (quintic) interpolation. The trajectory follows the path except
@@ -125,7 +126,7 @@ def parameterize(
 
 
 def smoothing_departure(acceleration: ArrayLike, settings: TimingSettings) -> Array:
-    """Return how far (n,) [rad] `parameterize` may deviate from the path in each joint.
+    """Return the bound (n,) [rad] of each joint's deviation from the path in `parameterize`.
 
     The bound is a w^2 / 24 for the acceleration limit a and the smoothing window w.
     """
@@ -172,7 +173,7 @@ def fastest_motion(
 
 
 def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
-    """Return the factor by which a smoothed trajectory must slow down to keep torque limits.
+    """Return the factor by which a smoothed trajectory must slow down to keep the torque limits.
 
     The part of a torque beyond the torque for holding still is proportional to the squared speed.
     """
@@ -184,7 +185,7 @@ def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
 
 
 def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Return the single-point trajectory of a path of length zero."""
+    """Return the single-point trajectory for a path of length zero."""
     return resting(joint_names, path.points[0])
 
 

@@ -1,4 +1,7 @@
-"""The three pieces that a path is made of, each in a plane: q(s) = origin + a(s) x + b(s) y (Numba)."""
+"""The three kinds of path pieces, each in a plane: line, arc and spline (Numba).
+
+A piece is q(s) = origin + a(s) x + b(s) y.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,11 @@ HALF_STEP = 0.09375  # integral of the smooth step 3 z^2 - 2 z^3 over its first 
 
 @njit(cache=True)
 def coefficients(kind, length, radius, s):
-    """a, b and their first and second derivatives at s within a piece.
+    """Return a piece's coefficients a and b and their first and second derivatives at s.
 
-    A line is (s, 0); an arc (r cos(s/r), r sin(s/r)). A spline turns its derivative from x to y by a smooth
-    step, q' = (1 - w) x + w y with w = 3 z^2 - 2 z^3, z = s / length: its second derivative is continuous
-    with the lines beside it.
+    A line has (a, b) = (s, 0), an arc (r cos(s/r), r sin(s/r)). A spline turns its derivative from x to y by
+    a smooth step, q' = (1 - w) x + w y with w = 3 z^2 - 2 z^3, z = s / length: its second derivative is
+    continuous with the adjacent lines.
     """
     if kind == LINE:
         return s, 0.0, 1.0, 0.0, 0.0, 0.0
@@ -35,7 +38,10 @@ def coefficients(kind, length, radius, s):
 
 @njit(cache=True)
 def distinct(points):
-    """Which points (k, n) are at least `MIN_EDGE` from the one kept before; the last one always is."""
+    """Return a mask that drops points (k, n) within `MIN_EDGE` of the previously kept point.
+
+    The last point is kept in any case.
+    """
     k, n = points.shape
     keep = np.zeros(k, np.bool_)
     keep[0] = True
@@ -55,11 +61,13 @@ def distinct(points):
 
 @njit(cache=True)
 def build(points, deviation, smooth):
-    """Pieces of the path through distinct points (k, n), corners cut by at most deviation (k,).
+    """Build the pieces of the path through distinct points (k, n).
+
+    The rounded corners deviate from the points by at most `deviation` (k,).
 
     Returns:
-        The number of pieces p, and for at most 2k pieces: kind, origin, x, y, length, radius, the angle by
-        which each turns [rad], and whether the motion must stand still at its end.
+        The number of pieces p, and for at most 2k pieces: kind, origin, x, y, length, radius, turning angle
+        [rad], and whether the motion must stop at the end of the piece.
     """
     k, n = points.shape
     most = 2 * k
@@ -76,7 +84,7 @@ def build(points, deviation, smooth):
         edge[i] = np.sqrt(total)
         for j in range(n):
             unit[i, j] /= edge[i]
-    p, cut = 0, 0.0  # cut: what the corner at the edge's begin takes of it
+    p, cut = 0, 0.0  # cut: length that the corner at the start of the edge takes from the edge
     for i in range(k - 1):
         u, v = unit[i], unit[i + 1]
         reach, angle, chord = 0.0, 0.0, 0.0
@@ -86,7 +94,7 @@ def build(points, deviation, smooth):
             chord = np.sqrt(chord)  # 2 sin(angle / 2)
             angle = 2.0 * np.arcsin(min(chord / 2.0, 1.0))
             if STRAIGHT <= angle <= REVERSAL and deviation[i + 1] > 0.0:
-                # The corner may use half of each neighbouring edge.
+                # The corner may use half of each neighboring edge.
                 if smooth:
                     reach = deviation[i + 1] / (2.0 * HALF_STEP * chord)
                 else:
@@ -124,7 +132,7 @@ def build(points, deviation, smooth):
 
 @njit(cache=True)
 def evaluate(kind, origin, x, y, length, radius, piece, s):
-    """Points and first and second derivatives (m, n) at s (m,) within the pieces (m,)."""
+    """Return path points and their first and second derivatives (m, n) at s (m,) in pieces (m,)."""
     m, n = len(s), origin.shape[1]
     point, first, second = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
     for i in range(m):
@@ -139,7 +147,7 @@ def evaluate(kind, origin, x, y, length, radius, piece, s):
 
 @njit(cache=True)
 def chords(kind, origin, x, y, length, radius, turn, sagitta):
-    """Points (m, n) whose chords stay within `sagitta` of the pieces."""
+    """Return points (m, n) whose chords stay within `sagitta` [rad] of the path pieces."""
     p, n = origin.shape
     count = np.ones(p, np.int64)
     total = 1

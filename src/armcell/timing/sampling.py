@@ -1,8 +1,8 @@
-"""Averaging a motion over a short window and sampling it, and what its interpolation peaks at (Numba).
+"""Moving average of a motion over a short window, its samples and their peak values (Numba).
 
-The fastest motion switches its acceleration at once. A moving average over a window w keeps every velocity
+The fastest motion switches its acceleration abruptly. A moving average over a window w keeps every velocity
 and acceleration limit (an average of values within a limit is within it), bounds the jerk by 2 a / w and
-leaves the path by at most a w^2 / 24. It makes the motion w longer.
+deviates from the path by at most a w^2 / 24. The averaged motion is longer by w.
 """
 
 from __future__ import annotations
@@ -17,8 +17,11 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
-    """Integral of the position from time 0, position and velocity (m, n) at increasing times (m,), of the
-    motion that stands still before and after. Positions are relative to the first point."""
+    """Return the motion's integral of position, position and velocity (m, n) at times (m,).
+
+    The times increase. Positions are relative to the first point, and the integral begins at time 0. The
+    motion is at rest before its start and after its end.
+    """
     m, n, last = len(times), origin.shape[1], len(piece) - 1
     area, position, velocity = np.zeros((m, n)), np.zeros((m, n)), np.zeros((m, n))
     a0, b0, _, _, _, _ = coefficients(kind[0], length[0], radius[0], 0.0)
@@ -68,7 +71,10 @@ def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
 
 @njit(cache=True)
 def _difference(now, then, shift, factor):
-    """now[i] = (now[i] - then[i - shift]) factor, where `then` is zero before its begin and may be `now`."""
+    """Replace each now[i] by the difference (now[i] - then[i - shift]) times `factor`.
+
+    `then` is zero before its first row and may be the same array as `now`.
+    """
     for i in range(len(now) - 1, shift - 1, -1):
         now[i] = (now[i] - then[i - shift]) * factor
     for i in range(min(shift, len(now))):
@@ -77,8 +83,9 @@ def _difference(now, then, shift, factor):
 
 @njit(cache=True)
 def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, t0, step, window):
-    """The motion averaged over `window` [s], a point every `step` [s] (the last interval half to one and a
-    half as long).
+    """Return the motion averaged over `window` [s], with a point every `step` [s].
+
+    The last interval is 0.5 to 1.5 steps long.
 
     Returns:
         Times (k,), positions, velocities and accelerations (k, n).
@@ -111,7 +118,7 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
 
 @njit(cache=True)
 def _largest_cubic(b0, b1, b2, b3):
-    """Largest size over [0, 1] of a cubic with these Bernstein coefficients."""
+    """Return the largest absolute value over [0, 1] of a cubic with Bernstein coefficients b."""
     best = max(abs(b0), abs(b3))
     d0, d1, d2 = b1 - b0, b2 - b1, b3 - b2  # its derivative / 3
     p, r = d0 - 2.0 * d1 + d2, d1 - d0  # p t^2 + 2 r t + d0 = 0
@@ -131,10 +138,13 @@ def _largest_cubic(b0, b1, b2, b3):
 
 @njit(cache=True)
 def peaks(times, q, v, a, velocity, acceleration):
-    """Largest |velocity| / limit and |acceleration| / limit at any time of the quintic interpolation.
+    """Return the largest ratios |velocity| / limit and |acceleration| / limit of a trajectory.
+
+    The ratios hold at any time of the quintic interpolation.
 
     The Bernstein coefficients of each interval's velocity (degree 4) and acceleration (degree 3) enclose
-    them. Where these pass a limit, velocities are bounded more tightly and accelerations solved exactly.
+    the values. If coefficients exceed a limit, velocities are bounded more tightly, and the maximum of the
+    acceleration is computed exactly.
     """
     peak_v = peak_a = 0.0
     per_v, per_a = 1.0 / velocity, 1.0 / acceleration

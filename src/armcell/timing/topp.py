@@ -1,11 +1,11 @@
-"""Time-optimal parameterisation of a path under velocity, acceleration and torque limits (Numba).
+"""Time-optimal parameterization of a path under joint and torque limits (Numba).
 
 Reachability analysis (Pham and Pham, "A new approach to time-optimal path parameterization based on
 reachability analysis", T-RO 2018): a backward pass finds the largest squared path speed x = ds/dt^2 from
-which the end can still be reached, a forward pass takes the largest path acceleration u within it.
-Constraints are held at both ends of every interval of the grid. A line without torque limits needs no
-grid: its largest acceleration is the same everywhere, so it is one interval that is solved exactly
-(speed up, cruise, slow down). Checked against the toppra package in the tests.
+which the end can still be reached; a forward pass takes the largest path acceleration u within this bound.
+Constraints hold at both ends of every interval of the grid. A line without torque limits needs no grid: its
+largest acceleration is the same everywhere, so the line is one interval that is solved exactly (speed up,
+cruise, slow down). The tests compare the results with the toppra package.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ MIN_GRIDDED = 16  # intervals of a line with torque limits
 
 @njit(cache=True)
 def grid(kind, length, turn, line_step):
-    """Intervals: their piece, begin and end within it (m,). Lines are divided where line_step > 0."""
+    """Divide the path pieces into intervals; return their pieces, starts and ends (m,).
+
+    Start and end are path parameters in the piece. Lines are divided only if line_step > 0.
+    """
     count = np.ones(len(kind), np.int64)
     for p in range(len(kind)):
         if kind[p] != LINE:
@@ -43,8 +46,11 @@ def grid(kind, length, turn, line_step):
 
 @njit(cache=True, fastmath=FAST)
 def _largest_x(centre, half, slope, i, ds, reach, cap):
-    """Largest x in [0, cap] for which some u has |u - centre + slope x| <= half in every row of interval i
-    and 0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function: a few steps."""
+    """Return the largest squared path speed x in [0, cap] that interval i allows.
+
+    x is allowed if some u has |u - centre + slope x| <= half in every row of interval i and
+    0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function takes a few steps.
+    """
     x = cap
     for _ in range(50):
         low, high = -x / (2.0 * ds), (reach - x) / (2.0 * ds)
@@ -67,7 +73,10 @@ def _largest_x(centre, half, slope, i, ds, reach, cap):
 
 @njit(cache=True)
 def _row(alpha, beta, constant, limit, i, r, centre, half, slope, cap):
-    """|alpha u + beta x + constant| <= limit as a row of the three arrays; the cap it puts on x."""
+    """Store the constraint |alpha u + beta x + constant| <= limit as row r of interval i.
+
+    Return the upper bound that the constraint sets on x, at most `cap`.
+    """
     if abs(alpha) > EPS:
         inverse = 1.0 / alpha
         centre[i, r], half[i, r], slope[i, r] = -constant * inverse, limit * abs(inverse), beta * inverse
@@ -81,16 +90,22 @@ def _row(alpha, beta, constant, limit, i, r, centre, half, slope, cap):
 @njit(cache=True, fastmath=FAST)
 def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, velocity, acceleration,
             torque, torque_limit):  # fmt: skip
-    """The fastest motion along the pieces, at rest at both ends and where a piece `rests` at its end.
+    """Compute the fastest motion along path pieces within joint and torque limits.
+
+    The motion is at rest at both ends and at the end of each piece that `rests`.
+
+    The motion is at rest at both ends and at the end of each piece that `rests`.
 
     Args:
         piece, begin, end: the grid (m,), see `grid`.
         velocity, acceleration: limits (n,).
         torque: (m, 2, 3, n) coefficients of u, x and 1 in the joint torques at both ends of each interval;
-            m = 0 where there are no torque limits. torque_limit (n,).
+            m = 0 for no torque limits.
+        torque_limit: torque limits (n,).
     Returns:
-        Intervals of constant path acceleration: piece (k,), place within it at the begin (k,), speed there
-        (k,), acceleration (k,), and the time at the begin (k + 1,), the end of the motion last.
+        Intervals of constant path acceleration: piece (k,); path parameter in the piece, speed and
+        acceleration at the start of the interval, each (k,); start times (k + 1,), with the end of the
+        motion last.
     """
     m, n = len(piece), len(velocity)
     gridded = len(torque) > 0

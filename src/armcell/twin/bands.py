@@ -98,7 +98,7 @@ class ArmBands:
     def deviations(
         self, seen: Seen, twin: Rehearsal, columns: Sequence[int], currents: deque[Array]
     ) -> dict[str, Array]:
-        """Return the residuals by kind, in units of their bands (n,); above 1 is outside the band.
+        """Return an arm's residuals by kind (n,), in units of the bands; above 1 is outside a band.
 
         `timing` and `load` have shape (1,); a negative load means that the arm carries less than the model
         says.
@@ -138,7 +138,7 @@ class ArmBands:
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Return the residuals of kind `current` and `load` that the number of samples permits.
+        """Return the `current` and `load` residuals, as far as the number of samples permits.
 
         Args:
             looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].
@@ -161,7 +161,7 @@ class ArmBands:
 
 @dataclass(frozen=True, eq=False)
 class TwinBands:
-    """Residual thresholds of all arms of a cell, and the identities for which they were learned.
+    """Residual thresholds of all arms of a cell, with the identities that they belong to.
 
     Other identities (robot, physics, calibration) make the thresholds invalid.
     """

@@ -42,7 +42,7 @@ class Motion:
 
 
 class TwinGuard:
-    """Monitors all arms of a driver against their simulated twin.
+    """Guard that monitors all arms of a driver against their simulated twin.
 
     Args:
         stage: simulation in which motions are dry-run.
@@ -131,7 +131,10 @@ class TwinGuard:
 
 
 class Watched:
-    """Handle of a motion that compares each arm with its twin and forwards all calls."""
+    """Handle of a running motion that compares each arm with its simulated twin.
+
+    All calls are forwarded to the handle of the running motion.
+    """
 
     def __init__(
         self, guard: TwinGuard, following: Following, twin: Rehearsal, arms: list[GuardedArm],

@@ -52,7 +52,7 @@ def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Dema
 
 
 def explaining(wrong: Array, kilo: Array, spread: Array) -> float:
-    """Return the mass [kg] that explains the current residuals best.
+    """Return the additional mass [kg] that explains the motor-current residuals best.
 
     The result is the expected value under a zero-mean normal prior with standard deviation `UNTOLD`.
 

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """Simulated course of a trajectory, or the reason for which it must not be executed.
+    """Simulated course of a trajectory, or the reason why it must not be executed.
 
     Attributes:
         outcome: SUCCESS, or CONTROL_FAILED with the bodies that touch or the joint that did not follow.
@@ -36,7 +36,7 @@ class Rehearsal:
     demand: Demand
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Return simulated position, velocity and effort, each (n,), at a time [s].
+        """Return the simulated position, velocity and effort, each (n,), at a time [s].
 
         Before the start and after the end, the nearest values apply.
         """
@@ -44,7 +44,7 @@ class Rehearsal:
         return q, v, effort
 
     def efforts_at(self, t: float, scaling: float) -> tuple[Array, Array]:
-        """Return simulated joint efforts at a reduced speed, and their increase per kilogram.
+        """Return simulated joint efforts at a reduced speed, and their increase per kilogram load.
 
         Args:
             t: trajectory time [s].
@@ -67,7 +67,7 @@ class Rehearsal:
 
 
 class Stage:
-    """Physics simulation of the cell for dry runs, reset to the measured state for each one.
+    """Physics simulation of the cell for dry runs, reset to the measured state for each dry run.
 
     Args:
         scene: scene of the cell.

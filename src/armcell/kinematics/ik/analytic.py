@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @ik_solvers.register("analytic")
 class AnalyticIK(IKSolver):
-    """An analytic IK solver: up to eight solutions, nearest to the reference first.
+    """Analytic IK solver for UR arms: up to eight solutions, nearest to the reference first.
 
     Raises:
         InputError: the kinematic structure of the chain is not that of a UR arm.

@@ -1,8 +1,9 @@
-"""A group's joints between base and tip as one small table, and its forward kinematics (Numba).
+"""The joints between a group's base and tip as one small table, with its kinematics (Numba).
 
-Fixed joints are merged into their neighbours and every axis is turned to z, so that the tip's pose is
-`base @ Z(v_0) @ link_0 @ Z(v_1) @ link_1 ...`, with `Z(v)` a turn about or a slide along z. Poses are kept
-as 12 numbers, the upper three rows of the 4x4 matrix; `goal` is always the tip's pose in the frame `base`.
+Fixed joints are merged into their neighbors, and every axis is rotated to z, so that the tip's pose is
+`base @ Z(v_0) @ link_0 @ Z(v_1) @ link_1 ...`, with `Z(v)` a rotation about or a translation along z. Poses
+are stored as 12 numbers, the upper three rows of the 4x4 matrix; `goal` is always the tip's pose in the
+frame `base`.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # without nnan: a NaN stays a NaN
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The joints that move a tip, as arrays.
+    """The joints that move a tip link, as arrays for compiled functions.
 
     Attributes:
-        table: (m, 16) a row per moving joint, base first: `link` after it (12), multiplier and offset (mimic
-            joints), 1 for a slide, column of the group joint which drives it.
+        table: (m, 16) a row per moving joint, base first: `link` after the joint (12), multiplier and offset
+            (mimic joints), 1 for a prismatic joint, column of the group joint that drives the joint.
         inverse_base: (12,) T_base_root.
         bounds: (n, 2) limits of the group's joints, infinite where there are none [rad or m].
-        turning: (n,) whether a whole turn of the joint changes nothing.
-        reach: no farther can the tip be from the base's origin, which is the first joint's [m].
+        turning: (n,) whether a full turn of the joint leaves the tip's pose unchanged.
+        reach: upper bound of the tip's distance from the first joint's origin [m].
     """
 
     table: Array
@@ -43,12 +44,14 @@ class Chain:
 
     @property
     def scale(self) -> float:
-        """Weight of a metre against a radian in errors [1/m]: the reach counts as one radian."""
+        """Weight of a position error against a rotation error [1/m]: the reach counts as 1 rad."""
         return 1.0 / self.reach if 0.0 < self.reach < np.inf else 1.0
 
 
 def chain_of(tree: KinematicTree, joint_names: tuple[str, ...], tip_link: str, positions: Array) -> Chain:
-    """The chain from the root to a link; joints that are not of the group stay at `positions` (dof,).
+    """Build the chain from the root to a link.
+
+    Joints outside the group stay at `positions` (dof,).
 
     Raises:
         InputError: none of the joints moves the link.
@@ -83,7 +86,7 @@ def chain_of(tree: KinematicTree, joint_names: tuple[str, ...], tip_link: str, p
     limits = [tree.model.joints[name].limits for name in joint_names]
     bounds = np.array([(limit.lower, limit.upper) for limit in limits], dtype=float).reshape(-1, 2)
     turning = np.array([tree.model.joints[name].type != "prismatic" for name in joint_names])
-    for row in table:  # a whole turn of a joint with a mimic that turns by another ratio changes the pose
+    for row in table:  # a full turn changes the pose if a mimic joint turns by another ratio
         if row[MULTIPLIER] != np.round(row[MULTIPLIER]) or row[SLIDE]:
             turning[int(row[COLUMN])] = False
     return Chain(
@@ -111,7 +114,7 @@ def _reach(table: Array, bounds: Array) -> float:
 
 @njit(cache=True, error_model="numpy")
 def goal_in_base(inverse_base, T, goal):
-    """Fill `goal` (12,) with T_base_tip for a T_root_tip (4, 4); returns whether it is finite."""
+    """Compute T_base_tip into `goal` (12,) from T_root_tip (4, 4); return whether it is finite."""
     total = 0.0
     for i in range(3):
         for j in range(4):
@@ -125,7 +128,10 @@ def goal_in_base(inverse_base, T, goal):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def tip_pose(table, q, axes, T):
-    """Fill T (12,) with the tip's pose at q (n,), `axes` (m, 6) with the joints' directions and origins."""
+    """Compute the tip's pose at q (n,) into T (12,), and the joint axes into `axes` (m, 6).
+
+    A row of `axes` contains a joint's direction and origin.
+    """
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     x, y, z = 0.0, 0.0, 0.0
     for k in range(len(table)):
@@ -164,7 +170,10 @@ def tip_pose(table, q, axes, T):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def pose_error(T, goal, e):
-    """Fill e (6,) with position error [m] and rotation vector [rad] from T to goal; returns the norms."""
+    """Compute the pose error from T to goal into e (6,); return the norms of its two halves.
+
+    e contains the position error [m] and the rotation vector [rad].
+    """
     e[0], e[1], e[2] = goal[3] - T[3], goal[7] - T[7], goal[11] - T[11]
     R = np.empty((3, 3))  # goal's rotation times T's transposed
     for i in range(3):
@@ -190,7 +199,7 @@ def pose_error(T, goal, e):
 
 @njit(cache=True)
 def errors_at(table, q, goal):
-    """Position error [m] and rotation error [rad] of the tip at q (n,)."""
+    """Return the position error [m] and the rotation error [rad] of the tip at q (n,)."""
     T = np.empty(12)
     tip_pose(table, q, np.empty((len(table), 6)), T)
     return pose_error(T, goal, np.empty(6))

@@ -1,9 +1,9 @@
 """Damped least squares from one seed (Numba): the inner loop of numeric inverse kinematics.
 
-The damping follows Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
-method" (IEEE T-RO 2011): proportional to the squared error plus a small bias. A joint at its limit which a
-step would push further is taken out and the step solved again: a Panda needs 1.4
-seeds per pose with it and 2.0 without (mean of 1000 poses).
+The damping follows Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method"
+(IEEE T-RO 2011): proportional to the squared error plus a small bias. If a step would push a joint beyond
+its limit, the step is solved again without this joint: a Panda then needs 1.4 seeds per pose instead of 2.0
+(mean of 1000 poses).
 """
 
 from __future__ import annotations
@@ -15,13 +15,16 @@ from armcell.kinematics.ik.chain import COLUMN, FAST, MULTIPLIER, SLIDE, pose_er
 
 DAMPING, BIAS = 0.1, 1e-8
 LARGEST_STEP = 0.5  # [rad or m] of any joint in one iteration
-PROGRESS, PATIENCE = 0.8, 3  # give up after so many iterations that left more than this part of the error
-RELEASES = 3  # solves per iteration: one, and again without the joints that press against a limit
+PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over PROGRESS of the error
+RELEASES = 3  # solves per iteration: the first with all joints, more without joints at a limit
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def damped_step(J, n, e, damping, A):
-    """Put `J^T (J J^T + damping)^-1 e` into J[:, 6]; J (n, 7) has a row per joint, A (6, 6) is scratch."""
+    """Write the damped least-squares step `J^T (J J^T + damping)^-1 e` to J[:, 6].
+
+    J (n, 7) has a row per joint, A (6, 6) is scratch.
+    """
     for i in range(6):
         for j in range(i + 1):
             s = damping if i == j else 0.0
@@ -56,7 +59,9 @@ def damped_step(J, n, e, damping, A):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def jacobian(table, axes, T, scale, J):
-    """Fill J[:, :6], a row per joint: the tip's velocity, times `scale`, and its angular velocity.
+    """Fill J[:, :6] with the tip's Jacobian, one row per joint.
+
+    A row contains the tip's velocity times `scale`, then its angular velocity.
 
     Args:
         axes, T: from `tip_pose`.
@@ -83,11 +88,11 @@ def jacobian(table, axes, T, scale, J):
 def descend(
     table, bounds, goal, scale, iterations, patience, position_tolerance, rotation_tolerance, q, axes, J
 ):  # fmt: skip
-    """Improve q (n,) in place, within bounds.
+    """Reduce the pose error of q (n,) by damped least squares, in place and within bounds.
 
     Args:
-        scale: weight of a metre against a radian [1/m].
-        patience: iterations without progress before it gives up.
+        scale: weight of a meter against a radian [1/m].
+        patience: iterations without progress before the descent gives up.
         axes, J: scratch (m, 6) and (n, 7).
     Returns:
         Position error [m], rotation error [rad], whether both are within tolerance, iterations.

@@ -1,4 +1,4 @@
-"""A redundant arm's spare joints: solutions slid along their continuum (Numba)."""
+"""Null-space motion of redundant arms: change an IK solution without moving the tip (Numba)."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from armcell.kinematics.ik.chain import FAST, tip_pose
 from armcell.kinematics.ik.descent import BIAS, LARGEST_STEP, PATIENCE, damped_step, descend, jacobian
 
 STEPS, CORRECTIONS = 30, 8  # slides, and iterations of the descent back to the goal after each
-ENOUGH = 1e-3  # [rad or m] the end of sliding: so little is left to be gained
+ENOUGH = 1e-3  # [rad or m] sliding ends when the possible gain is smaller
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rotation_tolerance, q):
-    """Bring a solution q (n,) nearer to the reference (n,), in place; it stays a solution within bounds.
+    """Move an IK solution q (n,) nearer to the reference (n,) in place, within bounds.
 
-    Each step is the way to the reference without the part that would move the tip, then a descent takes the
-    tip back onto its goal. Steps that bring nothing are halved, down to a sixteenth.
+    Each step goes toward the reference without the component that would move the tip; then a descent brings
+    the tip back to its goal. The step size is halved, down to a sixteenth, after steps without progress.
     """
     n = len(q)
     axes, J = np.empty((len(table), 6)), np.empty((n, 7))
@@ -66,10 +66,12 @@ def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rot
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def lean(table, bounds, goal, scale, wish, iterations, position_tolerance, rotation_tolerance, q):
-    """Bring q (n,), near a goal, onto it, having moved by the part of `wish` (n,) that leaves the tip alone.
+    """Move q (n,) by the null-space part of `wish` (n,), then bring the tip back to its goal.
+
+    q changes in place.
 
     Returns:
-        Whether it got there within bounds; otherwise q is as it was.
+        Whether the tip reaches the goal within bounds; otherwise q is unchanged.
     """
     n = len(q)
     axes, J = np.empty((len(table), 6)), np.empty((n, 7))

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 TABLED = 64  # maximum number of precomputed seeds, nearest first; the remaining seeds are random
 BATCH = 4  # number of solutions per call of the compiled search
-BARREN = 32  # the search ends after that many seeds without a new solution, if it has found one
+BARREN = 32  # if a solution exists, the search ends after this many seeds without a new one
 
 
 @ik_solvers.register("numeric")
@@ -59,7 +59,7 @@ class NumericIK(IKSolver):
         return nearer
 
     def _seeds(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None):
-        """Yield batches of IK seeds (k, n), their scores (lowest first), and how many to try.
+        """Yield batches of IK seeds (k, n) with their scores (lowest first) and the number to try.
 
         All batches together contain at most `settings.seeds` tries.
         """

@@ -1,4 +1,4 @@
-"""Descents from many seeds until there are solutions enough (Numba)."""
+"""Search for inverse kinematics solutions by descents from many seeds (Numba)."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def search(
     table, bounds, turning, goal, scale, reference, seeds, scores, tries, iterations,
     position_tolerance, rotation_tolerance, found, count, want,
 ):  # fmt: skip
-    """Fill `found` from row `count` on with distinct solutions, until there are `want`.
+    """Fill `found` from row `count` on with distinct IK solutions, up to `want` in total.
 
     Args:
-        reference: (n,) which the solutions are turned towards.
-        seeds: (s, n); the one with the lowest score is taken first and its score set to infinity.
-        tries: seeds that may be tried now.
+        reference: positions (n,) near which the solutions' full turns are chosen.
+        seeds: (s, n) seeds, tried by increasing score; the score of a tried seed becomes infinite.
+        tries: maximum number of seeds to try in this call.
     Returns:
-        Seeds tried, solutions in `found`.
+        Number of seeds tried, number of solutions in `found`.
     """
     n = len(bounds)
     patience = np.int64(PATIENCE)  # for a literal Numba would compile descend again
@@ -59,7 +59,7 @@ def any_solution(
     table, bounds, turning, goal, scale, reference, seeds, poses, tries, iterations,
     position_tolerance, rotation_tolerance, found,
 ):  # fmt: skip
-    """Put one solution into `found` (1, n), from the tabled seeds; returns whether there is one."""
+    """Write one IK solution to `found` (1, n), from the tabled seeds; return whether one exists."""
     scores = np.empty(len(seeds), np.float32)
     rank(poses, goal, scale, scores)
     return search(

@@ -1,7 +1,9 @@
-"""Where a descent begins: a table of configurations and their poses, nearest to the goal first (Numba).
+"""Seeds of numeric inverse kinematics: a table of configurations and tip poses (Numba).
 
-A Panda's goal takes 2.9 descents and 36 iterations from seeds in any order, 1.4 and 12 from the tabled poses
-nearest to it (means over 1000 poses).
+The descent starts from the configurations whose poses are nearest to the goal.
+
+A Panda's goal takes 2.9 descents and 36 iterations from seeds in any order, and 1.4 descents and 12
+iterations from the tabled poses nearest to the goal (means over 1000 poses).
 """
 
 from __future__ import annotations
@@ -22,7 +24,10 @@ _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53)
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """Configurations (COUNT, n) spread over the limits, and their poses (7, COUNT): position, quaternion."""
+    """Configurations (COUNT, n) spread over the joint limits, and their tip poses (7, COUNT).
+
+    A pose is a position and a quaternion.
+    """
 
     positions: Array
     poses: NDArray[np.float32]
@@ -37,7 +42,10 @@ def seeds_of(chain: Chain) -> Seeds:
 
 
 def sampling_range(chain: Chain) -> tuple[Array, Array]:
-    """Where seeds are drawn (n,), (n,): the limits, but no more than one whole turn of each joint."""
+    """Return the lower and upper bounds (n,) of IK seeds.
+
+    The bounds are the joint limits, but no more than one full turn of each joint.
+    """
     low, high = chain.bounds.T.copy()
     for k, turns in enumerate(chain.turning):
         if turns and high[k] - low[k] > 2 * np.pi:
@@ -47,7 +55,12 @@ def sampling_range(chain: Chain) -> tuple[Array, Array]:
 
 
 def halton(count: int, dimensions: int) -> Array:
-    """Halton's sequence (count, dimensions) in [0, 1) without its first point; random from the 17th on."""
+    """Return Halton's low-discrepancy sequence (count, dimensions) in [0, 1).
+
+    The sequence's first point is omitted. Dimensions from the 17th on are random.
+
+    Dimensions from the 17th on are random.
+    """
     points = np.random.default_rng(0).random((count, dimensions))
     for d, base in enumerate(_PRIMES[:dimensions]):
         index, fraction, values = np.arange(1, count + 1), 1.0 / base, np.zeros(count)
@@ -60,7 +73,10 @@ def halton(count: int, dimensions: int) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def pose_numbers(T, out):
-    """Fill `out` (7,) with position and quaternion (w, x, y, z) of a pose (12,). Shepperd's method."""
+    """Write the position and quaternion (w, x, y, z) of a pose (12,) to `out` (7,).
+
+    Shepperd's method.
+    """
     r00, r11, r22 = T[0], T[5], T[10]
     trace = r00 + r11 + r22
     if trace > r00 and trace > r11 and trace > r22:
@@ -88,7 +104,10 @@ def fill_poses(table, positions, poses):
 
 @njit(cache=True, fastmath=True)
 def rank(poses, goal, scale, scores):
-    """Fill `scores` (COUNT,): how far each pose is from the goal (12,), in radians squared or so."""
+    """Compute the distance of each tabled pose from the goal (12,) into `scores` (COUNT,).
+
+    The unit is about radians squared.
+    """
     numbers = np.empty(7)
     pose_numbers(goal, numbers)
     g = numbers.astype(np.float32)
@@ -101,7 +120,7 @@ def rank(poses, goal, scale, scores):
 
 @njit(cache=True)
 def take_nearest(scores):
-    """Index of the lowest score, which is then used up."""
+    """Return the index of the lowest score and set this score to infinity."""
     best = 0
     for i in range(1, len(scores)):
         if scores[i] < scores[best]:

@@ -92,7 +92,7 @@ class IKSolver(ABC):
 
     @classmethod
     def solves(cls, model: RobotModel, group: str, tip_link: str | None = None) -> bool:
-        """Return whether the solver works for a planning group and tip link."""
+        """Return whether this IK solver supports a planning group and tip link."""
         return True
 
     @property
@@ -112,7 +112,7 @@ class IKSolver(ABC):
         """
 
     def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
-        """Return an inverse kinematics solution (n,) equivalent to `q` but nearer to the reference.
+        """Return an equivalent of the IK solution `q` (n,) that is nearer to the reference.
 
         The default implementation returns `q` itself.
         """

@@ -1,4 +1,4 @@
-"""Whole turns: the joint positions that put the arm in the same place, within limits (Numba)."""
+"""Full turns: equivalent joint positions that give the same arm pose, within limits (Numba)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ SLACK = 1e-9  # [rad or m] beyond a limit that counts as rounding
 
 @njit(cache=True, error_model="numpy")
 def nearest_turns(q, reference, bounds, turning):
-    """Turn q (n,) in place by whole turns to the nearest to the reference within bounds.
+    """Change q (n,) by full turns of its joints to be nearest to the reference, in place.
+
+    All joints end within their bounds.
 
     Returns:
         -1, or the first joint for which no position is within its bounds.
@@ -41,13 +43,16 @@ def nearest_turns(q, reference, bounds, turning):
 
 @njit(cache=True, error_model="numpy")
 def keep_within(found, count, reference, bounds, turning, outside):
-    """Turn solutions (k, n) by whole turns within bounds, drop those that cannot be, sort by distance.
+    """Turn IK solutions (k, n) by full turns into the joint bounds, and sort them by distance.
+
+    Solutions that do not fit into the bounds are dropped. The nearest to the reference (n,) comes first.
 
     Args:
-        count: rows of `found` that are solutions; it is changed in place.
-        outside: (n,) is raised by one at the first joint that keeps a solution out.
+        found: solutions, changed in place.
+        count: number of rows of `found` that are solutions.
+        outside: (n,) counts by joint: incremented for the first joint that excludes a solution.
     Returns:
-        How many are left, the nearest to the reference (n,) first.
+        Number of solutions left.
     """
     n, kept = len(reference), 0
     squared = np.empty(count)
@@ -76,9 +81,10 @@ def keep_within(found, count, reference, bounds, turning, outside):
 
 
 def whole_turns(q: Array, reference: Array, chain: Chain) -> list[Array]:
-    """The same pose with joints turned by whole turns, within limits, nearest to the reference first.
+    """Return equivalent positions that differ by full turns, nearest to the reference first.
 
-    At most the three nearest positions of each joint; of one without limits only the nearest.
+    The result contains at most the three nearest positions of each joint within limits, and only the nearest
+    position of a joint without limits.
 
     Args:
         q: positions (n,) within limits.

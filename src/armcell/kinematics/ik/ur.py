@@ -1,9 +1,10 @@
-"""Closed-form inverse kinematics of arms built like those of Universal Robots: all branches (Numba).
+"""Closed-form inverse kinematics for arms with the structure of Universal Robots (Numba).
 
-The structure: axis 2 crosses axis 1 at a right angle; axes 2, 3 and 4 are parallel; axis 5 crosses axis 4,
-and axis 6 axis 5, at right angles. It is looked for in the axes themselves, so neither the robot's name nor
-the frames of its URDF matter. The formulas are geometry in the arm's own frame (compare Hawkins, "Analytic
-inverse kinematics for the Universal Robots UR-5/UR-10 arms", 2013, in Denavit-Hartenberg terms):
+The solver returns all branches. The structure: axis 2 crosses axis 1 at a right angle; axes 2, 3 and 4 are
+parallel; axis 5 crosses axis 4, and axis 6 crosses axis 5, at right angles. The solver finds the structure
+in the axes themselves, so neither the robot's name nor the frames of its URDF matter. The formulas are
+geometry in the arm's own frame (compare Hawkins, "Analytic inverse kinematics for the Universal Robots
+UR-5/UR-10 arms", 2013, in Denavit-Hartenberg terms):
 
 - The frame: origin where axes 1 and 2 cross, z along axis 1, y along axis 2 when joint 1 is at zero. The
   arm's plane turns with joint 1; `v` is its normal, the direction of axes 2, 3 and 4.
@@ -23,15 +24,15 @@ from armcell.kinematics.ik.chain import SLIDE, Chain, errors_at, tip_pose
 
 Array = NDArray[np.float64]
 
-STRUCTURE = 1e-7  # [rad or m] an arm may differ from the structure (URDFs write pi / 2 with 10 digits)
-REACH = 2e-7  # [m] a goal may be out of reach and is taken as on the boundary
+STRUCTURE = 1e-7  # [rad or m] tolerance of the structure (URDFs write pi / 2 with 10 digits)
+REACH = 2e-7  # [m] a goal that is out of reach by less counts as on the boundary
 SINGULAR = 1e-8  # sine of the angle between axes 4 and 6 below which joint 6 is free
-SAME = 1e-6  # [rad] solutions nearer than this are one
+SAME = 1e-6  # [rad] solutions with a smaller difference count as one
 BRANCHES = 8
 
 
 def ur_geometry(chain: Chain) -> Array | None:
-    """The numbers `ur_branches` needs, or None for an arm that is built otherwise."""
+    """Return a UR arm's geometry for `ur_branches`, or None for an arm of another structure."""
     table = chain.table
     order = table[:, 15].astype(int)
     plain = np.all(table[:, 12] == 1.0) and np.all(table[:, 13] == 0.0) and not np.any(table[:, SLIDE])
@@ -41,10 +42,10 @@ def ur_geometry(chain: Chain) -> Array | None:
     tip_pose(table, np.zeros(6), axes, T)
     z, p = axes[:, :3].copy(), axes[:, 3:]
     signs = np.ones(6)
-    for k in (2, 3):  # parallel to axis 2, perhaps the other way round
+    for k in (2, 3):  # parallel to axis 2, perhaps in the opposite direction
         signs[k] = np.sign(z[k] @ z[1]) or 1.0
         z[k] *= signs[k]
-    # p[0] is the origin and z[0] is z, by the making of the chain; all in its base frame from here.
+    # By construction of the chain, p[0] is the origin and z[0] is z; from here all is in the base frame.
     parallel = max(np.linalg.norm(np.cross(z[k], z[1])) for k in (2, 3))
     square = max(abs(z[0] @ z[1]), abs(z[3] @ z[4]), abs(z[4] @ z[5]))
     if max(parallel, square) > STRUCTURE:
@@ -54,7 +55,7 @@ def ur_geometry(chain: Chain) -> Array | None:
     apart = [np.cross(z[i], z[j]) @ (p[j] - p[i]) for i, j in ((0, 1), (3, 4), (4, 5))]
     if np.max(np.abs(apart)) > STRUCTURE:
         return None
-    centre = up * (up @ p[1])  # where axes 1 and 2 cross
+    centre = up * (up @ p[1])  # intersection of axes 1 and 2
     C = p[4] + z[4] * (z[4] @ (p[5] - p[4]))
     W = p[4] + z[4] * (z[4] @ (p[3] - p[4]))
     upper, fore = _flat(x, up, p[2] - centre), _flat(x, up, W - p[2])
@@ -65,7 +66,7 @@ def ur_geometry(chain: Chain) -> Array | None:
     geometry = np.concatenate(
         [
             x, y, up, centre,  # 0: the arm's frame
-            R.T @ (C - t), R.T @ z[5], R.T @ z[4],  # 12: C, axis 6 and, at zero, axis 5, as the tip sees them
+            R.T @ (C - t), R.T @ z[5], R.T @ z[4],  # 12: C, axis 6 and, at zero, axis 5, in the tip's frame
             [y @ (C - centre), z[4] @ (C - W), *lengths],  # 21: h, d, upper arm, forearm
             [np.arctan2(*upper), np.arctan2(*fore), np.arctan2(*_flat(x, up, z[4]))],  # 25: angles at zero
             [np.arctan2(np.cross(y, z[5]) @ z[4], y @ z[5])],  # 28: from axis 4 to axis 6 at zero
@@ -76,12 +77,18 @@ def ur_geometry(chain: Chain) -> Array | None:
 
 
 def _flat(x: Array, z: Array, v: Array) -> Array:
-    """Coordinates in the arm's plane at zero, (2,); their arctan2 is the angle from z, positive about y."""
+    """Return the coordinates (2,) of a vector v in the arm's plane, with joint 1 at zero.
+
+    The arctan2 of the coordinates is the angle from z, positive about y.
+    """
     return np.array([v @ x, v @ z])
 
 
 def _solves(geometry: Array, chain: Chain) -> bool:
-    """Whether solutions of some poses reach them, and the poses' own positions are among them."""
+    """Return whether the closed-form solutions are correct and complete for some test poses.
+
+    Each solution must reach its pose, and the positions that define the pose must be among the solutions.
+    """
     rng, T, out = np.random.default_rng(0), np.empty(12), np.empty((BRANCHES, 6))
     for q in rng.uniform(-np.pi, np.pi, (8, 6)):
         tip_pose(chain.table, q, np.empty((6, 6)), T)
@@ -111,7 +118,7 @@ def _wrapped(angle):
 
 @njit(cache=True, error_model="numpy")
 def _turned(goal, at, geometry):
-    """A direction of the tip (`geometry[at:at + 3]`) in the arm's frame."""
+    """Rotate a direction of the tip (`geometry[at:at + 3]`) to the arm's frame."""
     a, b, c = geometry[at], geometry[at + 1], geometry[at + 2]
     vx = goal[0] * a + goal[1] * b + goal[2] * c
     vy = goal[4] * a + goal[5] * b + goal[6] * c
@@ -126,7 +133,7 @@ def _turned(goal, at, geometry):
 
 @njit(cache=True, error_model="numpy")
 def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
-    """Append the solutions for a direction of axis 5 (up to two); returns their new number."""
+    """Append the IK solutions for one direction of axis 5 (up to two); return the new count."""
     v = (-s1, c1, 0.0)
     x, z = c1 * (C[0] - g[22] * axis5[0]) + s1 * (C[1] - g[22] * axis5[1]), C[2] - g[22] * axis5[2]
     upper, fore = g[23], g[24]
@@ -144,7 +151,7 @@ def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
         turn = bend if side == 0 else -bend
         if distance > SINGULAR:
             q2 = np.arctan2(x, z) - np.arctan2(fore * np.sin(turn), upper + fore * np.cos(turn)) - g[25]
-        else:  # the wrist lies on axis 2: joint 2 is free
+        else:  # the wrist is on axis 2: joint 2 is free
             q2 = reference[int(g[36])]
         q3 = turn - (g[26] - g[25])
         q4 = total - q2 - q3
@@ -165,7 +172,10 @@ def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
 
 @njit(cache=True, error_model="numpy")
 def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
-    """Axes 4 and 6 are parallel, joint 6 is free: the reference's, or else the first of 16 that reaches."""
+    """Append the IK solutions for parallel axes 4 and 6, where joint 6 is free.
+
+    Joint 6 takes the reference's position, or else the first of 16 positions that reaches the goal.
+    """
     v = (-s1, c1, 0.0)
     nearest = np.arctan2(
         c1 * C[0] + s1 * C[1], C[2]
@@ -179,7 +189,7 @@ def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
                 np.cos(a) * tip5[1] + np.sin(a) * uy,
                 np.cos(a) * tip5[2] + np.sin(a) * uz,
             )
-            away = _dot(axis5, v)  # exactly into the plane
+            away = _dot(axis5, v)  # projected exactly into the plane
             axis5 = (axis5[0] - away * v[0], axis5[1] - away * v[1], axis5[2])
             length = np.sqrt(_dot(axis5, axis5))
             axis5 = (axis5[0] / length, axis5[1] / length, axis5[2] / length)
@@ -194,12 +204,12 @@ def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
 
 @njit(cache=True, error_model="numpy")
 def ur_branches(geometry, goal, reference, out):
-    """Fill `out` (8, 6) with the solutions in (-pi, pi]; returns how many there are.
+    """Fill `out` (8, 6) with the IK solutions in (-pi, pi] of a UR arm; return their number.
 
     Args:
         geometry: from `ur_geometry`.
         goal: (12,) T_base_tip of the chain.
-        reference: (6,) where joints stay that are free in a singular pose.
+        reference: positions (6,) of joints that are free in a singular pose.
     """
     g = geometry
     tip5, axis6 = _turned(goal, np.int64(18), g), _turned(goal, np.int64(15), g)

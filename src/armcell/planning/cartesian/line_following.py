@@ -43,7 +43,7 @@ TURNING, SLIDING, RELATIVE = "jump_threshold", "prismatic_jump_threshold", "rela
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """The first step of a Cartesian path that is not feasible.
+    """The first infeasible step of a Cartesian path.
 
     Attributes:
         explain: computes the reason with its evidence; called only for the best of all attempts.
@@ -54,9 +54,9 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class StopReason:
-    """Why a Cartesian path stops.
+    """Reason why a Cartesian path stops: cause, text, error code and evidence.
 
-    Cause (one of the constants above), text, error code and evidence.
+    The cause is one of the constants above.
     """
 
     cause: str
@@ -66,17 +66,17 @@ class StopReason:
 
 
 def collision_stop(contacts: list[Contact]) -> StopReason:
-    """Describe a stop caused by contacts."""
+    """Describe the stop of a Cartesian path because of contacts."""
     text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
     return StopReason(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
 
 
 def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) -> StopReason:
-    """Describe a stop caused by a joint that would jump.
+    """Describe the stop of a Cartesian path because a joint would jump.
 
     Args:
-        threshold: of the request, in `unit` or as a factor. field: the request field that holds the
-            threshold.
+        threshold: jump threshold of the request, in `unit` or as a factor.
+        field: the request field that holds the threshold.
     """
     what = f"{threshold:g} times the mean step" if field == RELATIVE else f"threshold {threshold:g}"
     text = f"{joint} would jump {step:.2f} {unit} ({what})"
@@ -84,12 +84,12 @@ def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) 
 
 
 def at_violation(manifold: ConstraintManifold, q: Array) -> list[Violation]:
-    """List constraints that q (n,) violates or satisfies by too little to prove any motion."""
+    """List constraints that q (n,) violates, or satisfies with too little margin for a proof."""
     return manifold.violations(q, inside=manifold.allowance == 0.0)
 
 
 def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
-    """Describe a stop caused by path constraints."""
+    """Describe the stop of a Cartesian path because of path constraints."""
     found = at_violation(manifold, q)
     words = [
         v.text
@@ -105,14 +105,13 @@ def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
 def ik_stop(
     ik: IKSolver, pose: SE3, before: Array, closest: Array, short: tuple[float, float], limits: list[str]
 ) -> StopReason:
-    """Describe a stop caused by inverse kinematics.
+    """Describe the stop of a Cartesian path because inverse kinematics fails.
 
-    Joint limit, out of reach, singularity or another branch.
+    The cause is a joint limit, an unreachable pose, a singularity or a change to another branch.
 
     Args:
         before: positions (dof,) of the last feasible step. closest: positions (dof,) nearest to the pose.
-        short: distance [m] and angle [rad] that are missing at `closest`. limits: joints at their limits
-            there.
+        short: missing distance [m] and angle [rad] at `closest`. limits: joints at their limits at `closest`.
     """
     J = ik.tree.jacobian(closest, ik.tip_link, ik.joint_names)
     least = float(np.linalg.svd(J, compute_uv=False)[-1])
@@ -138,19 +137,19 @@ def ik_stop(
 
 JointPreference = Callable[
     [Array, int], Array
-]  # (positions (n,), number of the step) -> how they would like to change (n,)
+]  # (positions (n,), number of the step) -> desired change of the positions (n,)
 
 TASK = 6  # degrees of freedom of a pose; further joints are redundant
-ZONE, ZONE_SHARE = 0.35, 0.15  # [rad or m], and of the joint's range, from a limit in which it is left
-GAIN = 0.15  # share of the zone left per step
-FASTEST = 0.05  # [rad or m] along the null space in one step
+ZONE, ZONE_SHARE = 0.35, 0.15  # [rad or m], and share of the range: a joint so near a limit moves away
+GAIN = 0.15  # share of the zone by which a joint moves away per step
+FASTEST = 0.05  # [rad or m] largest null-space motion in one step
 
 
 @dataclass(frozen=True, eq=False)
 class FollowedLine:
-    """Joint positions (n,) of the feasible steps along a line, and the stop (None.
+    """Joint positions (n,) of the feasible steps along a line, and the stop.
 
-    The line is complete).
+    The stop is None if the line is complete.
     """
 
     path: list[Array]
@@ -158,9 +157,9 @@ class FollowedLine:
 
 
 def _near(checker: KernelChecker, q: Array) -> list[Contact]:
-    """List contacts at q (n,), or pairs within the padding.
+    """List contacts at joint positions q (n,), or pairs of bodies within the padding.
 
-    Only the nearest pair if just the kernel finds one.
+    The list has only the nearest pair if just the kernel checker finds one.
     """
     if found := checker.exact.contacts(q):
         return found
@@ -169,7 +168,7 @@ def _near(checker: KernelChecker, q: Array) -> list[Contact]:
 
 
 class RestingStart:
-    """Decides which positions (n,) are allowed while the arm leaves resting contact at its start (n,)."""
+    """Collision rule for positions (n,) while the arm leaves resting contact at its start."""
 
     def __init__(self, checker: KernelChecker, start: Array):
         near = resting_pairs(checker.exact, start)
@@ -185,7 +184,7 @@ class RestingStart:
 
 
 class LineFollower:
-    """Follows Cartesian lines with the joints of one group; other joints stay at `rest` (dof,).
+    """Follower of Cartesian lines with one group's joints; other joints stay at `rest` (dof,).
 
     Args:
         bounds: (n, 2) lower and upper limits that the group's joints keep.
@@ -208,7 +207,7 @@ class LineFollower:
         self.zone = np.where(np.isfinite(span), np.minimum(ZONE, ZONE_SHARE * span), 0.0)
 
     def follow(self, poses: list[SE3], start: Array) -> FollowedLine:
-        """Follow poses from the start positions (n,) as far as any attempt gets."""
+        """Follow tip poses from the start positions (n,); return the attempt that gets farthest."""
         best = None
         for wish in self._wishes(poses, start):
             tried = self._walk(poses, start, wish)
@@ -267,7 +266,7 @@ class LineFollower:
         return FollowedLine(path, None)
 
     def _refused(self, q: Array) -> Stop | None:
-        """Return why the arm must not be at q (n,), or None if q is allowed."""
+        """Return why the arm must not be at joint positions q (n,), or None if q is allowed."""
         checker, manifold = self.checker, self.manifold
         if checker is not None and not checker.is_free(q):
             if self.resting is None:
@@ -287,11 +286,12 @@ class LineFollower:
 def relative_jump(
     path: Array, names: tuple[str, ...], slides: NDArray[np.bool_], factor: float
 ) -> tuple[int, Stop] | None:
-    """Find the first step of a path (k, n) longer than `factor` times the mean (as MoveIt does).
+    """Find a path's first step longer than `factor` times the mean step (as MoveIt does).
 
     The length of a step is the sum of all joints' motions.
 
     Args:
+        path: joint positions (k, n).
         slides: (n,) which joints are prismatic.
     """
     moved = np.abs(np.diff(path, axis=0))

@@ -1,4 +1,4 @@
-"""Plan a Cartesian path: the tip moves on straight lines through waypoints."""
+"""Planning of a Cartesian path: the tip moves on straight lines through waypoints."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FEWEST = 10  # smallest number of steps for the relative jump test, as in MoveIt
 
 
 def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
-    """Interpolate the poses of each line segment: first pose excluded, waypoint included."""
+    """Interpolate the tip poses of each line segment: first pose excluded, waypoint included."""
     legs, at = [], start
     least = FEWEST if request.relative_jump_threshold > 0 else 1
     for waypoint in request.waypoints:
@@ -66,7 +66,7 @@ def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
 def waypoints_by_offsets(
     scene: PlanningScene, group: str, offsets: Sequence[SE3], link: str | None = None, frame: str = "link"
 ) -> tuple[SE3, ...]:
-    """Compute waypoints from the link's current pose by successive offsets.
+    """Compute Cartesian waypoints from a link's current pose by successive offsets.
 
     Args:
         offsets: motions in the link's own axes (`frame="link"`), or about the link's origin in the axes of
@@ -91,7 +91,7 @@ TIMINGS = (TimingSettings(max_deviation=2e-3), TimingSettings(max_deviation=5e-4
 """Small corner deviations [rad], so that the tip keeps its line; the second is used if the first
 violates the path constraints."""
 
-CORRIDOR_SHARE, CORRIDOR_ROOM = 0.1, 5e-3  # of a joint's corridor, and [rad or m], kept free at its edges
+CORRIDOR_SHARE, CORRIDOR_ROOM = 0.1, 5e-3  # share of a joint's corridor, and [rad or m], free at its edges
 
 
 @with_explanation(CartesianRequest)
@@ -105,11 +105,10 @@ def plan_cartesian(
     Returns:
         SUCCESS with `fraction` 1, or a code with the feasible part (fraction < 1), its path and trajectory,
         and in the message where and why the path stops. With fraction 0 there is no path and no trajectory.
-        Evidence
-        of a stop: `cause`, `stops_at` (the link's pose), `positions` (n,) there, `waypoint` (number of the
-            next
-        waypoint, from 1), and by cause: `contacts`; `joint` and `step` of a jump; `joints_at_limit`,
-        `missing_m`, `missing_rad`, `least_singular_value`; `violations` of path constraints.
+        Evidence of a stop: `cause`, `stops_at` (the link's pose), `positions` (n,) at the stop, `waypoint`
+        (number of the next waypoint, from 1), and by cause: `contacts`; `joint` and `step` of a jump;
+        `joints_at_limit`, `missing_m`, `missing_rad`, `least_singular_value`; `violations` of path
+        constraints.
     Raises:
         InputError: no waypoints, a step that is zero or too small, unknown group or link, scaling outside
             (0, 1], contradictory path constraints.
@@ -177,12 +176,12 @@ class _CartesianProblem:
         self.total = sum(len(leg) for leg in self.legs)
 
     def follow(self, start: Array) -> tuple[Array, StopReason | None]:
-        """Follow all segments.
+        """Follow all line segments of the Cartesian path.
 
         Return joint positions (k, n) of the feasible steps and the reason for a stop.
         """
         bounds = np.column_stack([self.ik.lower, self.ik.upper])
-        if self.manifold is not None:  # corridors of joints are limits, which spare joints help to keep
+        if self.manifold is not None:  # corridors of joints are limits, which redundant joints help to keep
             low, high = self.manifold.lower, self.manifold.upper
             room = np.minimum(CORRIDOR_SHARE * (high - low), CORRIDOR_ROOM)  # for the deviation of the timing
             bounds[:, 0] = np.minimum(np.maximum(bounds[:, 0], low + room), start)
@@ -207,7 +206,7 @@ class _CartesianProblem:
         return points, None if stop is None else stop.explain()
 
     def proven_part(self, path: Array, reason: StopReason | None) -> tuple[Array, StopReason | None]:
-        """Return the leading part of a path whose steps are proven, and why the rest is not."""
+        """Return the part of a path before the first unproven step, and why the rest is not proven."""
         if self.request.avoid_collisions and len(path) > 1:
             certificate = self.certify(path)
             while not certificate.free and len(path) > 1:
@@ -253,7 +252,7 @@ class _CartesianProblem:
         return None
 
     def stop_evidence(self, path: Array) -> dict[str, Any]:
-        """Collect evidence about the place where the path stops."""
+        """Collect evidence about the pose and joint positions at which the Cartesian path stops."""
         full = self.scene.positions.copy()
         full[self.ik.columns] = path[-1]
         ends = np.cumsum([len(leg) for leg in self.legs])
@@ -297,9 +296,9 @@ def _along(line: _CartesianProblem, start: Array) -> PlanResult:
 
 
 class _AcceptAll:
-    """A certifier that accepts every motion.
+    """Certifier that accepts every motion without a collision check.
 
-    For paths without collision checks or proven after timing.
+    It is for paths that need no collision check or are proven after timing.
     """
 
     def __init__(self, checker: KernelChecker):

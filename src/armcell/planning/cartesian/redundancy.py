@@ -1,12 +1,10 @@
-"""Redundancy resolution along a line.
-
-Dynamic programming over the null space of a redundant arm.
+"""Redundancy resolution along a line by dynamic programming over the null space of the arm.
 
 All joint solutions of a pose that are reachable without a jump form a curve, the null space. The search
-cuts the line coarsely, keeps one configuration per stretch of that curve at each cut, and continues from
-each one by staying or by moving one stretch to either side (dynamic programming as over Descartes' ladder
-graph, but restricted to the curve through the start). The fine steps are then pulled toward the cheapest
-solution.
+cuts the line coarsely and keeps, at each cut, one configuration per stretch of this curve. It continues from
+each configuration by staying or by moving one stretch to either side (dynamic programming as over Descartes'
+ladder graph, but restricted to the curve through the start). The fine steps are then pulled toward the
+cheapest solution.
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ NEAR_LIMIT = 0.2  # weight of nearness to a limit relative to squared joint moti
 @dataclass(frozen=True, eq=False)
 class _Node:
     q: Array  # (n,)
-    along: Array  # (n,) the null space's direction, its sense kept from cut to cut
+    along: Array  # (n,) null-space direction, with the same orientation at all cuts
     cost: float
     before: _Node | None
 
@@ -46,12 +44,12 @@ def plan_redundancy(
     zone: Array,
     allowed: Callable[[Array], bool],
 ) -> Array | None:
-    """Find joint positions to pull toward along a line (len(poses), n), or None.
+    """Find guiding joint positions for a redundant arm along a line (len(poses), n), or None.
 
     Args:
         start: (n,). rest: (dof,) of all joints. bounds: (n, 2) joint limits. zone: (n,) distance from the
             limits that is penalized.
-        allowed: whether the arm may be at positions (n,).
+        allowed: returns whether the arm may be at positions (n,).
     """
     cuts = [*range(STRIDE - 1, len(poses) - 1, STRIDE), len(poses) - 1]
     full = rest.copy()
@@ -84,7 +82,7 @@ def plan_redundancy(
 
 
 def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
-    """Compute the null-space direction (n,) with largest part 1 and the sign of `like`."""
+    """Compute the null-space direction (n,) with largest component 1 and the sign of `like`."""
     J = ik.tree.jacobian(full, ik.tip_link, ik.joint_names)
     along = np.linalg.svd(J)[2][-1]
     along = along / np.max(np.abs(along))
@@ -92,7 +90,7 @@ def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
 
 
 def _between(last: _Node, cuts: list[int], count: int) -> Array:
-    """Interpolate the joint positions linearly between the cuts."""
+    """Interpolate the joint positions linearly between the cuts of the line."""
     nodes: list[Array] = []
     node: _Node | None = last
     while node is not None:

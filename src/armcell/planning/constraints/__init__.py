@@ -1,4 +1,4 @@
-"""Constraints on joints, positions, orientations and views.
+"""Constraints on joints, positions, orientations and visibility.
 
-Evaluation, planning on the manifold, proofs.
+The package evaluates constraints, plans on the constraint manifold and proves motions.
 """

@@ -1,7 +1,4 @@
-"""Validation of constraints.
-
-Unknown names, impossible tolerances and contradictory constraints.
-"""
+"""Validation of constraints: unknown names, impossible tolerances, contradictions."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def check_constraints(scene: PlanningScene, group: str, constraints: Constraints) -> None:
-    """Raise if constraints are invalid in every scene.
+    """Raise an error if constraints are invalid in every scene.
 
     Raises:
         UnknownNameError: no such joint, link, frame or parameterization.
@@ -77,7 +74,7 @@ def _tolerances(what: str, values: tuple[float, ...]) -> None:
 def contradiction(scene: PlanningScene, group: str, constraints: Constraints) -> str:
     """Explain why no state can satisfy all constraints, as far as quick checks show.
 
-    Otherwise return "".
+    Return "" if the checks find no contradiction.
     """
     if text := empty_range(scene, group, constraints.joints):
         return text
@@ -97,7 +94,7 @@ def joint_ranges(
 ) -> tuple[Array, Array]:
     """Intersect the group's joint limits with joint constraints.
 
-    Lower and upper bounds (n,), (n,).
+    Return the lower and upper bounds (n,), (n,).
     """
     names = scene.model.group(group).joint_names
     columns = scene.model.columns(names)
@@ -110,7 +107,10 @@ def joint_ranges(
 
 
 def empty_range(scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]) -> str:
-    """Name the joint that has no allowed position left; empty if every joint has one."""
+    """Name the joint for which joint constraints leave no allowed position.
+
+    Return "" if every joint has an allowed position.
+    """
     names = scene.model.group(group).joint_names
     low, high = joint_ranges(scene, group, constraints)
     for k in np.flatnonzero(low > high + 1e-9):
@@ -145,12 +145,12 @@ def _out_of_reach(scene: PlanningScene, group: str, c: PositionConstraint) -> st
 def _apart(scene: PlanningScene, name: str, a: OrientationConstraint, b: OrientationConstraint) -> str:
     """Explain why two orientation constraints of one link exclude each other.
 
-    Empty if they do not.
+    Return "" if a rotation can satisfy both.
     """
     one, other = (scene.frame_pose(c.frame).rotation @ c.rotation for c in (a, b))
     angle = float(np.linalg.norm((one.inv() @ other).log()))
-    # A rotation vector with components below the tolerances is no longer than their norm. (Angles about
-    # x, y and z add up to no more than their sum.)
+    # A rotation vector with components below the tolerances is at most as long as the norm of the
+    # tolerances. (The total of angles about x, y and z is at most the sum of the tolerances.)
     most = sum(
         float(np.linalg.norm(c.tolerance))
         if c.parameterization == "rotation_vector"

@@ -1,7 +1,7 @@
 """Compiled kernels for constraint errors and their derivatives by the joints (Numba).
 
-`n` and `c` are the constraints as flat arrays (see `manifold.py`), `x` is float64 scratch memory, `q[at:]`
-are the joint positions; all of them are bare pointers.
+Arguments: `n` and `c` are the constraints as flat arrays (see `manifold.py`), `x` is float64 scratch memory,
+`q[at:]` are the joint positions; all of them are bare pointers.
 """
 
 # pyright: reportCallIssue=false
@@ -19,15 +19,15 @@ from armcell.kinematics.ik.chain import COLUMN, MULTIPLIER, OFFSET, SLIDE, WIDTH
 # Header of `n`: counts, and the offsets of the tables.
 DOF, LINKS, TURNS, POINTS, AT_LINKS, AT_TURNS, AT_POINTS, AT_SHAPES, WORK = range(9)
 HEADER = 9
-# A link: moving joints above it, its table and base in `c`, its pose and axes in `x`.
+# A link: number of moving joints above it, offsets of its table and base in `c`, of its pose and axes in `x`.
 JOINTS, TABLE, BASE, PLACE, LINK_WIDTH = range(5)
-# An orientation: its link, whether by Euler angles, its numbers in `c`: transposed wanted rotation (9),
-# tolerances (3), those to plan with (3).
+# An orientation: its link, whether by Euler angles, its numbers in `c`: transposed desired rotation (9),
+# full tolerances (3), planning tolerances (3).
 EULER, NUMBERS, TURN_WIDTH = 1, 2, 3
 FULL, INNER = 9, 12
 # A point in a region: its link, first shape, shapes, its numbers in `c`: point (3), reach per joint (dof).
 FIRST_SHAPE, SHAPES, POINT_NUMBERS, POINT_WIDTH = 1, 2, 3, 4
-# A shape: kind, its numbers in `c`: T_shape_world (12), sizes (3), those to plan with (3).
+# A shape: kind, its numbers in `c`: T_shape_world (12), full sizes (3), planning sizes (3).
 SHAPE_WIDTH = 2
 SIZE, INNER_SIZE = 12, 15
 BOX, BALL, CYLINDER, CAPSULE, HALF_SPACE = range(5)
@@ -38,9 +38,9 @@ NEAR_HALF_TURN = 1e-9
 
 
 def scratch_size(dof: int, places: int) -> int:
-    """Compute the scratch size in doubles.
+    """Compute the size of the constraint kernels' scratch memory in doubles.
 
-    [link poses and axes], [errors], [Jacobian rows], [residuals], [system].
+    Layout: [link poses and axes], [errors], [Jacobian rows], [residuals], [system].
     """
     return places + 32 + MAX_ROWS * (dof + 2) + MAX_ROWS * MAX_ROWS + 4 * dof + 200
 
@@ -57,9 +57,9 @@ def manifold_pointers(handle) -> Any:
 
 @njit(cache=True)
 def place_links(n, c, x, q, at):
-    """Compute the pose (12) and joint axes (6 each.
+    """Compute the pose and joint axes of every constrained link into the scratch memory x.
 
-    Direction, origin) of every constrained link, into x.
+    A pose has 12 numbers, an axis 6: its direction and origin.
     """
     for link in range(n[LINKS]):
         l = n[AT_LINKS] + link * LINK_WIDTH
@@ -104,7 +104,7 @@ def place_links(n, c, x, q, at):
 
 @njit(cache=True)
 def orientation_error(n, c, x, turn):
-    """Compute an orientation error (3) into x[work:] and its derivative (9) into x[work + 3:].
+    """Compute an orientation error (3) and its derivative (9) into x[work:] and x[work + 3:].
 
     The matrix maps the link's angular velocity in the world to the rate of the error. Call `place_links`
     first. A rotation vector e changes by the inverse left Jacobian of SO(3), 1 - [e]/2 + k [e]^2. Euler
@@ -161,7 +161,10 @@ def orientation_error(n, c, x, turn):
 
 @njit(cache=True)
 def point_at(n, c, x, point):
-    """Compute the world position of a constrained point; call `place_links` first."""
+    """Compute the world position of a constrained point.
+
+    Call `place_links` first.
+    """
     t = n[AT_POINTS] + point * POINT_WIDTH
     at, o = n[t + POINT_NUMBERS], n[n[AT_LINKS] + n[t] * LINK_WIDTH + PLACE]
     a, b, d = c[at], c[at + 1], c[at + 2]
@@ -174,9 +177,9 @@ def point_at(n, c, x, point):
 
 @njit(cache=True)
 def signed_distance(n, c, shape, sizes, px, py, pz):
-    """Compute the signed distance [m] from a world point to a shape (sizes.
+    """Compute the signed distance [m] from a world point to a convex shape.
 
-    SIZE or INNER_SIZE); it is convex.
+    `sizes` is the offset of the shape's sizes: SIZE or INNER_SIZE.
     """
     s = n[AT_SHAPES] + shape * SHAPE_WIDTH
     kind, at = n[s], n[s + 1]
@@ -204,7 +207,7 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find the shape of a region nearest to a point, and the signed distance [m]."""
+    """Find a region's shape nearest to a point, and the signed distance [m] to this shape."""
     t = n[AT_POINTS] + point * POINT_WIDTH
     best, least = n[t + FIRST_SHAPE], 1e300
     for shape in range(n[t + FIRST_SHAPE], n[t + FIRST_SHAPE] + n[t + SHAPES]):
@@ -216,7 +219,10 @@ def nearest_region_shape(n, c, point, sizes, px, py, pz):
 
 @njit(cache=True)
 def within_tolerances(n, c, x, q, at, inner):
-    """Return whether a configuration keeps the full (or, inner, the planning) tolerances."""
+    """Return whether a configuration keeps the constraints' tolerances.
+
+    `inner` selects the planning tolerances instead of the full tolerances.
+    """
     place_links(n, c, x, q, at)
     for turn in range(n[TURNS]):
         orientation_error(n, c, x, turn)

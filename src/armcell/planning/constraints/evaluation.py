@@ -1,6 +1,6 @@
-"""Evaluate constraints at joint positions.
+"""Evaluation of constraints at joint positions.
 
-Errors, violations in words, visibility, distances to shapes.
+The functions compute errors, violations as text, visibility, and distances to shapes.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
     for k, (angle, most, what) in enumerate(
         ((view, c.max_view_angle, "the target's axis"), (range_, c.max_range_angle, "the target"))
     ):
-        # Beyond 90 deg it looks at the wrong side, whatever the limit.
+        # Beyond 90 deg the sensor looks at the wrong side, whatever the limit.
         if most is not None and angle > min(most, np.pi / 2):
             excess[k] = angle - min(most, np.pi / 2)
             degrees, over = np.rad2deg(angle), np.rad2deg(excess[k])
@@ -67,7 +67,7 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
         within = links_in_hull(scene, corners, own_links(scene, c))
         if within:
             depth = max(within.values())
-            excess[2] = max(depth, 2 * EDGE_ON)  # to touch the cone is to be in it
+            excess[2] = max(depth, 2 * EDGE_ON)  # a link that touches the cone counts as inside
             violations_found.append(
                 f"{', '.join(sorted(within))} in the view of {c.sensor}, {depth * 1000:.1f} mm deep"
             )
@@ -75,7 +75,7 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
 
 
 def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, float, float]:
-    """Compute the world poses of sensor and target, the view angle and the range angle [rad]."""
+    """Compute the world poses of a sensor and its target, the view angle and range angle [rad]."""
     sensor = scene.frame_pose(c.sensor) @ c.T_link_sensor
     target = scene.frame_pose(c.frame) @ c.T_frame_target
     looks = sensor.rotation.matrix[:, AXES[c.view_axis]]
@@ -84,12 +84,12 @@ def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, fl
 
 
 def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
-    """Return the links that carry the sensor and the target; they may be inside the view cone."""
+    """Return the links that carry sensor and target; these links may be inside the view cone."""
     return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 
 
 def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
-    """Raise if a visibility constraint is invalid in every state.
+    """Raise an error if a visibility constraint is invalid in every state.
 
     Raises:
         UnknownNameError: no such frame or axis.
@@ -109,21 +109,21 @@ def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
 
 
 def _angle(a: Array, b: Array) -> float:
-    """Compute the angle between two vectors [rad], accurately for small angles too."""
+    """Compute the angle between two vectors [rad], accurate also for small angles."""
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
-ROUNDING = 1e-6  # [rad or m] beyond a tolerance that counts as rounding: the accuracy of inverse kinematics
+ROUNDING = 1e-6  # [rad or m] excess that counts as rounding: the accuracy of inverse kinematics
 PARAMETERIZATIONS = ("rotation_vector", "xyz_euler")
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintError:
-    """The error of joint positions with respect to one constraint.
+    """Error of joint positions with respect to one constraint.
 
-    `error`: of a joint, the difference from the constraint's position (1,) [rad or m]; of a point, the
-    distance from its region (1,) [m], 0 inside; of an orientation, the rotation error (3,) [rad]; of a view
-    (3,), see `visibility`. `excess` (same shape) is the part beyond the tolerance.
+    `error` is, for a joint, the difference from the constraint's position (1,) [rad or m]; for a point, the
+    distance from its region (1,) [m], 0 inside; for an orientation, the rotation error (3,) [rad]; for a view
+    (3,), see `visibility`. `excess` (same shape) is the part of the error beyond the tolerance.
     """
 
     constraint: JointConstraint | PositionConstraint | OrientationConstraint | VisibilityConstraint
@@ -140,9 +140,9 @@ class ConstraintError:
 def constraint_errors(
     scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike
 ) -> tuple[ConstraintError, ...]:
-    """Evaluate every constraint at positions q.
+    """Evaluate every constraint at joint positions q; return one error per constraint.
 
-    Joints first, then positions, orientations and visibilities.
+    Order: joints, positions, orientations, visibilities.
 
     Args:
         q: positions (n,) of the group's joints; other joints keep their position in the scene.
@@ -168,7 +168,7 @@ def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: Arr
 
 
 def violations(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> str:
-    """Describe which constraints are violated and by how much; empty if all are satisfied."""
+    """Describe which constraints q (n,) violates and by how much; "" if it satisfies all."""
     return "; ".join(e.words for e in constraint_errors(scene, group, constraints, q) if not e.ok)
 
 
@@ -192,7 +192,7 @@ def _position(scene: PlanningScene, group: str, c: PositionConstraint) -> Constr
 
 
 def region_distance(scene: PlanningScene, c: PositionConstraint, point: ArrayLike) -> float:
-    """Compute the distance [m] of a world point (3,) from a constraint's region, 0 inside."""
+    """Compute the distance [m] of a world point (3,) from a constraint's region; 0 inside."""
     at = scene.frame_pose(c.frame).inv().apply(point)
     return min(distance_to_shape(shape, T.inv().apply(at)) for shape, T in c.region)
 
@@ -214,7 +214,7 @@ def _pose(scene: PlanningScene, group: str, name: str | None) -> tuple[SE3, str]
 
 
 def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
-    """Compute the error (3,) [rad] from the wanted to the present rotation, in wanted axes."""
+    """Compute the error (3,) [rad] from the desired to the current rotation, in desired axes."""
     turn = wanted.inv() @ present
     if parameterization == "rotation_vector":
         return turn.log()
@@ -261,7 +261,7 @@ _DISTANCES: dict[type, Callable[..., float]] = {
 
 
 def distance_to_shape(shape: Shape, point: ArrayLike) -> float:
-    """Compute the distance [m] of a point (3,) in the shape's frame from the shape; 0 inside.
+    """Compute the distance [m] of a point (3,) in a shape's frame from the shape; 0 inside.
 
     Raises:
         InputError: the shape is a mesh, cloud or octree: these are surfaces, not regions.

@@ -1,7 +1,4 @@
-"""The constraint manifold of a request.
-
-Path constraints as flat arrays for kernels, and as readable text.
-"""
+"""The constraint manifold of a request: path constraints as flat arrays and as text."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -49,25 +46,25 @@ proven to stay exactly on a boundary."""
 
 @dataclass(frozen=True)
 class Violation:
-    """A violated constraint: which one, by how much, and a description."""
+    """A violated constraint: its kind and name, the amount of violation, and a description."""
 
     kind: str  # "joint", "orientation" or "position"
-    name: str  # of the joint, or of the constrained link
-    amount: float  # [rad or m] beyond the tolerance
+    name: str  # name of the joint or of the constrained link
+    amount: float  # [rad or m] part of the error beyond the tolerance
     text: str
 
 
 class ConstraintManifold:
-    """The configurations of a group that satisfy path constraints.
+    """The set of configurations of a planning group that satisfy path constraints.
 
     Not thread-safe: it owns scratch memory.
 
     Attributes:
         handle: addresses of the flat arrays, for the compiled functions.
-        lower, upper: (dof,) joint ranges of the joint constraints, infinite without one.
+        lower, upper: (dof,) joint ranges of the joint constraints, infinite for joints without a constraint.
         step: [rad] distance between projected configurations. If two configurations keep the planning
             tolerances, the motion between them keeps the full tolerances.
-        boundary_margin: [rad and m] see BOUNDARY. allowance: the same value, or 0 unless `relax_boundary`
+        boundary_margin: [rad and m] see BOUNDARY. allowance: `boundary_margin`, or 0 unless `relax_boundary`
             set it.
     """
 
@@ -125,7 +122,7 @@ class ConstraintManifold:
         return at
 
     def _resolve(self, name: str | None) -> tuple[str, SE3]:
-        """Return the link that carries a link, tip or attached object, and the pose in that link."""
+        """Return the link that carries a link, tip or attached object, and the pose in this link."""
         scene = self._scene
         if name is None:
             name = scene.model.group(self._group).tip_link
@@ -142,7 +139,10 @@ class ConstraintManifold:
         return name, SE3.identity()
 
     def _link(self, name: str) -> int:
-        """Return the number of a constrained link; its chain is computed at the first use."""
+        """Return the number of a constrained link.
+
+        The link's chain is computed at the first use.
+        """
         if name not in self._links:
             tree = kinematic_tree(self._scene.model)
             columns = set(self._scene.model.columns(self.joint_names))
@@ -161,7 +161,7 @@ class ConstraintManifold:
         return self._links[name]
 
     def _frame(self, name: str) -> SE3:
-        """Return T_world_frame of a constraint's reference frame.
+        """Return the pose T_world_frame of a constraint's reference frame.
 
         The frame must not move with the group.
         """
@@ -243,7 +243,7 @@ class ConstraintManifold:
 
     # --- asking ---
     def values(self, q: Array) -> Array:
-        """Compute orientation errors (3 each) [rad] and distances of points to regions [m]."""
+        """Compute orientation errors (3 each) [rad] and distances of points to their regions [m]."""
         evaluate_errors(self.handle, np.ascontiguousarray(q, dtype=float), self._out)
         return self._out[:-1].copy()
 
@@ -251,7 +251,7 @@ class ConstraintManifold:
         """List constraints that q (dof,) violates by more than the boundary margin.
 
         Args:
-            inside: list also constraints that q satisfies by less than the margin.
+            inside: also list constraints that q satisfies by less than the margin.
         """
         found, sign = [], -1 if inside else 1
         allowance = sign * self.boundary_margin
@@ -282,17 +282,17 @@ class ConstraintManifold:
         return found
 
     def projected(self, q: Array, lower: Array, upper: Array) -> Array | None:
-        """Project a configuration q (dof,) onto the manifold; None if the projection fails."""
+        """Project a configuration q (dof,) onto the constraint manifold; None if this fails."""
         moved = np.clip(q, lower, upper)
         return moved if projected(self.handle, moved, lower, upper) else None
 
     def first_unproven_edge(self, points: Array, room: Array | None = None) -> int:
         """Find the first edge of a motion (k, dof) that is not proven to satisfy the constraints.
 
-        -1 if none.
+        Return -1 if all edges are proven.
 
         Args:
-            room: (dof,) how far each joint may deviate from the edges.
+            room: (dof,) possible deviation of each joint from the edges.
         """
         slack = self._none if room is None else room
         more = (BOUNDARY if self.allowance else 0.0) - slack
@@ -348,7 +348,10 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Bound the distance [m] of a point from each joint's axis over all configurations (dof,)."""
+    """Compute upper bounds (dof,) [m] of a point's distance from each joint's axis.
+
+    The bounds hold in all configurations.
+    """
     reach, radius = np.zeros(len(names)), float(np.linalg.norm(point))
     for row in table[::-1]:
         radius += float(np.linalg.norm(row[[3, 7, 11]]))

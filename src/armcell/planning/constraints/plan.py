@@ -1,4 +1,4 @@
-"""Plan a motion that satisfies path constraints everywhere, from start to end."""
+"""Planning of motions that satisfy path constraints everywhere, from start to end."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def time_on_manifold(
     checker: KernelChecker, manifold: ConstraintManifold, waypoints: Array, request: PlanRequest,
     torque: TorqueModel | None = None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Time a path (k, n) on the constraint manifold; None if the timed motion cannot be proven."""
+    """Time a path (k, n) on the constraint manifold; None if the timed motion is not proven."""
     names, model = checker.joint_names, checker.model
     velocity = model.limits(names, "velocity") * request.velocity_scaling
     acceleration = model.limits(names, "acceleration") * request.acceleration_scaling
@@ -68,7 +68,7 @@ def time_on_manifold(
         if not request.jerk_limits:
             slack += smoothing_departure(acceleration, settings)
         if path.length > 0 and not checker.certify(path.polyline(SAGITTA), slack, evidence=False).free:
-            # With slack, a start or goal very close to an obstacle is not provable: last, try without.
+            # With slack, a start or goal very close to an obstacle is not provable: last, try without slack.
             if (deviation, smoothing) != LADDER[-1]:
                 continue
             if not checker.certify(path.polyline(SAGITTA), evidence=False).free:
@@ -84,7 +84,7 @@ def time_on_manifold(
 
 
 def chords(trajectory: JointTrajectory) -> tuple[Array, Array]:
-    """Approximate a trajectory by chords (m, n); bound its deviation (n,) [rad] from them.
+    """Approximate a trajectory by chords (m, n) and bound its deviation (n,) [rad] from them.
 
     A curve deviates from its chord over a time h by at most h^2 / 8 times its largest acceleration. The
     acceleration of a quintic is a cubic, bounded by the hull of its Bernstein coefficients.
@@ -128,7 +128,7 @@ def check_planner(validated: ValidatedRequest) -> None:
 def plan_constrained(
     validated: ValidatedRequest, checker: KernelChecker, start: Array, goals: tuple[Array, ...]
 ) -> PlanResult:
-    """Plan a certified, timed motion that is proven to satisfy the path constraints everywhere.
+    """Plan a certified, timed motion that is proven to satisfy path constraints everywhere.
 
     Args:
         start: (n,), collision-free. goals: (n,) collision-free goals found so far.
@@ -164,7 +164,7 @@ def plan_constrained(
 
 
 def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlanResult:
-    """Plan paths until one can be proven and timed."""
+    """Plan paths on the constraint manifold until one can be proven and timed."""
     request, checker = validated.request, problem.checker
     torque = torque_model(validated.scene, checker.joint_names) if request.torque_limits else None
     answer, why = None, "found paths, but none whose timed motion could be proven to keep to the constraints"
@@ -206,7 +206,7 @@ def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem:
 
 
 def _searched(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlannerResult:
-    """Search for a path on the manifold, or report why there is none."""
+    """Search for a path on the constraint manifold, or report why no path was found."""
     if isinstance(manifold, VisibilityManifold):  # visibility has no projection: OMPL rejects invalid samples
         return find_planner("ompl", PLANNER)(replace(problem, forbids=manifold.forbids))
     planner = constrained_planner(problem.checker, manifold)
@@ -249,7 +249,7 @@ def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcom
 
 
 def _direct(problem: Problem, manifold: ConstraintManifold) -> Array | None:
-    """Return the straight line to a goal if it is free and satisfies the constraints."""
+    """Return the straight line to a goal if it is free and satisfies the path constraints."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])
@@ -266,9 +266,10 @@ def _goals(
     manifold: ConstraintManifold,
     found: tuple[Array, ...],
 ) -> tuple[tuple[Array, ...], list[Violation]]:
-    """Select goals that satisfy the constraints, else project further goal samples.
+    """Select the goals that satisfy the path constraints.
 
-    Else report the violations.
+    If there are none, project further goal samples onto the constraints; if this fails, return the
+    violations.
     """
     good = tuple(q for q in found if not manifold.violations(q))
     if good:
@@ -305,6 +306,6 @@ def _more(
     known: tuple[Array, ...],
     seed: int,
 ) -> Iterator[Array] | None:
-    """Yield further goals that satisfy the path constraints, while a search runs."""
+    """Yield further goals that satisfy the path constraints while a search runs."""
     more = stream_goals(validated, checker, known, seed)
     return None if more is None else (q for q in more if not manifold.violations(q))

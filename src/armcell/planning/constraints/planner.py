@@ -1,4 +1,4 @@
-"""The native planner on a constraint manifold, and the warm-up of its kernels."""
+"""Native RRT-Connect planner on a constraint manifold, and the warm-up of its kernels."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -28,9 +28,9 @@ SETTINGS = NativeSettings(max_waypoints=4096)
 
 
 class ConstrainedPlanner(NativePlanner):
-    """A `NativePlanner` whose trees and shortcuts stay on a manifold.
+    """A `NativePlanner` whose trees and shortcuts stay on a constraint manifold.
 
-    Reuses the trees of this thread's planner.
+    The planner reuses the trees of the current thread's planner.
 
     Args:
         rejection: reject samples and edges that leave the tolerances instead of projecting them (plain
@@ -73,7 +73,10 @@ class ConstrainedPlanner(NativePlanner):
         )  # fmt: skip
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Shorten path[:count] on the manifold in place; return the new count, 0 if a proof fails."""
+        """Shorten path[:count] on the constraint manifold in place.
+
+        Return the new count, or 0 if a proof fails.
+        """
         m = self.manifold
         return shorten(
             self.checker.handle, m.handle, self.path, count, self.space, self.index, self.slack, *self.bounds,
@@ -88,7 +91,7 @@ class ConstrainedPlanner(NativePlanner):
 
 
 def constrained_planner(checker: KernelChecker, manifold: ConstraintManifold) -> ConstrainedPlanner:
-    """Create a constrained planner that uses this thread's trees."""
+    """Create a constrained planner that uses the current thread's trees."""
     return ConstrainedPlanner(planner_of(checker), manifold)
 
 
@@ -97,7 +100,7 @@ logger = logging.getLogger(__name__)
 
 @lru_cache(maxsize=1)
 def warm_up_constraints() -> float:
-    """Compile all kernels for path constraints; return the seconds it took."""
+    """Compile all kernels for path constraints; return the duration [s]."""
     began = time.monotonic()
     announce_compilation("RRTConnect with path constraints", constrained_rrt_connect)
     model = load_robot("parallel_gripper")

@@ -1,8 +1,7 @@
-"""Project a configuration onto its constraints.
+"""Projection of a configuration onto its constraints (Numba).
 
-Damped Gauss-Newton on the violated tolerances (Numba).
-
-The damping is that of the inverse kinematics (Sugihara 2011, see kinematics.ik.descent).
+The method is damped Gauss-Newton on the violated tolerances, with the damping of the inverse kinematics
+(Sugihara 2011, see kinematics.ik.descent).
 """
 
 # pyright: reportCallIssue=false
@@ -51,12 +50,15 @@ ITERATIONS = 24
 LARGEST_STEP = 0.6  # [rad or m] of any joint in one iteration
 DAMPING, BIAS = 0.05, 1e-9
 BEYOND = 0.3  # aim inside by this share of the gap between planning tolerances and full tolerances
-PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that keep more than this part of the error
+PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over PROGRESS of the error
 
 
 @njit(cache=True)
 def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
-    """Write a Jacobian row: the rate of g . angular velocity (turns), or of g . point velocity."""
+    """Write one Jacobian row: the rate of g . angular velocity, or of g . point velocity.
+
+    `turns` selects the angular velocity.
+    """
     dof, at = n[DOF], n[WORK] + 32 + row * n[DOF]
     for j in range(dof):
         x[at + j] = 0.0
@@ -78,7 +80,7 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """Write the row and residual of a point along a direction of a shape's frame."""
+    """Write the Jacobian row and residual of a point along a direction of a shape's frame."""
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]
     _row(
@@ -92,7 +94,7 @@ def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
 
 @njit(cache=True)
 def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
-    """Add a row that reduces |value|, a coordinate in a shape's frame, to `inner`.
+    """Add a row that reduces a point's coordinate |value| in a shape's frame to `inner`.
 
     Return the row count.
     """
@@ -162,7 +164,10 @@ def rows(n, c, x):
 
 @njit(cache=True)
 def _step(n, x, count, damping):
-    """Solve `J^T (J J^T + damping)^-1 r` by L D L^T, into x after the system."""
+    """Solve `J^T (J J^T + damping)^-1 r` by L D L^T decomposition.
+
+    Return the offset of the result in x; it follows the system.
+    """
     dof, J = n[DOF], n[WORK] + 32
     r, A = J + MAX_ROWS * dof, J + MAX_ROWS * (dof + 2)
     y, step = r + MAX_ROWS, A + MAX_ROWS * MAX_ROWS
@@ -203,7 +208,7 @@ def _step(n, x, count, damping):
 
 @njit(cache=True)
 def project(n, c, x, q, at, lower, upper):
-    """Move q[at:] within bounds until it keeps the planning tolerances, in place.
+    """Move q[at:] within joint bounds until it keeps the planning tolerances, in place.
 
     Returns:
         Whether the projection succeeded.
@@ -245,6 +250,6 @@ def project(n, c, x, q, at, lower, upper):
 
 @njit(cache=True, nogil=True)
 def projected(handle, q, lower, upper):
-    """Run `project` on arrays (dof,)."""
+    """Project a configuration q (dof,) onto its constraints; runs `project` on arrays."""
     n, c, x = manifold_pointers(handle)
     return project(n, c, x, pointer(q), 0, pointer(lower), pointer(upper))

@@ -1,4 +1,4 @@
-"""Prove that a straight joint motion satisfies constraints everywhere (Numba).
+"""Proof that a straight joint motion satisfies constraints everywhere (Numba).
 
 The proof examines an interval of the motion q(t) = a + t d at its middle m with half width h. Poses and
 velocities are exact at m; the rest is bounded:
@@ -6,8 +6,8 @@ velocities are exact at m; the rest is bounded:
 - A joint's axis turns by at most the turning T of the joints before it (T: the sum of all revolute joints'
   |d|), so a link's angular velocity changes at a rate of at most T^2 / 2.
 - A point's acceleration is at most T S, where S sums |d| times the largest distance from each joint's axis
-  (twice that with prismatic joints): the point is within h^2 T S / 2 of the straight line p + (t - m) p'. A
-  region's signed distance is convex, so along that line it is largest at one end.
+  (twice T S with prismatic joints): the point is within h^2 T S / 2 of the straight line p + (t - m) p'. A
+  region's signed distance is convex, so along this line it is largest at one end.
 - A rotation vector e = log R changes by e' = G(e) u, with the angular velocity u and the inverse left
   Jacobian G of SO(3): |G| <= g = (y/2) / sin(y/2) and |G'| <= c |e'| with y = |e|. So
   |e''| <= g (T^2 / 2 + c |u|^2), and e is within h^2 / 2 times that of e + (t - m) e'. Past half a turn the
@@ -64,7 +64,9 @@ KEEPS, UNKNOWN, LEAVES = 1, 0, -1
 
 @njit(cache=True)
 def _bends(angle):
-    """Compute the bounds g and c (see module) for rotation vectors up to `angle` [rad].
+    """Compute the bounds g and c (see the module) for rotation vectors up to `angle` [rad].
+
+    Both bounds increase with the angle.
 
     Both are increasing.
     """
@@ -77,7 +79,7 @@ def _bends(angle):
 
 @njit(cache=True)
 def _turns(n, c, x, d, h, room, allowance):
-    """Check the orientation constraints on one interval: KEEPS, UNKNOWN or LEAVES."""
+    """Check the orientation constraints on one interval of a motion: KEEPS, UNKNOWN or LEAVES."""
     answer = KEEPS
     for turn in range(n[TURNS]):
         t = n[AT_TURNS] + turn * TURN_WIDTH
@@ -124,7 +126,7 @@ def _turns(n, c, x, d, h, room, allowance):
 
 @njit(cache=True)
 def _points(n, c, x, d, h, room, allowance):
-    """Check the position constraints on one interval: KEEPS, UNKNOWN or LEAVES."""
+    """Check the position constraints on one interval of a motion: KEEPS, UNKNOWN or LEAVES."""
     dof, answer = n[DOF], KEEPS
     for point in range(n[POINTS]):
         t = n[AT_POINTS] + point * POINT_WIDTH

@@ -1,4 +1,4 @@
-"""RRT-Connect on the constraint manifold: every step is projected (Numba).
+"""RRT-Connect on a constraint manifold: the planner projects every step (Numba).
 
 After CBiRRT2 (Berenson, Srinivasa and Kuffner, IJRR 2011). Samples are projected too (as in the projected
 state space of Kingston, Moll and Kavraki, IJRR 2019), so that extensions head for reachable configurations.
@@ -42,17 +42,17 @@ STALL = 0.1  # smallest progress of a step, as a share of its length
 
 
 def space_size(dof: int) -> int:
-    """Compute the scratch size in doubles.
+    """Compute the size of the search's scratch memory in doubles.
 
-    [two ends and steps], [sample steps], [sample], [closest approach], [zeros].
+    Layout: [two ends and steps], [sample steps], [sample], [closest approach], [zeros].
     """
     return (ROWS + 2) * dof + 5 * dof + 1
 
 
 def closest_at(dof: int) -> int:
-    """Return the scratch offset of the closest approach of the trees.
+    """Return the scratch offset of the closest approach of the two trees.
 
-    Length [rad], then its two ends.
+    The closest approach is a length [rad], then its two ends.
     """
     return (ROWS + 4) * dof
 
@@ -81,7 +81,7 @@ def _sampled(n, c, x, p, a, b, step):
 
 @njit(cache=True)
 def _clear(k, p, a, out, first, end, step):
-    """Count the rows from `first` to `end` that are reached without contact, in order.
+    """Count the consecutive rows from `first` to `end` that a motion reaches without contact.
 
     Row -1 is p[a:]. Short steps share one block of samples.
     """
@@ -115,7 +115,7 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
         step: distance between validity checks [rad]. none: dof zeros.
         projecting: if False, the walk ends at a step with a sample outside the tolerances (rejection).
     Returns:
-        Rows written, and whether the last of them is p[to:].
+        Number of rows written, and whether the last row is p[to:].
     """
     dof, count, clear, at = n[DOF], 0, 0, a
     left, arrived, going = _apart(p, a, to, n[DOF]), False, True
@@ -202,7 +202,7 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
             continue
         near, reached = 0, False  # reaching a sample is not reaching the other tree
         while True:
-            for row in range(count - 1 if reached else count):  # the other tree has the last one
+            for row in range(count - 1 if reached else count):  # the last row belongs to the other tree
                 put(nodes, dof, first + mine, p, out + row * dof)
                 parents[first + mine] = i
                 i = mine
@@ -212,14 +212,14 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
                     p[j] = p[out + (count - 1) * dof + j]
             if reached or mine + 2 * ROWS > capacity:
                 break
-            if near > 0 and count < ROWS - 1:  # the walk towards the other tree has ended
+            if near > 0 and count < ROWS - 1:  # the walk toward the other tree has ended
                 left = _apart(p, 0, q, dof)
                 if left < closest[0]:
                     closest[0] = left
                     for j in range(2 * dof):
                         closest[1 + j] = p[j]
                 break
-            # On towards the nearest node of the other tree.
+            # Continue toward the nearest node of the other tree.
             to = nearest_node(nodes, parents, leaves, leaf_ints, dof, capacity, 1 - tree, other, p, 0, room)
             near = 1 + to
             get(nodes, dof, first_other + to, p, q)
@@ -254,7 +254,9 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
 def constrained_rrt_connect(handle, constraints, start, goals, lower, upper, shift, reach, delta, step,
                             allowance, projecting, nodes, parents, leaves, leaf_ints, room, space, found,
                             stop, max_iterations, path):  # fmt: skip
-    """Find waypoints from the start to one of the goals, into path (m, dof); see `rrt_connect`.
+    """Find waypoints (m, dof) on the manifold from the start to one of the goals, into `path`.
+
+    See `rrt_connect`.
 
     Args:
         constraints: handle of the manifold. delta: length of a projected step [rad].

@@ -1,6 +1,6 @@
-"""Shorten and smooth paths on the constraint manifold; every shortcut is proven (Numba).
+"""Shortening and smoothing of paths on the constraint manifold (Numba).
 
-Paths are rows of a flat float64 buffer `p`, behind a bare pointer.
+Every shortcut is proven. Paths are rows of a flat float64 buffer `p`, behind a bare pointer.
 """
 
 # pyright: reportCallIssue=false
@@ -37,9 +37,9 @@ def _length(p, dof, first, last):
 
 @njit(cache=True)
 def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta, step, allowance, stop):
-    """Replace row sequences by projected walks over ever shorter gaps.
+    """Replace sequences of path rows by projected walks over ever shorter gaps.
 
-    P[tried:] is the walk's buffer.
+    p[tried:] is the walk's buffer.
     """
     dof = n[DOF]
     gap = count - 1
@@ -57,7 +57,7 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
                 step, allowance, True, stop,
             )  # fmt: skip
             good = False
-            rows -= 1  # the last is row j itself
+            rows -= 1  # the last row is row j itself
             if reached and rows <= j - i - 1:
                 for d in range(dof):
                     p[tried + dof + d] = p[tried + d]
@@ -85,9 +85,9 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
 
 @njit(cache=True)
 def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance):
-    """Move inner rows toward the middle of their neighbors if manifold and proofs allow.
+    """Move inner path rows toward the middle of their neighbors if manifold and proofs allow.
 
-    Return moved rows.
+    Return the number of moved rows.
     """
     dof = n[DOF]
     for r in range(count * dof):
@@ -127,7 +127,7 @@ def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance)
 
 @njit(cache=True, nogil=True)
 def shorten(handle, constraints, path, count, space, index, room, lower, upper, delta, step, allowance, stop):
-    """Shorten path[:count] on the manifold in place.
+    """Shorten path[:count] on the constraint manifold in place.
 
     Args:
         path: (m, dof). space: float64 scratch of 2 m + 8 rows and m numbers. index: int64 scratch of 2 m.

@@ -1,13 +1,12 @@
-"""Visibility path constraints: a sensor must see its target.
+"""Visibility path constraints: a sensor must see its target during the whole motion.
 
-Proven along a motion by bounds.
-
-At the middle of an interval between two configurations, every angle and every distance of a link from the
-view cone is exact. A joint that turns by d from there turns what it carries by d and moves each of its
-points by d times the point's largest distance from the joint's axis. So an angle changes by the turns of
-the joints that move either the sensor or the target, plus the angle under which the sensor sees the target
-move; a distance changes by the motion of the link and of the cone's corners. If these changes are smaller
-than the remaining margin, the interval is proven; otherwise it is halved.
+Bounds prove the constraints along a motion. At the middle of an interval between two configurations, every
+angle and every distance of a link from the view cone is exact. A joint that turns by d from there rotates
+the bodies that it carries by d and moves each of their points by d times the point's largest distance from
+the joint's axis. An angle therefore changes by the turns of the joints that move either the sensor or the
+target, plus the angle under which the sensor sees the target move; a distance changes by the motion of the
+link and of the cone's corners. If these changes are smaller than the remaining margin, the interval is
+proven; otherwise it is halved.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ STEP = 0.05  # [rad or m] between configurations of an edge while searching
 
 
 class VisibilityManifold(ConstraintManifold):
-    """A constraint manifold that includes visibility constraints.
+    """A constraint manifold that also handles visibility constraints.
 
-    `ConstraintManifold` handles the others.
+    `ConstraintManifold` handles the other constraints.
     """
 
     def __init__(self, scene: PlanningScene, group: str, constraints: Constraints):
@@ -128,16 +127,16 @@ class VisibilityManifold(ConstraintManifold):
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A visibility constraint with bounds on how far joints (dof,) move sensor and target."""
+    """A visibility constraint with bounds on the motion of sensor and target by joints (dof,)."""
 
     constraint: VisibilityConstraint
     own: frozenset[str]  # links that are allowed in the cone
     apart: Array  # 1 for joints that move one of sensor and target, else 0
     turns: Array  # like `apart`, for revolute joints, times the largest rotation of a link per rad
-    sensor_reach: Array  # of the sensor's origin
-    target_reach: Array  # of the target's center
-    rim_reach: Array  # of the target's rim
-    link_reach: dict[str, Array]  # of the links' farthest points
+    sensor_reach: Array  # [m] bound of the sensor origin's distance from each joint's axis
+    target_reach: Array  # [m] for the target's center
+    rim_reach: Array  # [m] for the target's rim
+    link_reach: dict[str, Array]  # [m] for the links' farthest points
 
     @classmethod
     def of(cls, scene: PlanningScene, group: str, c: VisibilityConstraint) -> _View:
@@ -177,7 +176,7 @@ def _farthest(scene: PlanningScene, link: str) -> float:
 
 
 def _moving(scene: PlanningScene, names: tuple[str, ...], link: str) -> list[tuple[int, float]]:
-    """List the group's joints on the path to a link, with the multiplier by which they move it."""
+    """List the group's joints on the path to a link, with their multipliers (mimic joints)."""
     tree, columns = kinematic_tree(scene.model), {c: k for k, c in enumerate(scene.model.columns(names))}
     found = [j for j in tree.path_to(link) if tree.kind[j] != FIXED and int(tree.column[j]) in columns]
     return [(columns[int(tree.column[j])], abs(float(tree.multiplier[j]))) for j in found]
@@ -188,7 +187,7 @@ def _carriers(scene: PlanningScene, names: tuple[str, ...], link: str) -> set[in
 
 
 def _multipliers(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
-    """Sum by how much a link turns per rad of each joint (dof,), including mimic joints."""
+    """Compute a link's largest rotation per rad of each joint (dof,), including mimic joints."""
     total = np.zeros(len(names))
     for k, multiplier in _moving(scene, names, link):
         total[k] += multiplier
@@ -202,9 +201,9 @@ def _table(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
 
 
 def make_manifold(scene: PlanningScene, group: str, constraints: Constraints) -> ConstraintManifold:
-    """Create the manifold of path constraints, with visibility support if needed.
+    """Create the manifold of path constraints, with visibility constraints if needed.
 
     Raises:
-        InputError: constraints that are invalid or cannot be planned with.
+        InputError: the constraints are invalid, or no planner supports them.
     """
     return (VisibilityManifold if constraints.visibilities else ConstraintManifold)(scene, group, constraints)

@@ -1,4 +1,4 @@
-"""Diagnosis: explains why planning failed and which changes would help; one file per cause."""
+"""Diagnosis: explains why planning failed and which changes help; one module per cause."""
 
 from armcell.planning.diagnosis.dispatch import explain_misuse, with_explanation
 from armcell.planning.diagnosis.pose import Branch, PoseExplanation, explain_pose, solutions_beyond_limits

@@ -1,6 +1,6 @@
-"""Diagnosis of a Cartesian path that stops.
+"""Diagnosis of a Cartesian path that stops before its last waypoint.
 
-Where, why, and the nearest change that completes it.
+The diagnosis explains where and why the path stops, and finds the smallest change that completes it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SHARE = 0.4  # share of the remaining time for the search of another last waypoi
 
 
 def explain_cartesian_stop(diagnosis: Diagnosis) -> None:
-    """Explain where and why a straight line stops, and find changes that complete it."""
+    """Explain where and why a Cartesian path stops, and find changes that complete it."""
     request, result = diagnosis.request, diagnosis.result
     assert isinstance(request, CartesianRequest)
     report_limit_margins(diagnosis)
@@ -78,7 +78,7 @@ def _report_place(diagnosis: Diagnosis, request: CartesianRequest, number: int, 
 
 
 def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Report whether the last waypoint or only the line to it is out of reach."""
+    """Report whether the last waypoint is out of reach, or only the straight line to it."""
     path = diagnosis.result.path
     q = diagnosis.start if path is None else path.waypoints[-1]
     found = explain_pose(diagnosis.start_scene, request.group, request.waypoints[-1], request.link)
@@ -104,7 +104,7 @@ def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver)
 
 
 def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> None:
-    """Suggest smaller steps or a larger jump threshold."""
+    """Suggest smaller steps or a larger jump threshold for a Cartesian path with a joint jump."""
     for k in range(1, 6):
         step = request.max_step / 2**k
         changed = replace(request, max_step=step)
@@ -123,9 +123,9 @@ def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> None:
 
 
 def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, here: SE3) -> None:
-    """Suggest another joint solution of the start pose.
+    """Suggest another joint solution of the start pose, from which the line is feasible.
 
-    Another branch, or another elbow of a redundant arm.
+    The solution is on another branch, or has another elbow position of a redundant arm.
     """
     tried = []
     for q in islice(ik.solutions(here, diagnosis.start_scene.positions, diagnosis.rng), BRANCHES):
@@ -152,7 +152,7 @@ def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, 
 
 
 def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) -> None:
-    """Find the largest part of the last rotation with which the line is completed."""
+    """Find the largest part of the last rotation with which the Cartesian path is completed."""
     before = [here, *request.waypoints][-2]
     goal = request.waypoints[-1]
     total = before.distance_to(goal)[1]
@@ -179,7 +179,7 @@ def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) ->
 
 
 def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Try to shift, then to turn, the last waypoint in 26 directions."""
+    """Suggest to shift, then to rotate, the last waypoint in one of 26 directions."""
     goal, rest = request.waypoints[-1], request.waypoints[:-1]
 
     def shifted(step: np.ndarray) -> SE3:
@@ -232,7 +232,7 @@ def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarr
 
 
 def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, number: int, stop: SE3) -> None:
-    """Try one more waypoint beside the place where the line stops."""
+    """Suggest one more waypoint beside the pose at which the line stops."""
     if not _can_stand(diagnosis, request, request.waypoints[-1], ik):
         return
     until = time.monotonic() + SHARE * max(diagnosis.time_left, 0.0)
@@ -251,20 +251,20 @@ def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, numbe
 
 
 def _full(diagnosis: Diagnosis, q: np.ndarray) -> np.ndarray:
-    """Return all joints (dof,) with the group's at q (n,)."""
+    """Return the positions of all joints (dof,) with the group's joints at q (n,)."""
     full = diagnosis.start_scene.positions.copy()
     full[diagnosis.columns] = q
     return full
 
 
 def _can_stand(diagnosis: Diagnosis, request: CartesianRequest, pose: SE3, ik: IKSolver) -> bool:
-    """Return whether any free configuration reaches the pose; cheaper than a line."""
+    """Return whether any free configuration reaches the pose, which is faster than a line test."""
     some = islice(ik.solutions(pose, diagnosis.start_scene.positions, diagnosis.rng), 8)
     return any(not request.avoid_collisions or diagnosis.checker.is_free(q) for q in some)
 
 
 def _shorter(diagnosis: Diagnosis, request: CartesianRequest, number: int, pose: SE3) -> None:
-    """Suggest the feasible part as a request of its own."""
+    """Suggest a Cartesian request that ends where the line stops."""
     if diagnosis.result.path is None or diagnosis.result.fraction <= 0:
         return
     waypoints = (*request.waypoints[:number], pose)

@@ -1,6 +1,6 @@
-"""Changes that a suggestion can make.
+"""Changes of scene and request that a suggestion can make.
 
-Functions from (scene, request) to a changed copy of both.
+Each change is a function from (scene, request) to a changed copy of both.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ SceneAndRequest = tuple[PlanningScene, Request]
 
 
 def change_request(scene: PlanningScene, request: Request, **fields: Any) -> SceneAndRequest:
-    """Replace fields of the request."""
+    """Replace fields of a planning request."""
     return scene, replace(request, **fields)
 
 
 def change_start(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Change some joints of the start state."""
+    """Change the position of some joints in the request's start state."""
     start = scene.state.updated(request.start) if request.start is not None else scene.state
     return scene, replace(request, start=start.updated(state))
 
 
 def change_goal(scene: PlanningScene, request: PlanRequest, number: int, goal: Goal) -> SceneAndRequest:
-    """Replace goal `number` of the request; the number of goals appends one."""
+    """Replace goal `number` of a request; a `number` equal to the number of goals appends one."""
     goals = list(request.goals)
     goals[number : number + 1] = [goal]
     return scene, replace(request, goals=tuple(goals))
@@ -54,12 +54,12 @@ def replace_by_free_motion(scene: PlanningScene, request: CartesianRequest) -> S
 
 
 def remove_objects(scene: PlanningScene, request: Request, names: Sequence[str]) -> SceneAndRequest:
-    """Remove objects from the world."""
+    """Remove objects from the planning scene."""
     return without(scene, names), request
 
 
 def move_object(scene: PlanningScene, request: Request, name: str, offset: ArrayLike) -> SceneAndRequest:
-    """Move an object of the world by an offset (3,) [m]."""
+    """Move an object of the planning scene by an offset (3,) [m]."""
     return moved(scene, name, np.asarray(offset, dtype=float)), request
 
 
@@ -81,24 +81,24 @@ def change_mass(scene: PlanningScene, request: Request, name: str, mass: float) 
 
 
 def reset_state(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Set joints of the scene's own state, whatever their values were."""
+    """Set joints of the scene's own state, whatever their previous values."""
     positions = np.array(scene.positions)
     positions[scene.model.columns(state.joint_names)] = state.positions
     return replace(scene, positions=positions), request
 
 
 def without(scene: PlanningScene, names: Sequence[str]) -> PlanningScene:
-    """Return the scene without some objects."""
+    """Return a copy of the scene without some objects."""
     return replace(scene, objects={k: v for k, v in scene.objects.items() if k not in names})
 
 
 def moved(scene: PlanningScene, name: str, offset: np.ndarray) -> PlanningScene:
-    """Return the scene with an object moved by an offset (3,) [m]."""
+    """Return a copy of the scene with an object moved by an offset (3,) [m]."""
     T = scene.objects[name].T_world_object
     return scene.with_object_pose(name, SE3(T.rotation, T.translation + offset))
 
 
 def padded(scene: PlanningScene, most: float) -> PlanningScene:
-    """Return the scene with every padding limited to `most` [m]."""
+    """Return a copy of the scene with every padding limited to `most` [m]."""
     links = {link: min(value, most) for link, value in scene.link_padding.items()}
     return scene.with_padding(min(scene.padding, most), links)

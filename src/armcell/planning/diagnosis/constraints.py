@@ -1,6 +1,6 @@
 """Diagnosis of constraints that forbid a motion, its start or its goal.
 
-Which one, and how much to widen it.
+The diagnosis names the constraint and the tolerance that it needs.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def constraint_label(one: One) -> str:
 
 
 def tolerance_text(one: One) -> str:
-    """Describe a constraint's tolerance."""
+    """Describe a constraint's tolerance as text."""
     if isinstance(one, OrientationConstraint):
         return ", ".join(wording.angle(t) for t in one.tolerance)
     if isinstance(one, JointConstraint):
@@ -69,7 +69,10 @@ def tolerance_text(one: One) -> str:
 
 
 def scaled_constraint(one: One, factor: float) -> One | None:
-    """Scale a constraint's tolerance; None for a half space, which has no size, and for a view."""
+    """Scale a constraint's tolerance by a factor.
+
+    Return None for a half space, which has no size, and for a visibility constraint.
+    """
     if isinstance(one, VisibilityConstraint):
         return None
     if isinstance(one, OrientationConstraint):
@@ -85,10 +88,10 @@ def scaled_constraint(one: One, factor: float) -> One | None:
 
 
 def loosened_constraint(one: One, error: ConstraintError) -> One:
-    """Widen a constraint so that the state of an error satisfies it with a small margin.
+    """Widen a constraint so that the state with a given error satisfies it with a small margin.
 
     Args:
-        one: the error's constraint, or an already widened copy of it.
+        one: the constraint of the error, or an already widened copy of this constraint.
     """
     if isinstance(one, VisibilityConstraint):
         return one
@@ -152,9 +155,9 @@ Put = Callable[[Constraints], tuple[Callable, dict]]
 
 
 def blame_path_constraints(diagnosis: Diagnosis) -> bool:
-    """Return whether the request succeeds without its path constraints.
+    """Test whether a request succeeds without its path constraints.
 
-    If so, find the constraint to blame.
+    If it does, find the constraint to blame and return True.
     """
     request = diagnosis.request
     if not request.path_constraints:
@@ -175,7 +178,7 @@ def blame_path_constraints(diagnosis: Diagnosis) -> bool:
 
 
 def blame_goal_constraints(diagnosis: Diagnosis, number: int, goal: ConstraintGoal) -> None:
-    """Find the constraint of a constraint goal that makes the goal unreachable."""
+    """Find the constraint that makes a constraint goal unreachable."""
 
     def put(constraints: Constraints):
         return change_goal, {"number": number, "goal": ConstraintGoal(constraints)}
@@ -185,7 +188,7 @@ def blame_goal_constraints(diagnosis: Diagnosis, number: int, goal: ConstraintGo
 
 
 def _blame(diagnosis: Diagnosis, put: Put, whole: Constraints) -> bool:
-    """Suggest to widen or remove each constraint without which the request succeeds."""
+    """Suggest to widen or remove each constraint whose removal makes the request succeed."""
     each = list(_each(whole))
     if len(each) == 1:  # no constraint remains without it
         blamed = each
@@ -219,13 +222,13 @@ def _each(whole: Constraints) -> Iterator[tuple[str, int, One]]:
 
 
 def without(whole: Constraints, kind: str, k: int) -> Constraints:
-    """Return constraints without constraint number k of a kind."""
+    """Return a copy of the constraints without constraint number k of a kind."""
     kept = getattr(whole, kind)
     return replace(whole, **{kind: kept[:k] + kept[k + 1 :]})
 
 
 def exchanged(whole: Constraints, old: One, new: One) -> Constraints:
-    """Replace one constraint by another of its kind."""
+    """Return constraints in which one constraint is replaced by another of the same kind."""
     return replace(
         whole, **{kind: tuple(new if c is old else c for c in getattr(whole, kind)) for kind in FIELDS}
     )
@@ -311,7 +314,7 @@ def _tell(diagnosis: Diagnosis, where: str, errors: list[ConstraintError]) -> No
 
 
 def _moved(diagnosis: Diagnosis, q: Array) -> Array | None:
-    """Project q (n,) onto the path constraints; None if the result is not free."""
+    """Project q (n,) onto the path constraints; return None if the result is not free."""
     request, model = _request(diagnosis), diagnosis.scene.model
     manifold = make_manifold(diagnosis.start_scene, request.group, request.path_constraints)
     low = np.maximum(model.lower[diagnosis.columns], manifold.lower)
@@ -323,7 +326,7 @@ def _moved(diagnosis: Diagnosis, q: Array) -> Array | None:
 
 
 def _goal_states(diagnosis: Diagnosis, goal: Goal) -> list[State]:
-    """List free states that reach a goal with their violations, smallest violation first."""
+    """List free states that reach a goal, with their violations; smallest violation first."""
     if isinstance(goal, JointGoal | NamedGoal):
         wanted = wanted_joints(diagnosis, goal)
         return [] if wanted is None else [(wanted, _violated(diagnosis, wanted))]
@@ -365,7 +368,7 @@ def _nearest_goal(diagnosis: Diagnosis, number: int, goal: Goal, states: list[Ar
 
 
 def _suggest_wider(diagnosis: Diagnosis, errors: list[ConstraintError]) -> None:
-    """Suggest tolerances that cover all errors."""
+    """Suggest constraint tolerances that cover all errors."""
     wide: dict[int, tuple[One, One]] = {}  # by identity: the constraint and its widened copy
     for error in errors:
         first = error.constraint

@@ -1,4 +1,7 @@
-"""Diagnosis of contacts: the smallest shift of an object that frees it, or its removal."""
+"""Diagnosis of contacts: the smallest shift of an object that frees the robot.
+
+The diagnosis also suggests to remove the object.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +24,16 @@ Array = NDArray[np.float64]
 
 SHIFTS = 0.002 * 2.0 ** np.arange(10)  # [m], up to 1
 FINE = 5e-4  # [m]
-SPARE = 1e-3  # [m] more than the least
+SPARE = 1e-3  # [m] added to the smallest shift
 
 
 def pairs_of(contacts: Iterable[Contact]) -> list[tuple[str, str]]:
-    """List the body pairs of contacts."""
+    """List the body pairs of some contacts."""
     return [(c.body_a, c.body_b) for c in contacts]
 
 
 def objects_in(scene: PlanningScene, contacts: Iterable[Contact]) -> list[str]:
-    """List world objects among the contacts, in the order of the contacts."""
+    """List the world objects that are in contact, in the order of the contacts."""
     return list(dict.fromkeys(n for pair in pairs_of(contacts) for n in pair if n in scene.objects))
 
 
@@ -39,7 +42,7 @@ def least_freeing_shift(
 ) -> Array | None:
     """Find the smallest shift (3,) [m] that frees an object from the robot at each of qs (n,).
 
-    The shift does not push the object into others. None if no shift up to a meter frees it.
+    The shift does not push the object into others. Return None if no shift up to a meter frees the object.
     """
     alone = replace(scene, objects={name: scene.objects[name]})
     inside = sum(depth for _, depth in overlaps(scene, name))
@@ -71,7 +74,7 @@ def _least(free, direction: Array, low: float, high: float) -> float:
 def suggest_freeing_objects(
     diagnosis: Diagnosis, qs: list[Array], contacts: list[Contact], padded: bool
 ) -> None:
-    """Suggest to shift the objects in contact, or to remove them.
+    """Suggest to shift the objects in contact with the robot, or to remove them.
 
     Args:
         qs: configurations of the group (n,) at which the objects must be free.

@@ -1,7 +1,4 @@
-"""The diagnosis of one failed request.
-
-Its inputs, the findings so far, and tested suggestions.
-"""
+"""Diagnosis of one failed planning request: inputs, findings and tested suggestions."""
 
 from __future__ import annotations
 
@@ -44,7 +41,7 @@ CLOSE_TO_LIMIT = np.deg2rad(5.0)
 
 @dataclass(eq=False)
 class Diagnosis:
-    """A failed request with its findings and suggestions.
+    """A failed planning request with its findings and suggestions.
 
     Attributes:
         solvers: the planning function for each kind of request.
@@ -63,10 +60,10 @@ class Diagnosis:
     nearest: JointState | None = None
     data: dict[str, Any] = field(default_factory=dict)
 
-    # --- what was asked ---
+    # --- request ---
     @cached_property
     def start_scene(self) -> PlanningScene:
-        """The scene with the robot at the request's start."""
+        """Scene with the robot at the request's start."""
         if self.request.start is None:
             return self.scene
         positions = self.scene.state.updated(self.request.start).positions
@@ -82,7 +79,7 @@ class Diagnosis:
 
     @property
     def start(self) -> Array:
-        """Start positions (n,) of the group."""
+        """Start positions (n,) of the group's joints."""
         return self.start_scene.positions[self.columns]
 
     @cached_property
@@ -94,7 +91,7 @@ class Diagnosis:
         return checker
 
     def nearest_free(self, q: Array) -> Array | None:
-        """Find the nearest free configuration (n,), with a small margin if possible."""
+        """Find the free configuration (n,) nearest to q, with a small margin if possible."""
         lower, upper = self.scene.model.lower[self.columns], self.scene.model.upper[self.columns]
         roomy = self.start_scene.with_padding(
             self.scene.padding + SPARE, {k: v + SPARE for k, v in self.scene.link_padding.items()}
@@ -106,9 +103,9 @@ class Diagnosis:
         return None
 
     def tip_distance(self, a: Array, b: Array) -> float | None:
-        """Compute how far [m] the group's tip moves between two configurations (n,).
+        """Compute the motion [m] of the group's tip between two configurations (n,).
 
-        None if it has no tip.
+        Return None if the group has no tip.
         """
         tip = self.scene.model.group(self.request.group).tip_link
         if tip is None:
@@ -125,22 +122,22 @@ class Diagnosis:
         return np.random.default_rng([getattr(self.request, "seed", 0), 2])
 
     def group_state(self, q: Array) -> JointState:
-        """Create a JointState of the group from positions q (n,)."""
+        """Create a JointState of the planning group from positions q (n,)."""
         return JointState(self.joint_names, q)
 
-    # --- what was found ---
+    # --- findings ---
     @property
     def time_left(self) -> float:
-        """Remaining time [s] for further attempts."""
+        """Remaining time [s] for further planning attempts of the diagnosis."""
         return self.deadline - time.monotonic()
 
     def add_finding(self, line: str) -> None:
-        """Add a line to the findings unless it is there already."""
+        """Add a line to the diagnosis' findings unless it is already present."""
         if line not in self.details:
             self.details.append(line)
 
     def succeeds(self, scene: PlanningScene, request: Request, seconds: float = TRY) -> PlanResult | None:
-        """Plan a changed request; None if it fails, is misuse, or no time is left."""
+        """Plan a changed request; None if planning fails, is misuse, or no time is left."""
         if self.time_left <= 0:
             return None
         if isinstance(request, PlanRequest):
@@ -156,11 +153,11 @@ class Diagnosis:
         known: bool = False,
         anyway: bool = False,
     ) -> bool:  # fmt: skip
-        """Test a change and keep it as a suggestion if the request then succeeds.
+        """Test a change and keep it as a suggestion if the changed request succeeds.
 
         Args:
-            known: a test has already shown that it works.
-            anyway: keep the suggestion even if the request still fails, because it is necessary.
+            known: a test has already shown that the change works.
+            anyway: keep the suggestion even if the request still fails, because the change is necessary.
         """
         suggestion = Suggestion(text, change, arguments, effort)
         if known:
@@ -179,7 +176,10 @@ class Diagnosis:
         return works is not False
 
     def explanation(self) -> Explanation:
-        """Build the explanation; working suggestions come first, otherwise in the order found."""
+        """Build the explanation of the failure from findings and suggestions.
+
+        Working suggestions come first, otherwise in the order found.
+        """
         ordered = sorted(self.suggestions, key=lambda s: not s.works)
         summary = self.result.message or self.result.code.name
         if ordered and ordered[0].works:
@@ -197,7 +197,7 @@ class Diagnosis:
 
 
 def report_limit_margins(diagnosis: Diagnosis) -> None:
-    """Record the start's distances from joint limits and report the joints close to a limit."""
+    """Record the start's distances from joint limits; report the joints close to a limit."""
     model, q = diagnosis.scene.model, diagnosis.start
     margins = np.minimum(q - model.lower[diagnosis.columns], model.upper[diagnosis.columns] - q)
     diagnosis.data["start_limit_margins"] = dict(zip(diagnosis.joint_names, margins.tolist(), strict=True))
@@ -211,16 +211,16 @@ def report_limit_margins(diagnosis: Diagnosis) -> None:
 
 
 def report_distance(diagnosis: Diagnosis, what: str, a: Array, b: Array) -> None:
-    """Report the distance of two configurations (n,), and how far the tip moves between them."""
+    """Report the difference of two configurations (n,), and the motion of the tip between them."""
     tip = diagnosis.tip_distance(a, b)
     moved = f", which moves the tip by {tip * 1000:.0f} mm" if tip is not None else ""
     diagnosis.add_finding(f"{what} is {np.linalg.norm(b - a):.2f} rad away{moved}")
 
 
 def wanted_joints(diagnosis: Diagnosis, goal: JointGoal | NamedGoal) -> np.ndarray | None:
-    """Return the group positions (n,) that a goal requests, within limits or not.
+    """Return the group positions (n,) that a joint goal requests, within limits or not.
 
-    None for misuse.
+    Return None for misuse.
     """
     model = diagnosis.scene.model
     try:

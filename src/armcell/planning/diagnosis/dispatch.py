@@ -1,4 +1,4 @@
-"""Attaches an explainer to failed results and selects the diagnosis by error code."""
+"""Explainer for failed planning results: selects the diagnosis by the error code."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ EXPLAINERS: dict[ErrorCode, Callable[[Diagnosis], None]] = {
 
 
 def with_explanation(kind: type) -> Callable[[F], F]:
-    """Decorate the planning function of a request type so that failed results can be explained."""
+    """Decorate a planning function so that its failed results can be explained."""
 
     def decorate(solve: F) -> F:
         @wraps(solve)

@@ -1,4 +1,4 @@
-"""Plan a request and explain the result; inverse kinematics whose failures can be explained."""
+"""Planning with an explanation of failures, and inverse kinematics with an explanation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def explain(
 ) -> Explanation:
     """Plan a request and explain why it fails and what would help.
 
-    Also explains invalid requests.
+    Invalid requests are explained, too.
 
     Args:
         seconds: approximate time limit of the explanation, besides the planning itself.
@@ -50,7 +50,7 @@ def solve_ik(
     avoid_collisions: bool = True,
     seed: int = 0,
 ) -> IKResult:
-    """Find joint positions that put a link (by default the tip) at a pose.
+    """Find joint positions that place a link (by default the tip) at a pose.
 
     Returns:
         SUCCESS with `positions` (n,) of the group; NO_IK_SOLUTION if no solution is within limits, or all

@@ -1,4 +1,4 @@
-"""Search for the nearest free configuration and the nearest reachable pose."""
+"""Search for the nearest collision-free configuration and the nearest reachable pose."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ SOLUTIONS = 12  # solutions examined per pose
 
 
 def nearest_free(q: ArrayLike, free: Free, lower: Array, upper: Array, seed: int = 0) -> Array | None:
-    """Find a free configuration (n,) near q, or None.
+    """Find a free configuration (n,) near q by sampling; None if the search fails.
 
     The search samples shells of growing radius, first along single joints, and pulls the free samples of
     the first successful shell toward q, first as a whole and then joint by joint.
 
     Args:
-        free: whether a configuration (n,) is allowed. lower, upper: limits (n,), infinite if absent.
+        free: returns whether a configuration (n,) is allowed. lower, upper: limits (n,), infinite if absent.
     """
     at = np.clip(np.asarray(q, dtype=float), lower, upper)
     if free(at):
@@ -53,7 +53,7 @@ def nearest_free(q: ArrayLike, free: Free, lower: Array, upper: Array, seed: int
 
 
 def _pulled(at: Array, p: Array, free: Free) -> Array:
-    """Pull a free p toward `at`: reset joints that need not move, bisect the rest."""
+    """Pull a free configuration p toward `at`: reset joints that need not move, bisect the rest."""
     for k in np.argsort(np.abs(p - at)):  # small detours first
         only = p.copy()
         only[k] = at[k]
@@ -76,7 +76,7 @@ def _bisected(bad: Array, good: Array, free: Free) -> Array:
 
 # --- poses ---
 def _grid() -> Array:
-    """Create 26 unit directions (26, 3): faces, edges and corners of a cube."""
+    """Create 26 unit directions (26, 3) toward the faces, edges and corners of a cube."""
     steps = np.array(np.meshgrid(*[[0, 1, -1]] * 3, indexing="ij")).reshape(3, -1).T
     steps = steps[np.any(steps != 0, axis=1)].astype(float)
     steps = steps[np.argsort(np.abs(steps).sum(1), kind="stable")]
@@ -89,11 +89,11 @@ ANGLES: Array = np.deg2rad(np.array([5.0, 10.0, 20.0, 40.0, 80.0, 130.0, 180.0])
 
 
 class PoseSearch:
-    """Search for poses near a wanted pose that some free configuration reaches.
+    """Search for poses near a desired pose that a free configuration reaches.
 
     Args:
-        free: whether a configuration (n,) of the group is allowed.
-        until: [s] of time.monotonic(); the best result until then counts.
+        free: returns whether a configuration (n,) of the group is allowed.
+        until: end of the search [s] of time.monotonic(); the best result until then counts.
     """
 
     def __init__(
@@ -103,21 +103,24 @@ class PoseSearch:
         self.ik = ik_solver(scene.model, group, link, SEARCH)
 
     def reached(self, T: SE3) -> Array | None:
-        """Find a free configuration (n,) at a pose, near the scene's state, or None."""
+        """Find a free configuration (n,) that reaches a pose, near the scene's state, or None."""
         rng = np.random.default_rng(self.seed)
         some = islice(self.ik.solutions(T, self.scene.positions, rng), SOLUTIONS)
         return next((q for q in some if self.free(q)), None)
 
     def nearest_position(self, T: SE3, directions: Array = DIRECTIONS) -> tuple[SE3, Array] | None:
-        """Find the nearest reachable position with the same orientation, and its configuration."""
+        """Find the nearest reachable position with the same orientation, and a configuration for it."""
         return self._nearest(directions, DISTANCES, lambda step: SE3(T.rotation, T.translation + step))
 
     def nearest_orientation(self, T: SE3) -> tuple[SE3, Array] | None:
-        """Find the smallest rotation at the same position that makes the pose reachable."""
+        """Find the smallest rotation of a pose in place that makes the pose reachable."""
         return self._nearest(DIRECTIONS, ANGLES, lambda step: SE3(T.rotation @ SO3.exp(step), T.translation))
 
     def towards(self, T: SE3, goals: list[Array]) -> tuple[SE3, Array] | None:
-        """Find the pose nearest to T on lines from T to points (3,), for a pose out of reach."""
+        """Find the reachable pose nearest to an unreachable pose T.
+
+        The search follows lines from T to the points `goals` (3,).
+        """
         best: tuple[float, SE3, Array] | None = None
         for point in goals:
             line = point - T.translation
@@ -157,12 +160,12 @@ class PoseSearch:
     def _closer(
         self, directions: list[Array], low: float, high: float, pose: Callable[[Array], SE3]
     ) -> tuple[SE3, Array] | None:
-        """Bisect along each direction; return the smallest change."""
+        """Bisect along each direction; return the pose with the smallest change."""
         best, chosen = np.inf, None
         for direction in directions[:8]:
             a, b = low, min(high, best)
             q = self.reached(pose(b * direction))
-            if q is None:  # no better than the best so far
+            if q is None:  # no better than the best pose found before
                 continue
             for _ in range(HALVINGS):
                 middle = (a + b) / 2

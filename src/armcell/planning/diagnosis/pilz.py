@@ -1,6 +1,6 @@
-"""Diagnosis of PTP, LIN, CIRC and blends.
+"""Diagnosis of failed PTP, LIN and CIRC motions and blends.
 
-Slower, another motion type, or a smaller blend radius.
+The suggestions are slower motions, another motion type, or a smaller blend radius.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ POINTS = ("interim", "center")  # parameters of CIRC alone
 
 
 def is_pilz_motion_failure(diagnosis: Diagnosis) -> bool:
-    """Return whether a PTP, LIN or CIRC motion failed on its path, not at its start or goal."""
+    """Return whether a PTP, LIN or CIRC motion failed on the path, not at the start or goal."""
     request, result = diagnosis.request, diagnosis.result
     return (
         isinstance(request, PlanRequest)
@@ -63,7 +63,7 @@ def explain_pilz_motion(diagnosis: Diagnosis) -> None:
 
 
 def _otherwise(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Suggest another motion type to the same goal, or a searched motion."""
+    """Suggest another motion type to the same goal, or a motion found by search."""
     ours = {k: v for k, v in request.parameters.items() if k not in POINTS}
     less = {"path_constraints": Constraints()} if request.planner_id == "CIRC" else {}
     for name in ("LIN", "PTP"):
@@ -115,7 +115,7 @@ def explain_blend(
     scene: PlanningScene, sequence: SequenceRequest, outcome: Outcome,
     solve: Callable[[PlanningScene, Any], PlanResult], seconds: float,
 ) -> Explanation:  # fmt: skip
-    """Explain why a blend failed, and find the largest radius or the speed that works."""
+    """Explain why a blend failed; find the largest blend radius or speed that works."""
     deadline, number = time.monotonic() + seconds, outcome.evidence["item"]
     radius = sequence.items[number][1]
 

@@ -1,4 +1,4 @@
-"""Diagnosis of a pose that cannot be reached: evidence for every joint solution."""
+"""Diagnosis of an unreachable pose, with evidence for every joint solution."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Branch:
     """One joint solution (n,) of a pose, with its contacts and limit violations.
 
     Attributes:
-        contacts: contacts there, including pairs within the padding.
-        beyond: how far joints are outside their limits [rad or m].
+        contacts: contacts of the solution, including pairs within the padding.
+        beyond: amount by which joints are outside their limits [rad or m].
     """
 
     positions: np.ndarray
@@ -36,18 +36,18 @@ class Branch:
 
     @property
     def free(self) -> bool:
-        """Whether the solution is within limits and free of contact."""
+        """Whether the joint solution is within limits and free of contact."""
         return not self.contacts and not self.beyond
 
     def reason(self, model: RobotModel) -> str:
-        """Describe what is wrong with the solution; "free" if nothing is."""
+        """Describe the contacts and limit violations of a joint solution; "free" if it has none."""
         outside = [f"{n} {wording.joint_value(model, n, v)} beyond its limit" for n, v in self.beyond.items()]
         return "; ".join(outside) or wording.contacts(self.contacts) or "free"
 
 
 @dataclass(frozen=True, eq=False)
 class PoseExplanation:
-    """Why an arm cannot reach a pose.
+    """Explanation of why an arm cannot reach a pose.
 
     Attributes:
         branches: solutions within limits; free ones first, then by depth of contact.
@@ -132,7 +132,7 @@ def solutions_beyond_limits(
 
 
 def _turned_in(ik: IKSolver, q: np.ndarray) -> np.ndarray:
-    """Turn revolute joints by whole turns to minimize their limit violations."""
+    """Turn revolute joints by full turns to minimize their limit violations."""
     at = q.copy()
     for k, name in enumerate(ik.joint_names):
         if ik.model.joint(name).type != "prismatic":
@@ -143,7 +143,7 @@ def _turned_in(ik: IKSolver, q: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _without_limits(model: RobotModel, group: str, link: str | None) -> IKSolver:
-    """Create a solver for the same robot with unlimited revolute joints."""
+    """Create an IK solver for the same robot with unlimited revolute joints."""
     joints = {
         name: replace(joint, limits=replace(joint.limits, lower=-np.inf, upper=np.inf))
         if joint.type == "revolute"

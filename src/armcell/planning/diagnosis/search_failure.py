@@ -1,6 +1,6 @@
-"""Diagnosis of a failed search with valid start and goals.
+"""Diagnosis of a failed search between valid start and goals.
 
-Too little time, or obstacles in between.
+The cause is too little time, or obstacles between start and goals.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DEFAULT = {"planner_id": "RRTConnect", "pipeline_id": "native"}
 
 
 def explain_search_failure(diagnosis: Diagnosis) -> None:
-    """Test whether more time, another planner, less padding or fewer objects would help."""
+    """Test whether more time, another planner, less padding or fewer objects helps."""
     request = diagnosis.request
     assert isinstance(request, PlanRequest)
     if diagnosis.result.code is ErrorCode.PREEMPTED:
@@ -57,7 +57,7 @@ def explain_search_failure(diagnosis: Diagnosis) -> None:
 
 
 def _report_search(diagnosis: Diagnosis) -> None:
-    """Report what the planner found out."""
+    """Report the statistics and contacts of the planner's failed search."""
     evidence = diagnosis.result.evidence
     blocked = evidence.get("blocked_by", [])
     if "closest_approach_rad" in evidence:
@@ -70,7 +70,7 @@ def _report_search(diagnosis: Diagnosis) -> None:
 
 
 def _more_time(diagnosis: Diagnosis, request: PlanRequest) -> bool:
-    """Test longer planning times if the request allowed little.
+    """Test whether longer planning times help, if the request allowed little time.
 
     Five seconds without success are conclusive.
     """
@@ -154,7 +154,7 @@ def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
     else:
         pairs = list(combinations(names, 2))[:MOST_PAIRS]
         pair = next((sorted(p) for p in pairs if opens(p)), None)
-        if pair is None:  # start with all objects, then leave out those not needed
+        if pair is None:  # start with all objects, then leave out unnecessary ones
             pair = list(names)
             for name in names:
                 fewer = [n for n in pair if n != name]
@@ -173,7 +173,7 @@ def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
 
 
 def _by_suspicion(diagnosis: Diagnosis) -> list[str]:
-    """Sort the scene's objects; those that the search touched come first."""
+    """Sort the scene's objects; objects that the search touched come first."""
     met = [n for c in diagnosis.contacts for n in (c.body_a, c.body_b)]
     return sorted(diagnosis.scene.objects, key=lambda name: (name not in met, name))
 
@@ -183,7 +183,10 @@ def _and(names: list[str]) -> str:
 
 
 def _not_so_far(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the reachable goal nearest to the requested one, among a few between start and goal."""
+    """Find the reachable goal nearest to the requested goal.
+
+    The candidates are a few configurations between start and goal.
+    """
     for number, goal in enumerate(request.goals[:1]):
         for share in ALONG:
             if isinstance(goal, PoseGoal):
@@ -241,7 +244,7 @@ def _joints_between(diagnosis: Diagnosis, goal: JointGoal | NamedGoal, share: fl
 
 
 def _too_weak(diagnosis: Diagnosis, joint: str, torque: float, limit: float) -> None:
-    """Explain a torque limit violation and suggest a smaller payload."""
+    """Explain a violated torque limit and suggest a smaller payload."""
     diagnosis.add_finding(f"{joint} takes {torque:.3g} to hold still, and has {limit:.3g} (Nm or N)")
     for name, body in diagnosis.scene.attached.items():
         low, high = 0.0, body.object.mass_kg

@@ -1,6 +1,6 @@
-"""Diagnosis of an invalid start.
+"""Diagnosis of an invalid start of a motion.
 
-Outside limits, in collision, or different from the measured state.
+The start is outside joint limits, in collision, or different from the measured state.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ WITHIN = 1e-6  # [rad or m] inside a limit
 
 
 def explain_start_limits(diagnosis: Diagnosis) -> None:
-    """Report joints outside their limits or not finite, and suggest valid values."""
+    """Report start joints outside their limits or not finite, and suggest valid values."""
     model, q = diagnosis.scene.model, diagnosis.start_scene.positions
     wrong, mended = {}, {}
     usual = model.default_positions()
@@ -58,7 +58,7 @@ def explain_start_limits(diagnosis: Diagnosis) -> None:
 
 
 def explain_start_contact(diagnosis: Diagnosis) -> None:
-    """Report contacts at the start, and suggest a free start, moved objects or allowed contact."""
+    """Report contacts at the start; suggest a free start, moved objects or allowed contact."""
     checker = KernelChecker(diagnosis.start_scene, diagnosis.joint_names)
     contacts = checker.exact.contacts(diagnosis.start, padded=False) or touching(checker, diagnosis.start)
     diagnosis.contacts, diagnosis.state = contacts, diagnosis.group_state(diagnosis.start)
@@ -93,7 +93,7 @@ def explain_start_contact(diagnosis: Diagnosis) -> None:
 
 
 def _report_departure(diagnosis: Diagnosis) -> None:
-    """Report why the motion cannot leave the start contacts by itself."""
+    """Report why the motion cannot leave the contacts at the start by itself."""
     deepest = max((-c.distance for c in diagnosis.contacts), default=0.0)
     if deepest > RESTING:
         diagnosis.add_finding(
@@ -111,11 +111,11 @@ ALIKE = 0.02  # [rad] largest difference of equal positions
 
 def explain_start(measured: JointState, planned: JointState, tolerance: float, code: ErrorCode,
                   message: str, seconds: float = 0.0) -> Explanation:  # fmt: skip
-    """Explain which joints differ from a motion's start, by how much, and what to do.
+    """Explain which measured joints differ from a motion's start, by how much, and what to do.
 
     Args:
-        planned: where the motion starts; measured: where the robot is, the same joints.
-        tolerance: [rad or m] within which the motion may begin.
+        planned: start of the motion. measured: state of the robot, with the same joints.
+        tolerance: largest difference [rad or m] at which the motion may begin.
         seconds: not used; this explanation needs no search.
     """
     off = measured.reindexed(planned.joint_names).positions - planned.positions
@@ -146,7 +146,7 @@ def explain_start(measured: JointState, planned: JointState, tolerance: float, c
 
 
 def start_from(scene: PlanningScene, request: PlanRequest, state: JointState) -> SceneAndRequest:
-    """Use the measured state as the scene's state and drop the request's own start."""
+    """Use the measured state as the scene's state, and drop the request's own start."""
     return change_request(scene.with_state(state), request, start=None)
 
 

@@ -1,6 +1,6 @@
-"""Text for numbers in explanations.
+"""Text for numbers in explanations of failures.
 
-Offsets, lengths, angles, rotations, joint motions, contacts.
+The functions format offsets, lengths, angles, rotations, joint motions and contacts.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def turn(rotvec: ArrayLike) -> str:
 
 
 def joint_value(model: RobotModel, name: str, value: float) -> str:
-    """Format a position or difference of one joint.
+    """Format a position or position difference of one joint.
 
-    Degrees, or millimeters for a prismatic joint.
+    The unit is degrees, or millimeters for a prismatic joint.
     """
     if model.joint(name).type == "prismatic":
         return f"{value * 1000:.1f} mm"
@@ -66,6 +66,6 @@ def joint_steps(model: RobotModel, names: Iterable[str], difference: ArrayLike, 
 
 
 def contacts(found: Iterable[Contact], most: int = 3) -> str:
-    """Format the first contacts and the number of the others."""
+    """Format the first contacts and the number of further contacts."""
     parts = [c.describe() for c in found]
     return "; ".join(parts[:most]) + (f"; and {len(parts) - most} more" if len(parts) > most else "")

@@ -1,4 +1,4 @@
-"""Goals of a request as joint positions.
+"""Conversion of a planning request's goals to joint positions.
 
-User targets, inverse kinematics, sampled goal regions.
+The package contains user targets, inverse kinematics and the sampling of goal regions.
 """

@@ -1,4 +1,4 @@
-"""Convert a request's goals to collision-free joint positions, or explain the failure."""
+"""Conversion of a request's goals to collision-free joint positions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 Found = tuple[Outcome, list[Array]]
 
-MORE = 100  # further solutions to test if none of the first is free
+MORE = 100  # further solutions to test if none of the first solutions is free
 ENOUGH = 4  # free positions of a goal to begin with
 BLOCKED = 16  # positions in collision after which another posture is tried
 
@@ -38,7 +38,7 @@ BLOCKED = 16  # positions in collision after which another posture is tried
 def find_joint_goals(
     validated: ValidatedRequest, checker: KernelChecker, rng: np.random.Generator
 ) -> tuple[tuple[Array, ...], Outcome]:
-    """Find collision-free goal positions (n,) of the group, nearest to the start first.
+    """Find collision-free goal positions (n,) of the planning group, nearest to the start first.
 
     Returns:
         The goals and SUCCESS; or no goals and the code, message and evidence of the last failed goal.
@@ -66,7 +66,7 @@ def find_joint_goals(
 
 
 class _GoalFilter:
-    """Filters goal positions by collisions and workspace; remembers why it rejected them."""
+    """Filter of goal positions by collisions and workspace; records why it rejects positions."""
 
     def __init__(self, validated: ValidatedRequest, checker: KernelChecker):
         self.validated, self.checker = validated, checker
@@ -74,7 +74,7 @@ class _GoalFilter:
         self.forbidden = ""
 
     def usable(self, q: Array) -> bool:
-        """Return whether positions q (n,) are free and allowed, and remember why if they are not."""
+        """Return whether positions q (n,) are free and allowed; record the reason if they are not."""
         if not self.checker.is_free(q):
             self.blocked.append(q)
             return False
@@ -83,11 +83,11 @@ class _GoalFilter:
         return not why
 
     def first(self, positions: Iterable[Array], count: int) -> list[Array]:
-        """Return the first `count` usable positions."""
+        """Return the first `count` goal positions that are free and allowed."""
         return list(islice((q for q in positions if self.usable(q)), count))
 
     def refusal(self) -> Outcome | None:
-        """Summarize why all tested positions were rejected, or None if none was tested."""
+        """Return the reason why all tested goal positions were rejected; None if none was tested."""
         if self.forbidden:
             return Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, f"goal: {self.forbidden}")
         contacts = [c for c in map(self.checker.exact.contacts, self.blocked[:BLOCKED]) if c]
@@ -183,7 +183,7 @@ def _in_collision(contacts: list[Contact]) -> Outcome:
     return Outcome(ErrorCode.GOAL_IN_COLLISION, text, {"contacts": contacts})
 
 
-DISTINCT = 1e-2  # [rad or m] goals nearer than this to each other, in every joint, count as the same
+DISTINCT = 1e-2  # [rad or m] goals with a smaller difference in every joint count as one goal
 
 
 def stream_goals(
@@ -191,9 +191,8 @@ def stream_goals(
 ) -> Iterator[Array] | None:
     """Yield further free goal positions (n,) while a search runs.
 
-    None if the goals have no further positions.
-
-    Nothing is computed before the first position is requested. The request's goals take turns.
+    The positions of the request's goals alternate. Nothing is computed before the first position is
+    requested. The result is None if the goals have no further positions.
     """
     regions = [goal for goal in validated.request.goals if is_region(goal)]
     if not regions:

@@ -1,4 +1,4 @@
-"""Sample joint positions that reach a goal, from the whole region that its tolerances allow."""
+"""Sampling of joint positions that reach a goal, from the whole region that the goal allows."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ from armcell.scene import PlanningScene
 Array = NDArray[np.float64]
 
 WIDE = (1e-3, 1e-2)  # [rad or m], [rad] a goal with larger tolerances is a region to be sampled
-SHARE = 0.9  # of the tolerances is used, the rest is for the solver's own
+SHARE = 0.9  # used share of the tolerances; the rest is for the solver's own tolerance
 ATTEMPTS = 500  # random references per goal
-TRIES = 50  # at a point inside a shape
-EQUIVALENTS = 4  # of positions that differ by whole turns
+TRIES = 50  # attempts to sample a point inside a shape
+EQUIVALENTS = 4  # number of positions that differ by full turns
 
 
 def is_region(goal: Goal) -> bool:
-    """Return whether a goal has more solutions than the few that are tried first."""
+    """Return whether a goal has more joint solutions than the few that are tried first."""
     return isinstance(goal, PoseGoal | ConstraintGoal) or (
         isinstance(goal, JointGoal) and goal.tolerance > WIDE[0]
     )
@@ -94,7 +94,7 @@ def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGo
 def _of_joints(
     scene: PlanningScene, group: str, goal: JointGoal, rng: np.random.Generator
 ) -> Iterator[Array]:
-    """Sample around the wanted joint positions, first near them, then in the whole tolerance."""
+    """Sample positions of a joint goal, first near the goal, then in the whole tolerance."""
     names = scene.model.group(group).joint_names
     low, high = joint_ranges(scene, group, ())
     named = np.array([name in goal.state.joint_names for name in names])
@@ -107,9 +107,9 @@ def _of_joints(
 def whole_turn_equivalents(
     model: RobotModel, joint_names: tuple[str, ...], q: Array, start: Array
 ) -> list[Array]:
-    """List positions equal to q (n,) up to whole turns of joints, nearest to the start first.
+    """List positions equal to q (n,) up to full turns of joints, nearest to the start first.
 
-    Joints that another joint follows at a non-integer ratio keep their position.
+    Joints that drive a mimic joint at a non-integer ratio keep their position.
     """
     followed = {j.mimic.joint for j in model.joints.values() if j.mimic and j.mimic.multiplier % 1.0}
     choices = []
@@ -131,9 +131,9 @@ def whole_turn_equivalents(
 def _of_pose(
     scene: PlanningScene, group: str, goal: PoseGoal, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Alternate between exact solutions of the pose and random poses within its tolerances.
+    """Sample positions for a pose goal: exact solutions alternate with random tolerated poses.
 
-    The exact solutions include equivalents by whole turns; random poses are solved from random references.
+    The exact solutions include equivalents by full turns; random poses are solved from random references.
     """
     moved_frame = MovedFrame(scene, group, goal.link)
     ik = ik_solver(scene.model, group, moved_frame.link)
@@ -155,9 +155,10 @@ def _random(ik: IKSolver, rng: np.random.Generator) -> Array:
 
 
 def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
-    """Sample a pose within the tolerances: uniform in balls of position and rotation vector.
+    """Sample a pose within a goal's tolerances: uniform in position and rotation vector.
 
-    With three angular tolerances, the rotation vector is uniform in their box.
+    Position and rotation vector are uniform in balls. With three angular tolerances, the rotation vector is
+    uniform in their box.
     """
 
     def in_ball(radius: float) -> Array:
@@ -174,11 +175,11 @@ def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
 
 
 def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> SO3:
-    """Sample a random rotation whose error is within tolerances (3,)."""
+    """Sample a random rotation whose rotation error is within tolerances (3,)."""
     most = np.minimum(np.where(tolerance < np.pi, SHARE * tolerance, np.pi), np.pi)
     for _ in range(TRIES):
         turn = rotation_of(rng.uniform(-most, most), parameterization)
-        # Beyond half a turn the same rotation has another error.
+        # Beyond half a turn, the same rotation has another error.
         error = rotation_error(SO3.identity(), turn, parameterization)
         if np.all((np.abs(error) <= tolerance) | (tolerance >= np.pi)):
             return turn
@@ -191,9 +192,10 @@ def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> 
 def _of_constraints(
     scene: PlanningScene, group: str, wanted: Constraints, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample positions that satisfy constraints, from the start and from random positions.
+    """Sample joint positions that satisfy goal constraints.
 
-    Each reference is either pulled to the nearest solution or to a random one.
+    The sampler starts from the request's start or from random positions, and moves each of them to the
+    nearest solution or to a random solution.
     """
     low, high = joint_ranges(scene, group, wanted.joints)
     columns = scene.model.columns(scene.model.group(group).joint_names)
@@ -220,7 +222,7 @@ def _of_constraints(
 def _pulled(
     scene: PlanningScene, group: str, wanted: Constraints, q: Array, rng: np.random.Generator, clip: bool
 ) -> Array | None:
-    """Return positions near q (n,) whose first constrained link is within its constraints."""
+    """Return positions near q (n,) at which the first constrained link meets its constraints."""
     first = (*wanted.positions, *wanted.orientations)[0]
     moved_frame = MovedFrame(scene, group, first.link)
     pose = moved_frame.pose(q)
@@ -254,15 +256,15 @@ def _rotation(
 def _point(
     scene: PlanningScene, c: PositionConstraint, present: Array, rng: np.random.Generator, keep: bool
 ) -> Array:
-    """Return a world point of the region.
+    """Return a world point in the region of a position constraint.
 
-    The present point if it is inside, otherwise a random one.
+    The result is the current point if it is inside the region, otherwise a random point of the region.
     """
     if keep and region_distance(scene, c, present) == 0.0:
         return present
     shape, T_frame_shape = c.region[int(rng.integers(len(c.region)))]
     T = scene.frame_pose(c.frame) @ T_frame_shape
-    if isinstance(shape, Plane):  # a half space: as deep as it is, or on its surface
+    if isinstance(shape, Plane):  # a half space: at the current depth, or on its surface
         at = T.inv().apply(present)
         return T.apply((at[0], at[1], min(at[2], 0.0)))
     center, half = local_bounds(shape)

@@ -1,4 +1,4 @@
-"""Convert user targets to goals: a named state, a pose, or joint values in any form."""
+"""Conversion of user targets to goals: a named state, a pose, or joint values in any form."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Target = str | SE3 | JointState | Mapping[str, float] | Sequence[float] | NDArra
 
 
 def goal_of(model: RobotModel, group: str, target: Target) -> Goal:
-    """Convert a user target to a goal.
+    """Convert a user target to a goal of a planning group.
 
     Args:
         target: a named state; a pose of the group's tip in the world; joint values, all of the group's in

@@ -1,4 +1,4 @@
-"""Planning for two arms: synchronized, around a moving arm, carrying an object together."""
+"""Planning for two arms: synchronized, around a moving arm, carrying one object together."""
 
 from armcell.planning.multi_arm.around_moving_arm import RunningMotion, plan_around_moving_arm
 from armcell.planning.multi_arm.carry import plan_carry

@@ -1,6 +1,6 @@
-"""Plan one arm's motion around the other arm's running motion.
+"""Planning of one arm's motion around the running motion of the other arm.
 
-Unchanged, delayed, or searched in time.
+The planner returns the motion unchanged, delayed, or searched in joint positions and time.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ SEARCHES = 3  # searches, each for an earlier arrival than the last
 
 @dataclass(frozen=True, eq=False)
 class RunningMotion:
-    """The motion of an arm that began, or will begin, at `start` [s].
+    """Motion of an arm that begins at time `start` [s], in the past or future.
 
-    The arm stands still after its end.
+    The arm rests after the end of the motion.
     """
 
     trajectory: JointTrajectory
@@ -46,12 +46,12 @@ class RunningMotion:
 
     @property
     def end(self) -> float:
-        """End time [s] of the motion."""
+        """End time [s] of the running motion."""
         return self.start + self.trajectory.duration
 
     @staticmethod
     def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
-        """Create the motion of an arm that stays at its position in the scene."""
+        """Create the motion of an arm that rests at its position in the scene."""
         names = scene.model.group(group).joint_names
         return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
 
@@ -65,17 +65,17 @@ def plan_around_moving_arm(
     clearance: float = CLEARANCE,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan one arm's motion that is proven to avoid the other arm's running motion.
+    """Plan one arm's motion that is proven to avoid the running motion of the other arm.
 
     Args:
-        scene: with the planned arm at its start; the other arm's position in the scene does not matter.
-        other: the other arm's group. running: its motion, which must come to rest.
-        start_time: [s] on the clock of `running.start`.
+        scene: scene with the planned arm at its start; the other arm's position does not matter.
+        other: the other arm's group. running: the other arm's motion, which must come to rest.
+        start_time: start of the planned motion [s] on the clock of `running.start`.
         clearance: distance to the other arm and its attached objects [m].
     Returns:
         Like `plan`. `evidence["beside"]` is "as planned", "waits" or "searched"; the trajectory includes
-        waits. On failure `evidence["contact"]` is the pair and `evidence["time"]` the time [s] at which it
-        would meet.
+        waits. On failure `evidence["contact"]` is the pair of bodies that would touch and
+        `evidence["time"]` the time [s] of the contact.
     Raises:
         InputError: misuse, see `plan`; groups that share joints.
     """
@@ -123,7 +123,7 @@ def _with_strategy(result: PlanResult, how: str, began: float) -> PlanResult:
 
 
 class MovingArmTimeline:
-    """The other arm's motion as straight pieces over time, with clearance queries."""
+    """The other arm's motion as straight pieces over time, with clearance checks."""
 
     def __init__(self, arms: Arms, running: RunningMotion, start_time: float, clearance: float):
         self.arms, self.running, self.start_time, self.clearance = arms, running, start_time, clearance
@@ -138,9 +138,9 @@ class MovingArmTimeline:
         return np.array([np.interp(t, self.times, column) for column in self.points.T])
 
     def first_conflict(self, trajectory: JointTrajectory) -> float | None:
-        """Find the time [s] at which a motion, or the rest after it, violates the clearance.
+        """Find the first time [s] at which a motion violates the clearance to the other arm.
 
-        None if it never does.
+        The arm rests after its motion. None if the motion and the rest keep the clearance.
         """
         found = self.arms.certify(
             trajectory, self.running.trajectory, (self.start_time, self.running.start), self.clearance,
@@ -149,7 +149,7 @@ class MovingArmTimeline:
         return None if found.free else found.time
 
     def contact(self, trajectory: JointTrajectory, at: float) -> Contact | None:
-        """Find the nearest pair of bodies at a time [s] of a motion that begins at the start time."""
+        """Find the nearest pair of bodies of the two arms at a time [s] of the planned motion."""
         q = trajectory.sample(at - self.start_time)[0]
         return self.arms.contact(np.concatenate([q, self.other_at(at)]))
 
@@ -165,9 +165,9 @@ class MovingArmTimeline:
         return self.arms.find_too_close(points, self._room, self.clearance + more) < 0
 
     def free_after(self, q: Array, more: float) -> float:
-        """Compute the time [s] after which the arm may rest at q.
+        """Compute the time [s] after which the arm may rest at joint positions q.
 
-        Inf if the other arm comes to rest too near.
+        The time is infinite if the other arm comes to rest too near.
         """
         end = np.concatenate([q, self.points[-1]])[None]
         if self.arms.find_too_close(end, None, self.clearance + more) >= 0:
@@ -178,10 +178,7 @@ class MovingArmTimeline:
 
 
 def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointTrajectory | None:
-    """Delay a motion by the shortest wait that lets the other arm pass.
-
-    None if no wait is possible.
-    """
+    """Delay a motion by the shortest wait that lets the other arm pass; None if no wait helps."""
     start = trajectory.positions[0]
     longest = timeline.end - timeline.start_time + WAIT_STEP
     for k in range(1, int(np.ceil(longest / WAIT_STEP)) + 1):
@@ -195,7 +192,7 @@ def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointT
 
 
 class _TimelineValidity:
-    """Edge validity: free of the world at samples, and proven clear of the other arm."""
+    """Edge validity in time: free of the world at samples, and proven clear of the other arm."""
 
     def __init__(self, checker: KernelChecker, timeline: MovingArmTimeline, margin: float):
         self.checker, self.timeline, self.margin = checker, timeline, margin
@@ -210,9 +207,9 @@ def _searched(
     alone: PlanningScene, timeline: MovingArmTimeline, request: PlanRequest, first: PlanResult, latest: float,
     deadline: float, cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in time for the earliest arrival before `latest` [s].
+    """Search in joint positions and time for a motion that arrives before `latest` [s].
 
-    Return a proven smooth motion or None.
+    The search seeks the earliest arrival. Return a proven smooth motion or None.
     """
     endpoints = find_start_and_goals(validate_request(alone, request, cancel))
     if isinstance(endpoints, Outcome) or first.trajectory is None:
@@ -237,7 +234,7 @@ def _earliest(
     latest: float, deadline: float,
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in time from the start of `endpoints` at the timeline's start time.
+    """Search for the earliest arrival from the start of `endpoints` at the timeline's start.
 
     See `_searched`.
     """
@@ -285,9 +282,9 @@ def _earliest(
 
 
 def _horizon(problem: SpaceTimeProblem, timeline: MovingArmTimeline, arrivals: list[float]) -> float:
-    """Compute the latest arrival to search for [s].
+    """Compute the latest arrival time [s] to search for.
 
-    A detour after the other arm has come to rest.
+    The time suffices for a detour after the other arm has come to rest.
     """
     soonest = min(arrivals)
     return max(timeline.end, soonest) + 2.0 * (soonest - problem.start_time) + 1.0
@@ -297,7 +294,7 @@ def _smoothed(
     names: tuple[str, ...], path: SpaceTimePath, start_time: float, acceleration: Array,
     checker: KernelChecker, timeline: MovingArmTimeline,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Smooth a path in time; return the motion if it is certified free, else None."""
+    """Smooth a path in time; return the motion if it is certified collision-free, else None."""
     times, points = path.times, path.points
     keep = np.concatenate([[True], np.diff(times) > 1e-6])
     times, points = times[keep], points[keep]

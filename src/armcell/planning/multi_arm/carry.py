@@ -1,10 +1,9 @@
-"""Plan how two arms carry one object.
+"""Planning of an object's motion that two arms carry together with fixed grasps.
 
-A path of the object that both arms follow with fixed grasps.
-
-Inverse kinematics of both arms along the path stays on one branch, so the relative pose of the hands equals
-that of the grasps at every instant; one time law moves the object from rest to rest between its waypoints.
-If the straight path is blocked, an object pose search finds a detour (see `closed_chain`).
+Inverse kinematics of both arms along the object path stays on one branch, so the relative pose of the hands
+equals the relative pose of the grasps at every instant; one time law moves the object from rest to rest
+between its waypoints. If the straight path is blocked, an object pose search finds a detour (see
+`closed_chain`).
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ Array = NDArray[np.float64]
 STEP, TURN = 0.01, 0.02  # [m] and [rad] of the object between two solutions of the inverse kinematics
 PADDING = 0.01  # [m] padding of a detour, if its ends allow it and the scene has no larger padding
 LIFTS = (0.02, 0.05, 0.1)  # [m] lift heights off the supports before a detour
-ROOM_ENOUGH = 0.8  # share of the largest clearance among these heights
+ROOM_ENOUGH = 0.8  # sufficient share of the largest clearance among the lift heights
 SPACINGS = (
     0.25,
     0.16,
@@ -58,16 +57,16 @@ POSTURES = 4  # joint solutions tried at the end of a detour
 
 @dataclass(frozen=True, eq=False)
 class CarrySegment:
-    """A timed motion from rest to rest."""
+    """A timed motion of both arms along one object path, from rest to rest."""
 
     trajectory: JointTrajectory
-    path: Array  # (k, n) at even shares of the path
-    end: Array  # (dof,) of all joints
+    path: Array  # (k, n) joint positions at evenly spaced shares of the path
+    end: Array  # (dof,) positions of all joints
 
 
 @dataclass(frozen=True, eq=False)
 class BlockedSegment:
-    """Why an object path is not feasible: text, evidence and error code."""
+    """Reason why an object path is not feasible: text, evidence and error code."""
 
     text: str
     evidence: dict[str, Any] = field(default_factory=dict)
@@ -88,21 +87,21 @@ def plan_carry(
     seed: int = 0,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan a motion of both arms that carries an object through poses, at rest in each pose.
+    """Plan a motion of two arms that carries an object through poses, at rest in each pose.
 
     Args:
-        scene: with the arms where the motion begins and the object attached to one of them; the object must
-            be allowed to touch the other hand and its supports.
-        both: the group of both arms' joints.
-        start: T_world_object where the motion begins. poses: target poses; straight and evenly turned if
-            that is free, otherwise by a detour.
-        max_speed: of the object [m/s].
-        rests_on: supports that the object may touch where it begins and ends, but not on a detour.
-        planning_time: for all detours together [s]; 0: only straight paths.
+        scene: scene with the arms at the start of the motion and the object attached to one of them; the
+            object must be allowed to touch the other hand and its supports.
+        both: group of both arms' joints.
+        start: T_world_object at the start of the motion.
+        poses: target poses of the object; the object moves straight with even rotation if this path is free,
+            otherwise by a detour.
+        max_speed: speed limit of the object [m/s].
+        rests_on: supports that the object may touch at its start and end, but not on a detour.
+        planning_time: time for all detours together [s]; 0: only straight paths.
     Returns:
-        SUCCESS with the trajectory; `evidence["ways"]` lists "straight" or "round" for each pose. On
-        failure the
-        obstacle: TIMED_OUT if no detour was found in time, PREEMPTED if planning was cancelled.
+        SUCCESS with the trajectory; `evidence["ways"]` lists "straight" or "round" for each pose. On failure
+        the obstacle: TIMED_OUT if no detour was found in time, PREEMPTED if planning was canceled.
     Raises:
         InputError: no pose, scalings outside (0, 1], a speed that is not positive, a negative time.
     """
@@ -152,10 +151,10 @@ def plan_carry(
 
 
 class _SegmentBuilder:
-    """Builds and proves timed motions along object paths.
+    """Builder of certified timed motions along object paths.
 
     Attributes:
-        checker: of the scene as given.
+        checker: checker of the given scene.
     """
 
     def __init__(
@@ -169,10 +168,11 @@ class _SegmentBuilder:
     def build(
         self, way: ObjectPath, q: Array, checker: KernelChecker, padded: bool = False, evidence: bool = False
     ) -> CarrySegment | BlockedSegment:
-        """Build the timed motion from joints q (dof,) along an object path; proven free as executed.
+        """Build the certified timed motion from joints q (dof,) along an object path.
 
         Args:
-            padded: keep the checker's padding too. evidence: report what blocks the path.
+            padded: also keep the checker's padding.
+            evidence: report the contact that blocks the path.
         """
         found = self.along(way, q)
         if isinstance(found, ClosedChainFailure):
@@ -206,14 +206,14 @@ class _SegmentBuilder:
         return CarrySegment(trajectory, path, exact[-1])
 
     def along(self, way: ObjectPath, q: Array) -> Array | ClosedChainFailure:
-        """Compute all joints (k, dof) at even shares of an object path."""
+        """Compute all joint positions (k, dof) at evenly spaced shares of an object path."""
         steps = max(int(np.ceil(max(way.meters / STEP, way.radians / TURN))), 4)
         shares = np.linspace(0, 1, steps + 1)
         return self.hands.along(way.poses(shares), shares, q)
 
 
 class _DetourPlanner:
-    """Plans a detour between two object poses: lift off the supports, go around, set down."""
+    """Planner of a detour between two object poses: lift off the supports, go around, set down."""
 
     def __init__(
         self,
@@ -232,9 +232,9 @@ class _DetourPlanner:
     def plan(
         self, a: SE3, b: SE3, q: Array, blocked: BlockedSegment, seed: tuple[int, int]
     ) -> tuple[list[CarrySegment] | BlockedSegment, int]:
-        """Plan segments from joints q with the object at a to b, or explain why there are none.
+        """Plan detour segments from joints q, with the object at a, to object pose b.
 
-        Count poses tried.
+        Return the segments, or the reason why there are none, and the number of poses tried.
         """
         ends = self._ends(a, b, q)
         if isinstance(ends, BlockedSegment):
@@ -271,9 +271,9 @@ class _DetourPlanner:
         return BlockedSegment(text, blocked.evidence, ErrorCode.TIMED_OUT), poses_tried
 
     def _ends(self, a: SE3, b: SE3, q: Array) -> list[Array] | BlockedSegment:
-        """Find all joint positions at the goal.
+        """Find joint positions at the goal pose of the object.
 
-        Those that the straight path leads to, otherwise the nearest.
+        The result contains the positions at the end of the straight path, otherwise the nearest ones.
         """
         led = self.builder.along(StraightObjectPath(a, b), q)
         found = self.hands.postures(b, q) if isinstance(led, ClosedChainFailure) else [led[-1]]
@@ -290,9 +290,9 @@ class _DetourPlanner:
         return free[:POSTURES]
 
     def _clear(self, T: SE3, q: Array) -> tuple[SE3, Array] | None:
-        """Return pose T, or a pose above it with more clearance, with its joints.
+        """Return the object pose T or a pose above T with more clearance, with joint positions.
 
-        None if all poses touch.
+        Return None if the object touches at all these poses.
         """
         here = [(T, q)]
         for height in LIFTS:
@@ -308,7 +308,7 @@ class _DetourPlanner:
         return None
 
     def _made(self, a: SE3, q: Array, poses: list[SE3], b: SE3) -> list[CarrySegment] | None:
-        """Build segments from a to the first pose, through all poses, and down to b."""
+        """Build segments from object pose a to the first pose, through all poses, and down to b."""
         up = self._straight([a, poses[0]], q, self.builder.checker)
         if up is None:
             return None
@@ -319,9 +319,9 @@ class _DetourPlanner:
         return None if down is None else [*up, *through, *down]
 
     def _through(self, poses: list[SE3], q: Array) -> list[CarrySegment] | None:
-        """Build one rounded segment through poses, padded if possible.
+        """Build one rounded segment through object poses, with padding if possible.
 
-        Otherwise straight ones with stops.
+        If the rounded segment is not free, build straight segments with stops.
         """
         if len(poses) > 2:
             for padded, spacing in product((True, False), SPACINGS):

@@ -1,15 +1,13 @@
-"""Two arms that hold one object.
+"""Inverse kinematics of a closed chain of two arms, and RRT-Connect over object poses.
 
-Inverse kinematics of the closed chain, and RRT-Connect over object poses.
+Two arms that hold one object form a closed chain: six of their joints are free, and while no arm changes its
+branch, the object's pose determines all joints. The search therefore runs in the space of poses (three
+dimensions of position, three of rotation), and inverse kinematics follows every edge in small steps: the
+grasps hold exactly along the whole path. (Projecting both arms' joints onto the chain would search twelve
+dimensions for the same six, and would hold the grasps only up to the convergence of the projection.)
 
-Two arms that hold one object form a closed chain: six of their joints are free, and while no arm changes
-its branch, the object's pose determines all joints. So the search runs in the space of poses (three of
-position, three of rotation), and inverse kinematics follows every edge in small steps: the grasps hold
-exactly along the whole path. (Projecting both arms' joints onto the chain would search twelve dimensions
-for the same six, and would hold the grasps only up to its convergence.)
-
-After Kuffner and LaValle, "RRT-Connect", ICRA 2000. The trees meet in a pose; a final check verifies that
-the joints can follow the whole path from the start.
+After Kuffner and LaValle, "RRT-Connect", ICRA 2000. The trees meet in a pose; a final check verifies that the
+joints can follow the whole path from the start.
 """
 
 from __future__ import annotations
@@ -36,28 +34,28 @@ JUMP = 0.2  # [rad] largest joint step between near poses; a larger step means a
 
 @dataclass(frozen=True, eq=False)
 class CarriedObject:
-    """An object held by two hands: by group, the pose of the hand's TCP in the object's frame."""
+    """An object held by two hands: by group, the pose of the hand's TCP in the object frame."""
 
     name: str
-    grasps: Mapping[str, SE3]  # T_object_tcp
-    tips: Mapping[str, str]  # by group, the tcp link
+    grasps: Mapping[str, SE3]  # by group, T_object_tcp
+    tips: Mapping[str, str]  # by group, the TCP link
 
     @property
     def radius(self) -> float:
         """Upper bound [m] of a hand's distance from the object's origin.
 
-        Scales rotations to lengths.
+        The radius converts rotations of the object to lengths.
         """
         return max(0.1, *(float(np.linalg.norm(T.translation)) for T in self.grasps.values()))
 
 
 @dataclass(frozen=True)
 class ClosedChainFailure:
-    """The reason why an arm cannot follow the carried object."""
+    """Reason why an arm cannot follow the carried object."""
 
     group: str
-    share: float  # share of the path
-    jumps: bool  # otherwise the pose is out of reach
+    share: float  # share of the path at which the arm fails
+    jumps: bool  # a joint would jump; otherwise the pose is out of reach
 
     def __str__(self) -> str:
         at = f"{100 * self.share:.0f} %"
@@ -67,14 +65,17 @@ class ClosedChainFailure:
 
 
 class ClosedChainIK:
-    """Inverse kinematics of both arms with fixed grasps. Positions `q` are of all joints (dof,)."""
+    """Inverse kinematics of two arms that hold one object with fixed grasps.
+
+    Positions `q` contain all joints (dof,).
+    """
 
     def __init__(self, scene: PlanningScene, carried: CarriedObject):
         self.carried = carried
         self.solvers = {g: ik_solver(scene.model, g, carried.tips[g]) for g in carried.grasps}
 
     def at(self, T: SE3, last: Array, share: float = 0.0, jump: float = JUMP) -> Array | ClosedChainFailure:
-        """Solve for the object at T (T_world_object), on the branch of `last`."""
+        """Solve for all joints with the object at T (T_world_object), on the branch of `last`."""
         new = last.copy()
         for group, ik in self.solvers.items():
             near = ik.nearest(T @ self.carried.grasps[group], last, among=8)
@@ -86,7 +87,7 @@ class ClosedChainIK:
         return new
 
     def along(self, poses: Sequence[SE3], shares: Array, q: Array) -> Array | ClosedChainFailure:
-        """Solve for poses at shares of a path (k, dof), each solution near the previous one."""
+        """Solve for all joints (k, dof) along object poses, each solution near the previous one."""
         rows, last = [], q
         for T, share in zip(poses, shares, strict=True):
             last = self.at(T, last, float(share))
@@ -96,7 +97,7 @@ class ClosedChainIK:
         return np.array(rows)
 
     def postures(self, T: SE3, q: Array) -> list[Array] | ClosedChainFailure:
-        """List solutions with the object at T on all branches, nearest to q first."""
+        """List joint solutions with the object at T on both arms' branches, nearest to q first."""
         options = []
         for group, ik in self.solvers.items():
             options.append(ik.nearest(T @ self.carried.grasps[group], q, among=8))
@@ -124,19 +125,19 @@ SAME = 1e-3  # [rad] tolerance of equal joint positions
 
 @dataclass(frozen=True, eq=False)
 class SearchLimits:
-    """Deadline and cancel event of a search."""
+    """Deadline and cancel event of an object pose search."""
 
     deadline: float  # [s] of time.monotonic()
     cancel: threading.Event
 
     @property
     def over(self) -> bool:
-        """Whether the search is cancelled or its deadline has passed."""
+        """Whether the object pose search is canceled or its deadline has passed."""
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
 
 class _Tree:
-    """Tree of object poses with all joints (dof,) at each pose."""
+    """Search tree of object poses with the positions of all joints (dof,) at each pose."""
 
     def __init__(self, radius: float):
         self.radius = radius
@@ -146,7 +147,7 @@ class _Tree:
         self.parents: list[int] = []
 
     def _key(self, T: SE3) -> Array:
-        """Map a pose to 12 numbers whose differences measure translation and rotation."""
+        """Map an object pose to 12 numbers whose differences measure translation and rotation."""
         return np.concatenate([T.translation, (self.radius / np.sqrt(2)) * T.rotation.matrix.ravel()])
 
     def add(self, T: SE3, q: Array, parent: int) -> int:
@@ -164,18 +165,18 @@ class _Tree:
         return int(np.argmin(np.einsum("ij,ij->i", gaps, gaps)))
 
     def branch(self, node: int) -> Iterator[SE3]:
-        """Yield the poses from a node to its root."""
+        """Yield the object poses from a tree node to the root."""
         while node >= 0:
             yield self.poses[node]
             node = self.parents[node]
 
 
 class ObjectPoseSearch:
-    """A search from one object pose, with its joint positions, to another.
+    """Search for a path from one object pose, with its joint positions, to another pose.
 
     Args:
-        checker: of both arms' joints. q: all joints (dof,) at the start. ends: joint positions allowed at
-            the goal.
+        checker: checker of both arms' joints. q: all joints (dof,) at the start. ends: joint positions
+            allowed at the goal.
     """
 
     def __init__(
@@ -194,9 +195,9 @@ class ObjectPoseSearch:
         self.low, self.high = corners.min(axis=0) - SPREAD, corners.max(axis=0) + SPREAD
 
     def find_poses(self) -> list[SE3] | None:
-        """Find object poses from start to goal, straight in between and already shortened.
+        """Find object poses from start to goal, connected by straight motions and already shortened.
 
-        None if stopped.
+        Return None if the search is stopped.
         """
         grown, other = self.ahead, self.back
         while not self.limits.over:
@@ -223,9 +224,9 @@ class ObjectPoseSearch:
         return SE3(rotation, position)
 
     def _extend(self, tree: _Tree, target: SE3, most: int | None) -> tuple[int, bool] | None:
-        """Extend a tree toward a pose by at most `most` strides.
+        """Extend a tree toward an object pose by at most `most` strides.
 
-        Return the node and whether it is at the pose.
+        Return the new node and whether it is at the pose; None if no stride is possible.
         """
         near = tree.nearest(target)
         if length(tree.poses[near], target, self.radius) < 1e-9:
@@ -237,7 +238,7 @@ class ObjectPoseSearch:
         return tree.add(T, q, near), arrived
 
     def _walk(self, T: SE3, q: Array, target: SE3, most: int | None = None) -> tuple[SE3, Array, bool] | None:
-        """Walk straight from T toward a pose until an arm cannot follow or something touches."""
+        """Move the object straight from T toward a pose until an arm cannot follow or bodies touch."""
         meters, radians = T.distance_to(target)
         count = max(int(np.ceil(max(meters / STRIDE, radians / SWING))), 1)
         columns, at, arrived = self.checker.columns, None, False
@@ -254,7 +255,7 @@ class ObjectPoseSearch:
         return None if at is None else (at, q, arrived)
 
     def _shortened(self, poses: list[SE3]) -> list[SE3]:
-        """Shorten a pose path by straight shortcuts that the joints can follow."""
+        """Shorten a path of object poses by straight shortcuts that the joints can follow."""
         joints = self._followed(poses, self.q)
         for _ in range(SHORTCUTS):
             if joints is None or len(poses) < 3 or self.limits.over:
@@ -283,7 +284,7 @@ class ObjectPoseSearch:
         return length(a, b, self.radius) > 1e-6
 
     def _followed(self, poses: Sequence[SE3], q: Array) -> list[Array] | None:
-        """Compute all joints at poses, starting with q; None if the path is not free."""
+        """Compute all joints at object poses, starting with q; None if the path is not free."""
         found = [q]
         for a, b in pairwise(poses):
             reached = self._walk(a, found[-1], b)
@@ -294,5 +295,5 @@ class ObjectPoseSearch:
 
     @property
     def poses_tried(self) -> int:
-        """Number of poses in both trees."""
+        """Number of object poses in both search trees."""
         return len(self.ahead.parents) + len(self.back.parents)

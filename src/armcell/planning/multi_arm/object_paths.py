@@ -24,7 +24,7 @@ SOFT = 0.2  # [s] window of the two moving averages that round the speed's corne
 
 
 class ObjectPath(Protocol):
-    """Protocol of an object path: poses over a share from 0 to 1.
+    """Protocol of a carried object's path: object poses over a share from 0 to 1.
 
     Attributes:
         metres, radians: length and total rotation.
@@ -39,7 +39,7 @@ class ObjectPath(Protocol):
 
 
 class StraightObjectPath:
-    """A straight path with even rotation between two poses."""
+    """Straight path of an object with even rotation between two poses."""
 
     def __init__(self, a: SE3, b: SE3):
         self.a, self.b = a, b
@@ -51,7 +51,7 @@ class StraightObjectPath:
 
 
 class RoundedObjectPath:
-    """A smooth path through poses with cut corners: a uniform cubic B-spline.
+    """Smooth path of an object through poses with cut corners: a uniform cubic B-spline.
 
     The control poses are on the straight pieces. Positions are a B-spline in space, rotations the
     cumulative B-spline (Kim, Kim and Shin, "A general construction scheme for unit quaternion curves with
@@ -59,15 +59,16 @@ class RoundedObjectPath:
     than four spacings are straight in the middle.
 
     Args:
-        spacing: distance between control poses [m]; a rotation counts as the motion of a point `radius` [m]
-            away.
+        spacing: distance between control poses [m]; a rotation counts as the motion of a point at the
+            distance `radius` [m].
     """
 
     def __init__(self, through: Sequence[SE3], spacing: float, radius: float):
         self.first, self.last = through[0], through[-1]
         controls = _evenly(through, spacing, radius)
         self.count = len(controls) - 1
-        # One more before the first and after the last, in line: then it begins at the first, straight.
+        # An added control pose in line before the first and after the last pose makes the spline start and
+        # end at these poses, in a straight line.
         x = np.array([T.translation for T in controls])
         self.x = np.vstack([2 * x[0] - x[1], x, 2 * x[-1] - x[-2]])
         turns = [(a.rotation.inv() @ b.rotation).log() for a, b in pairwise(controls)]
@@ -97,16 +98,16 @@ class RoundedObjectPath:
 
 
 def length(a: SE3, b: SE3, radius: float) -> float:
-    """Measure the distance [m] between poses.
+    """Measure the distance [m] between two object poses, rotation included.
 
-    A rotation counts as the motion of a point `radius` [m] away.
+    A rotation counts as the motion of a point at the distance `radius` [m].
     """
     meters, radians = a.distance_to(b)
     return meters + radius * radians
 
 
 def _evenly(through: Sequence[SE3], spacing: float, radius: float) -> list[SE3]:
-    """Place poses on the straight pieces at even distances."""
+    """Place object poses at even distances on the straight pieces between the given poses."""
     ends = np.concatenate([[0.0], np.cumsum([length(a, b, radius) for a, b in pairwise(through)])])
     count = max(int(np.ceil(ends[-1] / spacing)), 3)
     out = []
@@ -119,13 +120,14 @@ def _evenly(through: Sequence[SE3], spacing: float, radius: float) -> list[SE3]:
 def time_law(
     path: Array, way: ObjectPath, velocity: Array, acceleration: Array, max_speed: float
 ) -> tuple[Array, Array]:
-    """Compute times (m,) and shares (m,) of the fastest motion within joint limits and speed.
+    """Compute the fastest time law of an object path within joint limits and object speed.
 
-    One quintic from rest to rest; a rounded path is slower at its bends.
+    Return times (m,) and shares (m,) of the path. The time law is one quintic from rest to rest; a rounded
+    path is slower at its bends.
 
     Args:
         path: joints (k, n) at even shares of the object path. velocity, acceleration: joint limits (n,).
-        max_speed: of the object [m/s].
+        max_speed: speed limit of the object [m/s].
     """
     if isinstance(way, RoundedObjectPath):
         return _paced(path, way, velocity, acceleration, max_speed)
@@ -147,9 +149,10 @@ def time_law(
 def _paced(
     path: Array, way: ObjectPath, velocity: Array, acceleration: Array, max_speed: float
 ) -> tuple[Array, Array]:
-    """Compute the fastest time law that shares accelerations between bends and speed changes.
+    """Compute the fastest time law of a rounded object path.
 
-    A moving average over time then makes the acceleration continuous; the object stays exactly on its path.
+    Bends and speed changes share the acceleration limits. A moving average over time then makes the
+    acceleration continuous; the object stays exactly on its path.
     """
     spline = cubic_spline(np.linspace(0, 1, len(path)), path)
     s = np.linspace(0, 1, GRID + 1)
@@ -178,7 +181,7 @@ def _paced(
 
 
 def _quintic(x: Array) -> tuple[Array, Array, Array]:
-    """Evaluate the quintic from 0 to 1 at rest at both ends: value, first and second derivative."""
+    """Evaluate the quintic from 0 to 1 from rest to rest: value, first and second derivative."""
     return (
         x**3 * (10 - 15 * x + 6 * x**2),
         30 * x**2 * (1 - x) ** 2,
@@ -194,7 +197,7 @@ def cubic_spline(x: Array, y: Array, **options: Any) -> CubicSpline:
 
 
 def derivatives(times: Array, q: Array) -> tuple[Array, Array]:
-    """Compute velocities and accelerations of the spline through positions (m, n)."""
+    """Compute velocities and accelerations of the cubic spline through positions (m, n)."""
     spline = cubic_spline(times, q, bc_type="clamped")
     v, a = spline(times, 1), spline(times, 2)
     v[0] = v[-1] = a[0] = a[-1] = 0.0

@@ -1,9 +1,9 @@
-"""Search in joint positions and time: one arm's path among the future motion of another arm.
+"""Search in joint positions and time for a path past the future motion of another arm.
 
 Two trees of (position, time) grow toward each other: forward from the start, and backward from arrivals at
 the goals at various times. An edge is a straight motion at constant speed within all joint speed limits
 (Grothe, Hartmann, Orthey and Toussaint, "ST-RRT*: asymptotically-optimal bidirectional motion planning
-through space-time", ICRA 2022). So the arm may wait, slow down, step aside or take another path.
+through space-time", ICRA 2022). The arm may therefore wait, slow down, step aside or take another path.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ SHORTCUTS = 150
 
 
 class EdgeValidity(Protocol):
-    """Protocol of the validity check of an edge from (p, s) to (q, t)."""
+    """Protocol of the validity check of an edge in time from (p, s) to (q, t)."""
 
     def free(self, p: Array, s: float, q: Array, t: float) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False)
 class SpaceTimeProblem:
-    """A start (n,) at a time, and goals (g, n) with the earliest time [s] of rest there."""
+    """A start (n,) at a time, and goals (g, n) with the earliest time [s] of rest at each goal."""
 
     validity: EdgeValidity
     start: Array
     start_time: float
     goals: Array
-    goals_from: Array  # (g,) [s]
-    speed: Array  # (n,) [rad/s] of each joint at most
+    goals_from: Array  # (g,) [s] earliest time of rest at each goal
+    speed: Array  # (n,) [rad/s] speed limit of each joint
     lower: Array
     upper: Array
 
     def quickest(self, p: Array, q: Array) -> float:
-        """Compute the shortest time [s] between two positions."""
+        """Compute the shortest time [s] of a motion between two joint positions."""
         return float(np.max(np.abs(q - p) / self.speed))
 
     def arrival(self, goal: int) -> float:
@@ -56,9 +56,9 @@ class SpaceTimeProblem:
 
 @dataclass(frozen=True, eq=False)
 class SpaceTimePath:
-    """Positions (k, n) at times (k,) [s], with constant speed in between.
+    """Path in time: joint positions (k, n) at times (k,) [s], with constant speed between them.
 
-    `nodes` counts both trees.
+    `nodes` is the number of nodes in both search trees.
     """
 
     points: Array
@@ -67,7 +67,7 @@ class SpaceTimePath:
 
 
 class _Tree:
-    """Tree nodes (q, t) with parents; `sign` 1 grows into the future, -1 into the past."""
+    """Search tree of nodes (q, t) with parents; sign 1 grows into the future, -1 into the past."""
 
     def __init__(self, dof: int, sign: int):
         self.q, self.t = np.empty((256, dof)), np.empty(256)
@@ -87,7 +87,7 @@ class _Tree:
         return n
 
     def nearest(self, q: Array, t: float, speed: Array) -> int:
-        """Find the nearest node from which (q, t) is reachable in time; -1 if there is none."""
+        """Find the nearest tree node from which (q, t) is reachable in time; -1 if none exists."""
         n = len(self)
         gap = self.sign * (t - self.t[:n])
         away = np.abs(self.q[:n] - q)
@@ -111,7 +111,7 @@ def search(
     deadline: float,
     iterations: int = 30_000,
 ) -> SpaceTimePath | None:
-    """Search for a path that arrives before `horizon` [s]; None if none was found.
+    """Search in time for a path that arrives before `horizon` [s]; None if none was found.
 
     Args:
         deadline: [s] of time.monotonic(). iterations: each grows one tree and then connects the other.
@@ -163,7 +163,7 @@ def _sample(problem: SpaceTimeProblem, tree: _Tree, horizon: float, rng: np.rand
 
 
 def _extend(problem: SpaceTimeProblem, tree: _Tree, q: Array, t: float) -> int:
-    """Add one edge toward (q, t); return the new node, or -1."""
+    """Add one edge toward (q, t) to a search tree; return the new node, or -1."""
     node = tree.nearest(q, t, problem.speed)
     if node < 0:
         return -1
@@ -204,7 +204,7 @@ def shortened(
     goal = points[-1]
     known = [g for g in range(len(problem.goals)) if np.array_equal(problem.goals[g], goal)]
     earliest = float(problem.goals_from[known[0]]) if known else times[-1]
-    for i in range(len(points) - 1):  # from as early a point as possible straight to the goal
+    for i in range(len(points) - 1):  # straight to the goal from the earliest possible point
         t = max(times[i] + problem.quickest(points[i], goal), earliest)
         if t < times[-1] - 1e-6 and problem.validity.free(points[i], times[i], goal, t):
             points[i + 1 :], times[i + 1 :] = [goal], [t]

@@ -1,4 +1,4 @@
-"""Plan two arms that start and arrive together."""
+"""Planning of two arm motions that start and end at the same time."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ TRIES = 3  # pairs of separate plans with different seeds before planning both a
 
 @dataclass(frozen=True)
 class SynchronizedPlan(Outcome):
-    """Two motions of equal duration, by group and as one trajectory.
+    """Two arm motions of equal duration, by group and as one trajectory.
 
-    Both None unless planning succeeded.
+    Both are None unless planning succeeded.
     """
 
     trajectories: Mapping[str, JointTrajectory] | None = None
@@ -55,7 +55,7 @@ def plan_synchronized(
     clearance: float = CLEARANCE,
     template: PlanRequest | None = None,
 ) -> SynchronizedPlan:
-    """Plan motions of two arms that start and arrive together and keep a clearance.
+    """Plan motions of two arms that start and end at the same time and keep a clearance.
 
     Each arm is planned without the other, the shorter motion is stretched to the longer duration, and the
     timed pair is proven. If the proof fails, planning repeats with other seeds, then plans both arms as one
@@ -63,8 +63,9 @@ def plan_synchronized(
     result reports the clearance that is kept.
 
     Args:
-        goals: by group, exactly two. both: the group of all their joints, found by its joints if None.
-        clearance: between the arms [m].
+        goals: exactly two goals, by group.
+        both: group of both arms' joints; by default the group with exactly these joints.
+        clearance: distance between the arms [m].
         template: speeds, planner and times of the requests; its group and goals are ignored.
     Returns:
         GOAL_IN_COLLISION with the pair of bodies if the arms cannot hold both goals without touching.
@@ -133,7 +134,7 @@ def _done(
 
 
 def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] | Outcome:
-    """Choose joint positions of both goals that can be held at once, nearest to the start first."""
+    """Choose collision-free joint positions for both arms' goals, nearest to the start first."""
     found, starts = [], []
     for group, request in requests.items():
         endpoints = find_start_and_goals(validate_request(scenes[group], request))

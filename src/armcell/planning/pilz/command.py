@@ -1,7 +1,4 @@
-"""Input and output of the PTP, LIN and CIRC generators.
-
-The motion command and the generated motion.
-"""
+"""Input and output of the PTP, LIN and CIRC generators: motion command and generated motion."""
 
 from __future__ import annotations
 
@@ -23,12 +20,12 @@ from armcell.timing import resting
 
 Array = NDArray[np.float64]
 
-AT_GOAL = 1e-9  # [m, rad or joint units] less than this is no motion
+AT_GOAL = 1e-9  # [m, rad or joint units] shorter motions count as standstill
 
 
 @dataclass(frozen=True, eq=False)
 class MotionCommand:
-    """A motion to generate: from joint positions (n,) to those found for the request's goal."""
+    """Motion to generate: from joint positions (n,) to goal positions found for the request."""
 
     validated: ValidatedRequest
     checker: KernelChecker
@@ -50,7 +47,7 @@ class MotionCommand:
         return MovedFrame(self.validated.scene, self.request.group, named)
 
     def goal_pose(self, moved_frame: MovedFrame) -> SE3:
-        """Compute the goal pose T_world_tip."""
+        """Compute the goal pose T_world_tip of the moved frame."""
         wanted = self.request.goals[0]
         return wanted.T_world_link if isinstance(wanted, PoseGoal) else moved_frame.pose(self.goal)
 
@@ -60,12 +57,12 @@ class MotionCommand:
         return self.goal if isinstance(self.request.goals[0], JointGoal | NamedGoal) else None
 
     def standing(self) -> GeneratedMotion:
-        """Generate a motion of one point, for a goal at the robot's present position."""
+        """Generate a one-point motion, for a goal at the robot's current position."""
         trajectory = resting(self.validated.joint_names, self.start)
         return GeneratedMotion(JointLine(self.start, self.start), trajectory)
 
     def stopped(self) -> Outcome | None:
-        """Return the outcome if the request is cancelled or its time is up, else None."""
+        """Return the outcome if the request is canceled or its time is up, else None."""
         if self.validated.cancel.is_set():
             return Outcome(ErrorCode.PREEMPTED, f"{self.validated.planner_id}: cancelled")
         if time.monotonic() > self.validated.deadline:
@@ -75,8 +72,8 @@ class MotionCommand:
     def tip_profile(self, length: float, angle: float) -> Profile:
         """Compute the velocity profile over s in 0..1 of a tip path of given length [m] and angle.
 
-        The longer of length and angle (scaled by the equivalent radius) is accelerated and braked, as in
-        KDL's paths, which MoveIt uses.
+        The profile accelerates and brakes the longer of length and angle (scaled by the equivalent radius),
+        like KDL's paths, which MoveIt uses.
         """
         limits, request = self.settings.limits, self.request
         way = max(length, angle * limits.equivalent_radius)
@@ -90,9 +87,9 @@ class MotionCommand:
 
 @dataclass(frozen=True, eq=False)
 class GeneratedMotion:
-    """A motion before its proof.
+    """Generated PTP, LIN or CIRC motion before its certification.
 
-    Joint curve, trajectory, and the frame of its tip (if it has one).
+    It has a joint curve, a trajectory and the frame of its tip (if any).
     """
 
     curve: Curve
@@ -104,7 +101,7 @@ Generator = Callable[[MotionCommand], GeneratedMotion | Outcome]
 
 
 def time_curve(curve: Curve, profile: Profile, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Time a joint curve by a velocity profile over its parameter."""
+    """Time a joint curve by a velocity profile over the curve's parameter."""
     times = profile.times()
     s, speed, acceleration = profile.at(times)
     s[0], speed[0], acceleration[0] = 0.0, 0.0, 0.0

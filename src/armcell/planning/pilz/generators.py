@@ -1,4 +1,4 @@
-"""Generators: PTP (synchronous joints), LIN (tip on a line) and CIRC (tip on an arc)."""
+"""Motion generators: PTP (synchronous joints), LIN (tip on a line) and CIRC (tip on an arc)."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ Array = NDArray[np.float64]
 
 
 def synchronized_profile(step: Array, velocity: Array, acceleration: Array, deceleration: Array) -> Trapezoid:
-    """Compute the fastest common trapezoid over s in 0..1 for joint steps (n,).
+    """Compute the fastest common trapezoidal profile over s in 0..1 for joint steps (n,).
 
     MoveIt applies the group's strictest limits to every joint. Here each joint has its own limits: if all
-    limits are equal the motion is MoveIt's, otherwise it is not slower.
+    limits are equal, the motion equals MoveIt's; otherwise it is at least as fast.
 
     Args:
         velocity, acceleration, deceleration: limits (n,) [rad/s, rad/s² or m/s, m/s²].
@@ -69,7 +69,7 @@ def ptp(command: MotionCommand) -> GeneratedMotion | Outcome:
 
 @pipelines[PILZ].register("LIN")
 def lin(command: MotionCommand) -> GeneratedMotion | Outcome:
-    """Generate a straight-line motion of the tip, position and orientation together."""
+    """Generate a straight-line motion of the tip with even rotation."""
     moved_frame = command.moved_frame()
     line = Line(moved_frame.pose(command.start), command.goal_pose(moved_frame))
     if max(line.length, line.angle) > AT_GOAL:
@@ -111,12 +111,11 @@ def circ(command: MotionCommand) -> GeneratedMotion | Outcome:
 
 
 def auxiliary_point(validated: ValidatedRequest) -> tuple[str, Array, str | None]:
-    """Return CIRC's auxiliary point.
+    """Return CIRC's auxiliary point: its kind, world position (3,) [m] and link.
 
-    Its kind, world position (3,) [m], and its link (None: not specified).
-
-    The point is a parameter, or, as in MoveIt, the position of the first shape of the single position
-    constraint in path constraints named after the kind of point.
+    The link is None if the request does not specify it. The point is a parameter, or, as in MoveIt, the
+    position of the first shape of the single position constraint in path constraints named after the kind of
+    point.
 
     Raises:
         InputError: none or two points, or constraints of another form.

@@ -1,7 +1,4 @@
-"""Checks of generated motions.
-
-Joint velocity and acceleration limits, and the collision proof.
-"""
+"""Checks of generated motions: joint velocity and acceleration limits, and collisions."""
 
 from __future__ import annotations
 
@@ -26,14 +23,12 @@ SPARE = 1.02  # safety factor of the suggested slowdown
 def check_joint_limits(
     model: RobotModel, trajectory: JointTrajectory, request: PlanRequest | None, what: str = ""
 ) -> Outcome | None:
-    """Return the joint that exceeds its limits, with the slowdown that would suffice.
-
-    None if all are kept.
+    """Return the joint that exceeds its limits and the necessary slowdown; None if all are kept.
 
     The limits are the joints' own: the request's scalings apply to the tip, as in MoveIt.
 
     Args:
-        request: whose scalings made the motion; None if two scalings cannot describe it.
+        request: request whose scalings define the motion; None if two scalings cannot describe the motion.
     """
     names = trajectory.joint_names
     velocity, acceleration = model.limits(names, "velocity"), model.limits(names, "acceleration")
@@ -66,7 +61,7 @@ def check_joint_limits(
 
 
 SAGITTAS = (2e-4, 1e-5)
-"""[rad or m] deviation of the proven chords from the motion; the second replaces one too coarse."""
+"""[rad or m] deviation of the proven chords from the motion; the second if the first is too coarse."""
 
 BETWEEN_POINTS = 1e-7  # [rad or m] deviation of the interpolation between trajectory points from the curve
 TOUCH_STEP = 0.005  # [rad or m] resolution of the first contact
@@ -76,9 +71,9 @@ PADDING_STEP = 0.03  # [rad] between padding checks
 def prove_motion_free(
     checker: KernelChecker, curve: Curve, moved_frame: MovedFrame | None, what: str
 ) -> Array | Outcome:
-    """Return points (k, n) of a motion proven free, with padding at samples.
+    """Return points (k, n) of a motion that is proven free, with padding at samples.
 
-    Or the contact that it makes.
+    If the motion is not free, return the contact.
     """
     points = np.empty((0, 0))
     certificate = None
@@ -106,9 +101,9 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _first_touching(checker: KernelChecker, points: Array, at: float) -> tuple[float, Array]:
-    """Find the first touching place up to a known one.
+    """Find the first contact on a motion up to a known contact.
 
-    The proof does not proceed from front to end.
+    The certification does not test a motion from its start to its end.
     """
     length = float(np.abs(np.diff(points, axis=0)).max(axis=1).sum())
     for share in np.linspace(0.0, at, max(int(np.ceil(length * at / TOUCH_STEP)), 1), endpoint=False):

@@ -16,7 +16,7 @@ from armcell.planning.moved_frame import MovedFrame
 Array = NDArray[np.float64]
 
 COLLINEAR = 1e-5  # [m^2] cross product below which three points span no plane (MoveIt's MAX_COLINEAR_NORM)
-RADIUS_DIFFERENCE = 1e-2  # [m] start and goal may be at from the center (MoveIt's MAX_RADIUS_DIFF)
+RADIUS_DIFFERENCE = 1e-2  # [m] allowed between both ends' distances from the center (MAX_RADIUS_DIFF)
 
 
 class TipPath(Protocol):
@@ -38,14 +38,14 @@ class TipPath(Protocol):
 
 
 class Line:
-    """A straight line between two poses."""
+    """Straight tip path between two poses."""
 
     def __init__(self, start: SE3, goal: SE3):
         self.start, self.goal = start, goal
 
     @cached_property
     def turn(self) -> Array:
-        """The whole rotation as a vector (3,) in the start's axes [rad]."""
+        """Whole rotation of the line as a vector (3,) in the start's axes [rad]."""
         return (self.start.rotation.inv() @ self.goal.rotation).log()
 
     @property
@@ -64,7 +64,7 @@ class Line:
 
 
 class Arc(Line):
-    """A circular arc between two poses.
+    """Circular tip path between two poses.
 
     Args:
         axis: (3,) unit vector; the arc turns about it by `sweep` [rad], right-handed.
@@ -89,7 +89,7 @@ class Arc(Line):
 
 
 def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
-    """Compute the arc from start through a point (3,) [m] to goal."""
+    """Compute the circular arc from start to goal through an interim point (3,) [m]."""
     a, b = interim - start.translation, goal.translation - start.translation
     normal = np.cross(a, b)
     size = float(np.linalg.norm(normal))
@@ -100,17 +100,17 @@ def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
         )
     # Circumscribed circle: https://en.wikipedia.org/wiki/Circumcircle#Higher_dimensions
     center = start.translation + np.cross((a @ a) * b - (b @ b) * a, normal) / (2 * size**2)
-    axis = normal / size  # about it start, interim and goal come one after the other
+    axis = normal / size  # around this axis the order is start, interim, goal
     u, v = start.translation - center, goal.translation - center
     sweep = float(np.arctan2(axis @ np.cross(u, v), u @ v)) % (2 * np.pi)
     return Arc(start, goal, center, axis, sweep)
 
 
 def arc_around(start: SE3, goal: SE3, center: Array) -> Arc | Outcome:
-    """Compute the shorter arc from start to goal around a center (3,) [m].
+    """Compute the shorter circular arc from start to goal around a center (3,) [m].
 
-    A center that is not exactly equidistant is moved until it is: the arc keeps its radius and ends in the
-    goal.
+    A center that is not exactly equidistant from start and goal is moved until it is: the arc keeps its
+    radius and ends in the goal.
     """
     u, v = start.translation - center, goal.translation - center
     near, far = float(np.linalg.norm(u)), float(np.linalg.norm(v))
@@ -144,19 +144,19 @@ class Curve(Protocol):
     """Protocol of a twice continuously differentiable joint curve over s."""
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """Evaluate positions and first and second derivatives (m, n) at s (m,)."""
+        """Evaluate joint positions and their first and second derivatives (m, n) at s (m,)."""
         ...
 
     def polyline(self, sagitta: float) -> tuple[Array, Array]:
-        """Sample points (k, n) on the curve.
+        """Sample points (k, n) on the joint curve.
 
-        Return them and the largest deviation (n,) from their chords.
+        Return the points and the largest deviation (n,) of the curve from their chords.
         """
         ...
 
 
 class JointLine:
-    """A straight line in joint space."""
+    """Straight joint curve between two joint positions."""
 
     def __init__(self, start: Array, goal: Array):
         self.start, self.step = start, goal - start
@@ -170,7 +170,7 @@ class JointLine:
 
 
 class JointSpline:
-    """A cubic spline through points (k, n) at x (k,).
+    """Joint curve that is a cubic spline through points (k, n) at x (k,).
 
     Args:
         ends: first derivatives (2, n) at both ends, if specified.
@@ -186,8 +186,8 @@ class JointSpline:
         return self.spline(s), self.spline(s, 1), self.spline(s, 2)
 
     def polyline(self, sagitta: float) -> tuple[Array, Array]:
-        # Second derivatives are linear between knots, so they are largest at knots; a chord over h is at
-        # most h^2 / 8 of them away.
+        # Second derivatives are linear between knots, so they are largest at knots; a chord over h deviates
+        # by at most h^2 / 8 times the second derivative.
         bend = np.abs(self.spline(self.x, 2)).max(axis=0)
         span = self.x[-1] - self.x[0]
         count = max(int(np.ceil(span * np.sqrt(bend.max() / 8 / sagitta))), 1)
@@ -207,7 +207,7 @@ AIMS = 4
 
 
 def solver_for(moved_frame: MovedFrame, group: str) -> IKSolver:
-    """Return an inverse kinematics solver with tight tolerances for a frame."""
+    """Return an inverse kinematics solver with tight tolerances for a moved frame."""
     return ik_solver(moved_frame.scene.model, group, moved_frame.link, EXACT)
 
 
@@ -219,16 +219,14 @@ def follow_path(
     goal: Array | None = None,
     stopped: Callable[[], Outcome | None] = lambda: None,
 ) -> JointSpline | Outcome:
-    """Solve inverse kinematics along a tip path.
-
-    Return the joint curve over s in 0..1, or where it stops.
+    """Solve inverse kinematics along a tip path and return a joint curve over s in 0..1.
 
     Args:
-        start: (n,) at the beginning of the path.
-        goal: (n,) to end at, if specified: a redundant arm is led there along the path.
-        stopped: returns the outcome if the time is over or the request is cancelled.
+        start: positions (n,) at the beginning of the path.
+        goal: positions (n,) for the path's end, if specified; a redundant arm moves to them along the path.
+        stopped: returns the outcome if the time is over or the request is canceled.
     Returns:
-        The curve, or the code, message and evidence (`fraction`) of where it stops.
+        The curve, or the code, message and evidence (`fraction`) of the stop.
     """
     count = max(int(np.ceil(path.length / STEP)), int(np.ceil(path.angle / TURN)), 4)
     count = max(count, int(np.ceil(getattr(path, "sweep", 0.0) / ARC_STEP)))
@@ -251,7 +249,7 @@ def follow_path(
 def _led(
     path: TipPath, moved_frame: MovedFrame, ik: IKSolver, start: Array, goal: Array | None, count: int
 ) -> Array | Outcome:
-    """Compute solutions (count + 1, n) that end at the goal (n,), if there is one."""
+    """Compute IK solutions (count + 1, n) along a tip path that end at the goal (n,), if given."""
     points = _solutions(path, moved_frame, ik, start, goal, count)
     if goal is None:
         return points
@@ -276,7 +274,7 @@ def _led(
 def _solutions(
     path: TipPath, moved_frame: MovedFrame, ik: IKSolver, start: Array, goal: Array | None, count: int
 ) -> Array | Outcome:
-    """Solve for each pose (count + 1, n), starting from the previous solution."""
+    """Solve for each pose of a tip path (count + 1, n), starting from the previous solution."""
     q = moved_frame.full(start)
     points = [start]
     for k in range(1, count + 1):
@@ -291,7 +289,7 @@ def _solutions(
 
 
 def _sideways(ik: IKSolver, q: Array, wish: Array) -> Array:
-    """Project a joint step (n,) onto the null space of the tip (zero for six joints)."""
+    """Project a joint step (n,) onto the tip's null space (zero for an arm with six joints)."""
     J = ik.tree.jacobian(q, ik.tip_link, ik.joint_names)
     return wish - np.linalg.pinv(J, rcond=1e-4) @ (J @ wish)
 
@@ -310,7 +308,7 @@ def _stops(path: TipPath, ik: IKSolver, last: Array, s: float, meters: float, ra
 def _largest_error(
     path: TipPath, moved_frame: MovedFrame, curve: JointSpline, count: int
 ) -> tuple[float, float]:
-    """Find the tip's largest deviation half-way between solutions [m or rad] and its place."""
+    """Find the tip's largest deviation half-way between solutions [m or rad] and its location."""
     middles = (np.arange(count) + 0.5) / count
     errors = [
         max(moved_frame.pose(q).distance_to(path.pose(s)))

@@ -1,4 +1,4 @@
-"""Plan one PTP, LIN or CIRC motion: check, generate and prove it; there is no search."""
+"""Planning of one PTP, LIN or CIRC motion: check, generate and certify it, without a search."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STANDING = 1e-8  # [rad/s or m/s] largest start velocity that counts as rest (Mo
 
 
 def validate_pilz_request(validated: ValidatedRequest) -> None:
-    """Raise InputError if a request needs what PTP, LIN and CIRC do not support."""
+    """Raise InputError if a request has options that PTP, LIN and CIRC do not support."""
     request = validated.request
     if request.torque_limits or request.jerk_limits:
         asked = "torque_limits" if request.torque_limits else "jerk_limits"
@@ -41,7 +41,7 @@ def validate_pilz_request(validated: ValidatedRequest) -> None:
 def plan_pilz(
     validated: ValidatedRequest, checker: KernelChecker, start: Array, goals: tuple[Array, ...]
 ) -> PlanResult:
-    """Generate the requested motion and certify it, or report why it is not possible.
+    """Generate the requested PTP, LIN or CIRC motion and certify it, or report the failure.
 
     Args:
         start: (n,), free of contact. goals: (n,) free positions of the goal, nearest first.

@@ -1,8 +1,9 @@
-"""Plan a sequence of motions as one trajectory, with blends instead of stops at given radii.
+"""Planning of a sequence of motions as one trajectory, with blends instead of stops.
 
-A blend follows MoveIt's transition window: inside a sphere around the corner both motions run at once, and
-the pose moves from one to the other by a quintic of time (trajectory_blender_transition_window.cpp). The
-motion that is longer inside the sphere sets the window's length; the other one's end waits in the corner.
+A blend follows MoveIt's transition window: inside a sphere around the corner both motions run at once, and a
+quintic of time moves the pose from one motion to the other (trajectory_blender_transition_window.cpp). The
+motion that is longer inside the sphere sets the window's length; the end of the other motion waits in the
+corner.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ class Blend:
     """A blend that replaces the end of one motion and the beginning of the next.
 
     Attributes:
-        leaves: time [s] in the first motion at which it begins. joins: time in the second where it ends.
+        leaves: time [s] in the first motion at which the blend begins.
+        joins: time [s] in the second motion at which the blend ends.
         curve: joint curve over the window's time [s].
     """
 
@@ -86,7 +88,7 @@ def blend_motions(
 
 
 def _border(outside, far: float, near: float) -> float:
-    """Find the time at which the sphere is crossed, between an outside and an inside time."""
+    """Find the time at which the tip crosses the sphere, between an outside and an inside time."""
     for _ in range(BISECTIONS):
         middle = (far + near) / 2
         far, near = (middle, near) if outside(middle) else (far, middle)
@@ -121,7 +123,7 @@ def _window(
     curve = JointSpline(moments, np.array(points), np.array([va, vb]))
     times = np.linspace(0.0, duration, max(int(np.ceil(duration / SAMPLE_TIME)), 4) + 1)
     q, v, a = curve.at(times)
-    a[0], a[-1] = aa, ab  # the window's weights begin and end with no speed and no acceleration
+    a[0], a[-1] = aa, ab  # the window's weights begin and end with zero speed and acceleration
     return Blend(leaves, joins, curve, JointTrajectory(first.joint_names, times, q, v, a))
 
 
@@ -131,11 +133,11 @@ SPEED_ROUNDING = 1.001
 
 @dataclass(frozen=True, eq=False)
 class _Item:
-    """A planned motion of the sequence, with the scene at its beginning."""
+    """A planned motion of the sequence, with the scene at the beginning of the motion."""
 
     scene: PlanningScene
     request: PlanRequest
-    radius: float  # [m] of the blend at its end
+    radius: float  # [m] blend radius at the end of the motion
     result: PlanResult
     trajectory: JointTrajectory
 
@@ -149,9 +151,9 @@ def plan_sequence(
     the joints of all groups.
 
     Returns:
-        SUCCESS with path and trajectory; in the evidence `items` (planner, begin and end [s] of each) and
-        `blends` (begin and end [s]). Otherwise the code, message and evidence of the motion that fails
-        (number `evidence["item"]`, from 0) or of the blend after it.
+        SUCCESS with path and trajectory; in the evidence `items` (planner, begin and end [s] of each motion)
+        and `blends` (begin and end [s]). Otherwise the code, message and evidence of the motion that fails
+        (number `evidence["item"]`, from 0) or of the blend after this motion.
     Raises:
         InputError: no request, a radius below 0 or after the last request or at a change of group, a start
             state other than in the first request of its group; everything that `plan` raises.
@@ -194,7 +196,7 @@ def plan_sequence(
 
 
 def _check(scene: PlanningScene, sequence: SequenceRequest) -> None:
-    """Check the sequence for misuse before planning."""
+    """Check a motion sequence for misuse before planning."""
     items = sequence.items
     if not items:
         raise InputError("the sequence has no requests")
@@ -228,7 +230,7 @@ def _check(scene: PlanningScene, sequence: SequenceRequest) -> None:
 
 
 def _check_kept(request: PlanRequest, name: str) -> None:
-    """Raise InputError if a motion has requirements that a blend would violate."""
+    """Raise InputError if a motion of the sequence has requirements that a blend would violate."""
     is_pilz = (
         normalized_pipeline_id(request.pipeline_id) == PILZ
     )  # path constraints define CIRC's auxiliary point
@@ -249,7 +251,7 @@ def _placed(scene: PlanningScene, request: PlanRequest) -> MovedFrame:
 
 
 def _blends(items: list[_Item]) -> list[Blend | None] | Outcome:
-    """Compute and prove the blends between motions, or report which one is invalid."""
+    """Compute and certify the blends between motions, or report which blend is invalid."""
     if (overlap := _overlap(items)) is not None:
         return overlap
     blends: list[Blend | None] = []
@@ -310,7 +312,7 @@ def _blend(first: _Item, second: _Item, number: int) -> Blend | Outcome:
 
 
 def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
-    """Return why a blend violates a speed limit or workspace of its motions, else None."""
+    """Return why a blend violates a speed limit or workspace of its two motions, else None."""
     request, speed = item.request, item.request.max_cartesian_speed
     if speed is not None:
         moved_frame = MovedFrame(item.scene, request.group, request.speed_link)
@@ -328,7 +330,10 @@ def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
 def _joined(
     scene: PlanningScene, items: list[_Item], blends: list[Blend | None]
 ) -> tuple[JointTrajectory, dict]:
-    """Concatenate motions and blends to one trajectory; report when each begins and ends [s]."""
+    """Concatenate motions and blends to one trajectory.
+
+    Return it with the start and end [s] of each motion and blend.
+    """
     moved = {name for item in items for name in item.trajectory.joint_names}
     names = tuple(name for name in scene.model.joint_names if name in moved)
     state = JointState(scene.model.joint_names, items[0].scene.positions)

@@ -21,16 +21,19 @@ FILE_KEY = "cartesian_limits"  # of pilz_cartesian_limits.yaml
 
 @dataclass(frozen=True)
 class CartesianLimits:
-    """Limits of the tip; defaults as in MoveIt's pilz_cartesian_limits.yaml."""
+    """Cartesian limits of the tip; defaults as in MoveIt's pilz_cartesian_limits.yaml."""
 
     max_trans_vel: float = 1.0  # [m/s]
     max_trans_acc: float = 2.25  # [m/s^2]
-    max_trans_dec: float = 5.0  # [m/s^2], its size: files have -5.0
+    max_trans_dec: float = 5.0  # [m/s^2] absolute value: files have -5.0
     max_rot_vel: float = 1.57  # [rad/s]
 
     @property
     def equivalent_radius(self) -> float:
-        """Path length [m] that one radian counts as: both speed limits are reached together."""
+        """Path length [m] that is equivalent to a rotation by one radian.
+
+        With it, a motion reaches both speed limits together.
+        """
         return self.max_trans_vel / self.max_rot_vel
 
 
@@ -39,7 +42,7 @@ class PilzSettings:
     """Settings of a PTP, LIN or CIRC motion."""
 
     limits: CartesianLimits = CartesianLimits()
-    smoothing: float = 0.032  # [s] over which steps of the acceleration are spread
+    smoothing: float = 0.032  # [s] window over which steps of the acceleration are spread
     auxiliary: tuple[str, tuple[float, float, float]] | None = (
         None  # CIRC's auxiliary point: kind, world position
     )
@@ -48,7 +51,7 @@ class PilzSettings:
 def settings_from_request(
     planner_id: str, parameters: Mapping[str, Any], planner_configs: Mapping[str, Any]
 ) -> tuple[PilzSettings, tuple[str, ...]]:
-    """Read the settings of one planner, and the names of values that have no effect.
+    """Read the settings of a PTP, LIN or CIRC planner, and the names of values without effect.
 
     Args:
         parameters: by name; they override the file's values.
@@ -91,7 +94,7 @@ def _positive(planner_id: str, name: str, value: Any) -> float:
     if not number:
         raise InputError(f"parameter {name!r} of planner {planner_id!r} is {value!r}, a number is needed")
     if name == "max_trans_dec":
-        value = abs(value)  # MoveIt writes it with a minus
+        value = abs(value)  # MoveIt's decelerations are negative
     if value <= 0:
         raise InputError(f"parameter {name!r} of planner {planner_id!r} is {value}, it must be positive")
     return float(value)

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-SAMPLE_TIME = 0.008  # [s] at most between trajectory points
-CLOSE = 5e-4  # [s] switching times nearer to each other get one point
+SAMPLE_TIME = 0.008  # [s] largest time between trajectory points
+CLOSE = 5e-4  # [s] switching times with a smaller difference get one point
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Trapezoid:
 
     @staticmethod
     def fastest(distance: float, velocity: float, acceleration: float, deceleration: float) -> Trapezoid:
-        """Create the fastest profile over a distance > 0; a short one has no middle phase."""
+        """Create the fastest trapezoidal profile over a distance > 0, without flat phase if short."""
         half = 0.5 / acceleration + 0.5 / deceleration
         speed = min(velocity, float(np.sqrt(distance / half)))
         flat = max(distance / speed - speed * half, 0.0)
@@ -45,9 +45,9 @@ class Trapezoid:
         return self.speed * (self.up / 2 + self.flat + self.down / 2)
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate the integral of position, position and speed at times (m,).
+        """Evaluate the integral of position, the position and the speed at times (m,).
 
-        At rest before and after.
+        The profile is at rest before its start and after its end.
         """
         t = np.asarray(t, dtype=float)
         v, a, d = self.speed, self.speed / self.up, self.speed / self.down
@@ -67,11 +67,10 @@ class Trapezoid:
 
 @dataclass(frozen=True)
 class Profile:
-    """A trapezoid averaged over a window.
+    """Trapezoidal velocity profile averaged over a time window.
 
-    Never faster, no higher acceleration, and `window` [s] longer.
-
-    Its acceleration is piecewise linear. (An average of values within a limit stays within it.)
+    The averaged profile is never faster, has no higher acceleration, and is longer by `window` [s], because
+    an average of values within a limit stays within it. Its acceleration is piecewise linear.
     """
 
     trapezoid: Trapezoid
@@ -82,16 +81,16 @@ class Profile:
         return self.trapezoid.duration + self.window
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate position, speed and acceleration at times (m,)."""
+        """Evaluate position, speed and acceleration of the averaged profile at times (m,)."""
         t = np.asarray(t, dtype=float)
         now, then = self.trapezoid.at(t), self.trapezoid.at(t - self.window)
         place, speed, acceleration = ((a - b) / self.window for a, b in zip(now, then, strict=True))
         return place, speed, acceleration
 
     def times(self) -> Array:
-        """Compute the times of trajectory points.
+        """Compute the times of trajectory points for the averaged profile.
 
-        At corners of the acceleration and `SAMPLE_TIME` apart between.
+        Points are at the corners of the acceleration and, between them, at most `SAMPLE_TIME` apart.
         """
         z = self.trapezoid
         ends = np.array([0.0, z.up, z.up + z.flat, z.duration])

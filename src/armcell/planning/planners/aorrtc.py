@@ -1,8 +1,8 @@
-"""AORRTC, an anytime planner: its path gets shorter as long as time remains.
+"""AORRTC, an anytime planner that shortens its path as long as time remains.
 
-AORRTC must find a path that is shorter than the best simplified path before any simplification. Early on
-this is rare, and a few quick first paths from other samples, simplified, gain more: each round begins with
-some.
+AORRTC must find a path that, before any simplification, is shorter than the best simplified path. Early in
+the search such a path is rare. Each round therefore begins with a few quick first paths from other samples,
+which are simplified and gain more.
 """
 
 # pyright: reportCallIssue=false
@@ -41,12 +41,12 @@ SHORTEST = 1e-4
 
 @dataclass(frozen=True)
 class AnytimeSettings:
-    """Settings of the anytime planner.
+    """Settings of the anytime planner AORRTC.
 
     Only a budget of iterations makes results reproducible by seed.
     """
 
-    max_iterations: int = 1_000_000_000  # of the search, all rounds
+    max_iterations: int = 1_000_000_000  # of the search in all rounds
     gain: float = 1e-3  # a round must find a path that is shorter by this share
     least_gain: float = 1e-4  # smallest relative gain while polishing
     round_iterations: int = 2000  # of a round after an improvement; twice as many after each without one
@@ -57,7 +57,7 @@ class AnytimeSettings:
 
 @dataclass(frozen=True, eq=False)
 class AnytimeResult:
-    """The shortest path found, every edge proven free, or None.
+    """Result of the anytime planner: the shortest path found, every edge proven free, or None.
 
     Attributes:
         history: (seconds of wall time, iterations, cost [rad]) of every improvement, beginning with the
@@ -74,7 +74,10 @@ class AnytimeResult:
 
 
 class AnytimePlanner:
-    """Improves the paths of a native planner. Use one instance per thread."""
+    """Anytime planner that shortens the paths of a native planner by AORRTC.
+
+    Use one instance per thread.
+    """
 
     def __init__(self, first: NativePlanner, settings: AnytimeSettings = AnytimeSettings()):
         self.first, self.settings = first, settings
@@ -88,7 +91,7 @@ class AnytimePlanner:
         self, start: Array, goals: Array, lower: Array, upper: Array, seed: int = 0,
         stop: NDArray[np.int64] | None = None,
     ) -> AnytimeResult:  # fmt: skip
-        """Return the shortest path found until `stop` is set or the iterations end.
+        """Return the shortest path found until `stop` is set or the iterations are used up.
 
         Args:
             goals: (g, dof). stop: an int64 array (1,) that another thread writes to.
@@ -144,7 +147,9 @@ class AnytimePlanner:
         return AnytimeResult(best, history, iterations, most, rounds)
 
     def improve(self, roots, lower, upper, bound, random, stop, iterations) -> tuple[int, int, int]:
-        """Search for a path shorter than `bound` [rad] into the first planner's `path`, see `aorrtc`.
+        """Search for a path shorter than `bound` [rad] and write it to the native planner's `path`.
+
+        See `aorrtc`.
 
         Args:
             roots: (1 + g, dof), start and goals.
@@ -156,7 +161,10 @@ class AnytimePlanner:
         )  # fmt: skip
 
     def _polished(self, path: Array, rng: np.random.Generator, stop: NDArray[np.int64]) -> Array | None:
-        """Cut the path's edges at random points and simplify again; None if the path gets too long."""
+        """Cut a path's edges at random points and simplify the path again.
+
+        Return None if the path gets too long.
+        """
         cuts = rng.random(len(path) - 1)[:, None]
         rows = np.empty((2 * len(path) - 1, path.shape[1]))
         rows[::2] = path
@@ -169,13 +177,13 @@ class AnytimePlanner:
 
 
 def length(path: Array) -> float:
-    """Compute a path's length [rad]: the sum of its edges' norms in joint space."""
+    """Compute a path's length [rad]: the sum of the edges' norms in joint space."""
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 @pipelines["native"].register("AORRTC")
 def plan_aorrtc(problem: Problem) -> PlannerResult:
-    """Return the shortest path found in the whole planning time.
+    """Plan by AORRTC: return the shortest path found in the whole planning time.
 
     `cost_over_time` lists (s, rad) pairs.
     """
@@ -200,7 +208,7 @@ settings_parsers[plan_aorrtc] = settings_parser("AORRTC", AnytimeSettings)
 
 @lru_cache(maxsize=1)
 def warm_up_anytime() -> None:
-    """Compile AORRTC before its first use, so that compilation takes no planning time."""
+    """Compile AORRTC's kernels before the first use, so that compilation takes no planning time."""
     checker, a, b = small_problem()
     planner, stop = AnytimePlanner(NativePlanner(checker)), np.zeros(1, np.int64)
     announce_compilation("AORRTC", aorrtc)

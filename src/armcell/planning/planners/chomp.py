@@ -1,4 +1,4 @@
-"""CHOMP: a path descends a cost of obstacles and smoothness, in the metric of smooth paths.
+"""CHOMP: gradient descent of a path's obstacle and smoothness cost in a smoothness metric.
 
 Ratliff, Zucker, Bagnell, Srinivasa, "CHOMP: Gradient optimization techniques for efficient motion
 planning", ICRA 2009; Zucker et al., IJRR 2013. Also available as a smoothing step after another planner.
@@ -28,17 +28,17 @@ from armcell.planning.planners.trajectory_optimization import (
 Array = NDArray[np.float64]
 
 LOOK = 4  # iterations between checks whether the path is free
-HOPEFUL = -0.006  # [m] of the spheres' smallest distance: they reach beyond the solids, by up to 10 mm
+HOPEFUL = -0.006  # [m] smallest sphere distance for a check: spheres exceed the solids by up to 10 mm
 
 
 @dataclass(frozen=True)
 class CHOMPSettings:
-    """Settings of CHOMP.
+    """Settings of the planner CHOMP.
 
     Names and meanings follow MoveIt's chomp_planning.yaml where it has them.
     """
 
-    num_waypoints: int = 40  # between the ends
+    num_waypoints: int = 40  # between the path's ends
     max_iterations: int = 120  # per initial path
     max_starts: int = 1000  # initial paths: the straight line, then lines with smooth random detours
     collision_clearance: float = 0.05  # [m] distance beyond the padding below which obstacles cost
@@ -46,18 +46,18 @@ class CHOMPSettings:
     obstacle_cost_weight: float = 1.0
     learning_rate: float = 0.02
     joint_update_limit: float = 0.1  # [rad or m] of any joint in one iteration
-    detour: float = 0.5  # [rad or m] of the random detours
+    detour: float = 0.5  # [rad or m] size of the random detours
 
 
 def optimize_chomp(
     cost: ObstacleCost, path: Array, lower: Array, upper: Array, settings: CHOMPSettings,
     is_free: Callable[[Array], bool], stopped: Callable[[], bool], at_least: int = 0,
 ) -> Descent:  # fmt: skip
-    """Optimize a path (m, n) by CHOMP; its ends stay fixed.
+    """Optimize a path (m, n) by CHOMP with fixed ends.
 
     Args:
         lower, upper: (n,) joint limits.
-        is_free: whether a path may be returned. stopped: whether to give up.
+        is_free: returns whether a path may be returned. stopped: returns whether to give up.
         at_least: iterations before a free path ends the descent; more iterations make it smoother.
     """
     path = path.copy()
@@ -86,9 +86,9 @@ AT_LEAST = 40  # iterations
 
 
 def smooth_with_chomp(problem: Problem, waypoints: Array, is_free: Callable[[Array], bool]) -> Array | None:
-    """Smooth waypoints (k, n) of another planner by CHOMP into a path (m, n).
+    """Smooth another planner's waypoints (k, n) by CHOMP into a path (m, n).
 
-    None if no free path was found.
+    Return None if no free path was found.
     """
     if len(waypoints) < 3:
         return None

@@ -1,4 +1,4 @@
-"""Planner selection by a request or by the configurations of an ompl_planning.yaml."""
+"""Selection of a planner by a request or by the configurations of an ompl_planning.yaml."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WITHOUT_EFFECT = {
 
 @dataclass(frozen=True, eq=False)
 class PlannerChoice:
-    """A planner with its settings, and the keys that were read but have no effect."""
+    """A planner with its settings, and the configuration keys that have no effect."""
 
     planner: Planner
     planner_id: str
@@ -37,7 +37,7 @@ class PlannerChoice:
 
 
 def choose_planner(request: PlanRequest) -> PlannerChoice:
-    """Select the planner that a request names, directly or by a planner configuration.
+    """Select the planner that a request specifies, directly or by a planner configuration.
 
     Raises:
         UnknownNameError: no such pipeline, planner, configuration or parameter; there is no silent
@@ -74,9 +74,9 @@ def _mapping(value: Any, what: str) -> Mapping[str, Any]:
 
 
 def _config(request: PlanRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return the planner configuration and the group's own keys.
+    """Return the request's planner configuration and the group's own configuration keys.
 
-    Both empty if the request has none.
+    Both are empty if the request has no configuration.
     """
     tables = _mapping(request.planner_configs, "planner_configs")
     if not tables:
@@ -135,7 +135,7 @@ def _number(key: str, value: Any) -> float:
 
 
 def _projection(text: Any) -> tuple[str, ...]:
-    """Parse the joint names of MoveIt's `joints(a,b)`."""
+    """Parse the joint names of MoveIt's projection evaluator `joints(a,b)`."""
     if not text:
         return ()
     if not isinstance(text, str) or not (text.startswith("joints(") and text.endswith(")")):

@@ -27,7 +27,7 @@ MOST_POINTS = 4_000_000
 
 
 class DistanceField:
-    """Signed distances to some objects on a grid; negative inside.
+    """Signed distances [m] to some objects on a grid; negative inside the objects.
 
     Attributes:
         low: the first grid point (3,) in the world [m]. step: distance between grid points [m].
@@ -35,13 +35,12 @@ class DistanceField:
     """
 
     def __init__(self, objects: tuple[CollisionObject, ...], low: Array, high: Array):
-        """Build the field for points between low and high (3,).
+        """Build the distance field for points between the corners low and high (3,) [m].
 
-        The grid covers less if objects cover less.
-
-
-
-        Args: low, high (3,): where distances are asked for; less is covered where no object is.
+        Args:
+            objects: objects to measure distances from.
+            low, high: (3,) corners of the box of queried points [m]; the grid is smaller if the objects cover
+                only a part of the box.
         """
         boxes = [_bounds(o.T_world_object @ T, s) for o in objects for s, T in o.shapes]
         if boxes:
@@ -71,11 +70,11 @@ class DistanceField:
         np.minimum(part, distance.astype(np.float32), out=part)
 
     def distances(self, points: F32) -> F32:
-        """Interpolate the distances of points (m, 3) [m] linearly; outside the grid, use its border."""
+        """Interpolate the distances of points (m, 3) [m] linearly; clamp points to the grid."""
         return self._look(points, False)[0]
 
     def gradients(self, points: F32) -> tuple[F32, F32]:
-        """Interpolate the distances (m,) of points and their gradients (m, 3)."""
+        """Interpolate the distances (m,) of points and the gradients (m, 3) of the distances."""
         return self._look(points, True)
 
     def _look(self, points: F32, gradient: bool) -> tuple[F32, F32]:
@@ -120,7 +119,7 @@ def _bounds(T_world_shape, shape: Shape) -> tuple[Array, Array]:
 
 
 def _outside(over: Array) -> Array:
-    """Combine the excess over each face (..., k) [m] to a signed distance."""
+    """Combine the distances beyond each face (..., k) [m] to a signed distance."""
     return np.linalg.norm(np.maximum(over, 0.0), axis=-1) + np.minimum(over.max(axis=-1), 0.0)
 
 
@@ -144,7 +143,7 @@ _EXACT: dict[type, Callable[..., Array]] = {
 
 
 def _drawn(shape: Shape, T: Array, low: Array, step: float, counts: tuple[int, ...]) -> Array:
-    """Rasterize a shape into a part of the grid and compute distances to it."""
+    """Rasterize a shape into a part of the grid and compute distances to the shape."""
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
     points, room = _surface(shape, step)
@@ -162,7 +161,7 @@ def _drawn(shape: Shape, T: Array, low: Array, step: float, counts: tuple[int, .
 
 
 def _surface(shape: Shape, step: float) -> tuple[Array, float]:
-    """Sample a surface densely enough to leave no cell out.
+    """Sample a shape's surface densely enough to reach every grid cell on it.
 
     Return points (k, 3) and a radius [m].
     """

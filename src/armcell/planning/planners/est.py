@@ -1,4 +1,4 @@
-"""EST (expansive space trees): the tree grows from its most isolated nodes.
+"""EST (expansive space trees), a planner that grows a tree from its most isolated nodes.
 
 Source: Hsu, Latombe, Motwani, "Path planning in expansive configuration spaces", IJCGA 9 (1999). As in
 OMPL's `geometric::EST`, neighbors are within a third of the range, and crowded samples are mostly rejected.
@@ -27,7 +27,7 @@ CHECK_STEP = 1 / 32  # [rad] between validity checks along an edge; the result i
 
 @dataclass(frozen=True)
 class ESTSettings:
-    """Settings of EST, with the names and defaults of OMPL's."""
+    """Settings of the planner EST, with OMPL's names and defaults."""
 
     range: float | None = None  # [rad] longest edge; None, or 0 as in MoveIt's files: a fifth of the diagonal
     goal_bias: float = 0.05  # share of the extensions that aim at a goal
@@ -38,7 +38,7 @@ class ESTSettings:
 
 
 class _Tree:
-    """Tree nodes with their parents and neighbor counts."""
+    """Search tree: nodes with their parents and neighbor counts."""
 
     def __init__(self, root: Array, size: int, radius: float):
         self._q = np.empty((size, len(root)))
@@ -55,7 +55,7 @@ class _Tree:
         self.size += 1
 
     def draw(self, rng: np.random.Generator) -> int:
-        """Draw a node with probability inversely proportional to its neighbor count."""
+        """Draw a tree node with probability inversely proportional to its neighbor count."""
         chances = np.cumsum(1.0 / (self._neighbors[: self.size] + 1.0))
         return int(np.searchsorted(chances, rng.random() * chances[-1]))
 
@@ -63,7 +63,7 @@ class _Tree:
         return self._q[i]
 
     def path_to(self, i: int) -> list[Array]:
-        """Return the path from the root to a node."""
+        """Return the path from the tree's root to a node."""
         path = []
         while i >= 0:
             path.append(self._q[i].copy())
@@ -73,7 +73,10 @@ class _Tree:
 
 @pipelines["native"].register("EST")
 def est(problem: Problem) -> PlannerResult:
-    """Plan by EST: return the first path found; the pipeline simplifies and proves it."""
+    """Plan by EST and return the first path found.
+
+    The pipeline simplifies and certifies the path.
+    """
     s: ESTSettings = problem.settings or ESTSettings()
     reach = s.range or RANGE_SHARE * float(np.linalg.norm(problem.upper - problem.lower))
     rng = np.random.default_rng(problem.seed)

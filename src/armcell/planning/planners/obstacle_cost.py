@@ -13,9 +13,9 @@ F32 = NDArray[np.float32]
 
 
 class RobotSpheres:
-    """The spheres that approximate the bodies a group moves, from the kernel's pack.
+    """Spheres that approximate the bodies that a planning group moves.
 
-    S spheres, m configurations.
+    The spheres come from the kernel's pack. Shapes use s for spheres and m for configurations.
 
     Attributes:
         body: (s,) body of each sphere. radius: (s,) [m]. moving: (s,) whether the group moves the sphere.
@@ -56,7 +56,7 @@ class RobotSpheres:
         self._of_frame = [np.flatnonzero(self.frame == f) for f in range(self.frames)]
 
     def frame_poses(self, q: Array) -> tuple[Array, Array]:
-        """Compute rotations (m, f, 3, 3) and origins (m, f, 3) of the frames at q (m, n)."""
+        """Compute rotations (m, f, 3, 3) and origins (m, f, 3) of the robot's frames at q (m, n)."""
         m = len(q)
         R, o = np.empty((m, self.frames, 3, 3)), np.empty((m, self.frames, 3))
         R[:, 0], o[:, 0] = np.eye(3), 0.0
@@ -76,7 +76,7 @@ class RobotSpheres:
         return R, o
 
     def centers(self, R: Array, o: Array) -> F32:
-        """Compute the world positions of the spheres (m, s, 3) [m]."""
+        """Compute the world positions of the robot's spheres (m, s, 3) [m]."""
         return self._placed(R, o, self.center, self.frame)
 
     def group_centers(self, R: Array, o: Array) -> F32:
@@ -92,9 +92,9 @@ class RobotSpheres:
         return out
 
     def joint_gradient(self, R: Array, o: Array, x: F32, pull: F32) -> Array:
-        """Map forces on the spheres (m, s, 3) at x (m, s, 3) to joint gradients J^T f, summed.
+        """Map forces on the spheres (m, s, 3) at x (m, s, 3) to joint gradients (m, n).
 
-        (m, n).
+        The result is the sum of J^T f over the spheres.
         """
         m = len(R)
         force, moment = np.zeros((m, self.frames, 3)), np.zeros((m, self.frames, 3))
@@ -115,7 +115,7 @@ class RobotSpheres:
 
 
 class SelfCollisionPairs:
-    """Pairs of sphere groups of the robot that can collide, and their distances."""
+    """Pairs of the robot's sphere groups that can collide, and their distances."""
 
     def __init__(self, checker: KernelChecker, spheres: RobotSpheres):
         p = checker.pack
@@ -126,9 +126,9 @@ class SelfCollisionPairs:
     def nearest(
         self, R: Array, o: Array, x: F32, within: float
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], F32]:
-        """Find the nearest spheres of each pair of groups closer than `within`.
+        """Find the nearest two spheres in each pair of sphere groups closer than `within` [m].
 
-        Configuration, spheres, gap [m].
+        Return configurations, spheres of both groups and gaps [m].
         """
         s = self.spheres
         at, radius = s.group_centers(R, o), s.radius
@@ -148,16 +148,16 @@ class SelfCollisionPairs:
 
 
 SELF_CLEARANCE = 0.01  # [m] between the robot's own spheres; neighbors are close by design
-BENT = 20.0  # [1/m] largest curvature: that of slow spheres is unbounded
-REFUSED = 0.02  # cost of a configuration that is not free, about that of a link 20 mm deep over 100 mm
+BENT = 20.0  # [1/m] largest curvature used: the curvature of slow spheres is unbounded
+REFUSED = 0.02  # cost of a configuration that is not free, like a link 20 mm deep over 100 mm
 STILL = 1e-6  # [m] smallest motion per step with a direction
 
 
 class ObstacleCost:
-    """Costs of configurations of one checker's group, from signed distances of its spheres.
+    """Obstacle cost of a planning group's configurations, from signed distances of the spheres.
 
     Args:
-        clearance: [m] distance beyond the padding below which an obstacle costs something.
+        clearance: [m] distance beyond the padding below which an obstacle adds cost.
     """
 
     def __init__(self, checker: KernelChecker, clearance: float):
@@ -170,7 +170,7 @@ class ObstacleCost:
         if not objects:
             return
         margin = np.asarray(pack.margin)[s.body]  # (s, o)
-        # RobotSpheres whose bodies may touch the same objects share a field.
+        # Spheres whose bodies may touch the same objects share a field.
         kinds, which = np.unique((margin >= 0) & s.moving[:, None], axis=0, return_inverse=True)
         for number, row in enumerate(kinds):
             mine = np.flatnonzero(which.ravel() == number)
@@ -181,12 +181,11 @@ class ObstacleCost:
                 self._fields.append((field, mine, (s.radius[mine] + pad).astype(np.float32)))
 
     def of_paths(self, paths: Array) -> Array:
-        """Compute the cost (k, m) at each waypoint of paths (k, m, n).
+        """Compute the obstacle cost (k, m) at each waypoint of paths (k, m, n).
 
-        Sphere costs times sphere speeds.
-
-        Only sphere groups near an obstacle are examined sphere by sphere. Configurations that the checker
-        rejects for another reason cost REFUSED more, which suffices without a gradient.
+        The cost is the sum of sphere costs times sphere speeds. Only sphere groups near an obstacle are
+        evaluated sphere by sphere. A configuration that the checker rejects for another reason costs REFUSED
+        more, which suffices without a gradient.
         """
         k, m, n = paths.shape
         s, q = self.spheres, paths.reshape(-1, n)
@@ -211,9 +210,9 @@ class ObstacleCost:
         return total.reshape(k, m)
 
     def gradient(self, path: Array) -> tuple[float, Array, float]:
-        """Compute CHOMP's functional gradient of a path (m, n).
+        """Compute CHOMP's functional gradient of the obstacle cost of a path (m, n).
 
-        Cost, gradient (m, n), smallest distance [m].
+        Return cost, gradient (m, n) and smallest distance [m].
 
         Zucker et al., "CHOMP: covariant Hamiltonian optimization for motion planning", IJRR 2013, eq. 16:
         |x'| ((1 - t t^T) grad c - c k) for each sphere, with its direction t and curvature vector k.
@@ -253,9 +252,9 @@ class ObstacleCost:
 
 
 def _hinge(d: F32, clearance: float) -> tuple[F32, F32]:
-    """Compute the cost and its slope at distances d [m].
+    """Compute the obstacle cost at distances d [m] and its slope.
 
-    Linear inside, parabolic up to the clearance, then 0.
+    The cost is linear inside the obstacle, parabolic up to the clearance, then 0.
     """
     near = np.clip(clearance - d, 0.0, clearance)
     cost = near * near / (2 * clearance) + np.maximum(-d, 0.0)
@@ -263,7 +262,7 @@ def _hinge(d: F32, clearance: float) -> tuple[F32, F32]:
 
 
 def _moved(x: NDArray) -> NDArray:
-    """Compute how far points (k, m, s, 3) move per step, by central differences."""
+    """Compute the motion of points (k, m, s, 3) per step, by central differences."""
     out = np.empty_like(x)
     out[:, 1:-1] = 0.5 * (x[:, 2:] - x[:, :-2])
     out[:, 0], out[:, -1] = x[:, 1] - x[:, 0], x[:, -1] - x[:, -2]

@@ -1,4 +1,4 @@
-"""OMPL's geometric planners on armcell's kernel, with parameters by OMPL's names.
+"""OMPL's geometric planners on armcell's collision kernel, with OMPL's parameter names.
 
 The wheel has no binding for a planner's ParamSet: armcell reads the declared parameters from the printed
 settings and sets them through bound methods. A parameter without such a method keeps its value.
@@ -44,20 +44,20 @@ METHODS = {
     "use_strict_queue_ordering": "StrictQueueOrdering",
 }
 """Names of setter methods that differ from the parameter's name."""
-K_NEAREST = ("KNearest", "UseKNearest", "NearestK")  # of `use_k_nearest`, by planner
-SPELLINGS = {"nearest_k": "use_k_nearest"}  # of MoveIt's files, for FMT
-UNDECLARED = {"AORRTC": {"range": "0"}}  # has a method, and OMPL does not declare it
+K_NEAREST = ("KNearest", "UseKNearest", "NearestK")  # method names of `use_k_nearest`, by planner
+SPELLINGS = {"nearest_k": "use_k_nearest"}  # spelling in MoveIt's files, for FMT
+UNDECLARED = {"AORRTC": {"range": "0"}}  # parameters with a method that OMPL does not declare
 
 
 def declared(planner: ob.Planner, name: str) -> dict[str, str]:
-    """Read a planner's parameters and present values from OMPL's printed settings."""
+    """Read a planner's parameters and current values from OMPL's printed settings."""
     lines = planner.printSettings().splitlines()[1:]
     pairs = (line.split(" = ", 1) for line in lines if " = " in line)
     return {key.strip(): value.strip() for key, value in pairs} | UNDECLARED.get(name, {})
 
 
 def settings_maker(name: str) -> SettingsParser:
-    """Create a parser that checks parameters on a trial planner.
+    """Create a parser of planner parameters that checks them on a trial planner.
 
     The settings are the parameters.
     """
@@ -77,7 +77,7 @@ def settings_maker(name: str) -> SettingsParser:
 
 @contextmanager
 def trial_planner(name: str) -> Iterator[ob.Planner]:
-    """Create a planner in a two-dimensional space, only to read and check parameters."""
+    """Create an OMPL planner in a two-dimensional space, only to read and check parameters."""
     ou.setLogLevel(ou.LOG_NONE)
     space = ob.RealVectorStateSpace(2)
     bounds = ob.RealVectorBounds(2)
@@ -94,11 +94,12 @@ def trial_planner(name: str) -> Iterator[ob.Planner]:
 
 
 def set_parameters(planner: ob.Planner, name: str, parameters: Mapping[str, Any]) -> None:
-    """Set a planner's parameters.
+    """Set the parameters of an OMPL planner.
 
     Raises:
-        UnknownParameterError: OMPL declares no such parameter for it; lists the declared ones with values.
-        InputError: a value of the wrong type, one OMPL rejects, or a parameter that cannot be set.
+        UnknownParameterError: OMPL declares no such parameter for the planner; the error lists the declared
+            parameters with their values.
+        InputError: a value has the wrong type, OMPL rejects a value, or a parameter cannot be set.
     """
     present = declared(planner, name)
     for key, value in parameters.items():
@@ -135,7 +136,7 @@ def _text(value: Any) -> str:
 
 
 def _converted(kind: type, value: Any, what: str) -> Any:
-    """Convert a value to the type that the planner has now; accepts text from files."""
+    """Convert a value to the type of the planner's current value; accepts text from files."""
     if kind is str:
         return str(value)
     text = str(value).strip().lower()
@@ -162,7 +163,7 @@ NAMES = tuple(
     for name in sorted(dir(og))
     if isinstance(kind := getattr(og, name), type) and issubclass(kind, ob.Planner)
 )
-# These planners use all available time: give them little, and more only until a first solution.
+# These planners use all available time: they get little time, and more only until a first solution.
 ASYMPTOTIC = {"AORRTC", "BITstar", "InformedRRTstar", "PRMstar", "RRTstar", "SORRTstar"}
 ASYMPTOTIC_TIME = 1.0  # [s]
 FINITE = {"BFMT", "FMT"}  # they end when their samples are used up
@@ -196,8 +197,8 @@ class _Edges(ob.MotionValidator):
 
 def _plan(name: str, problem: Problem) -> PlannerResult:
     with _one_at_a_time:
-        # Set the seed for every request, so that equal requests give equal paths; OMPL logs that it
-        # dislikes this, but all generators made after it follow the new seed.
+        # Set the seed for every request, so that equal requests give equal paths; OMPL logs a
+        # warning, but all generators created afterward follow the new seed.
         ou.setLogLevel(ou.LOG_NONE)
         ou.RNG.setSeed(problem.seed % (2**31 - 1) + 1)
         return _search(name, problem)
@@ -267,12 +268,12 @@ def _search(name: str, problem: Problem) -> PlannerResult:
 def _solve_without_python(
     setup: og.SimpleSetup, planner: ob.Planner, space: ob.RealVectorStateSpace, problem: Problem
 ) -> None:
-    """Solve with a planner that searches for solutions in a second thread.
+    """Solve with a planner whose second thread searches for solutions, without Python callbacks.
 
-    That thread asks for the end of the time limit and for the validity of further goals. A Python callback
-    would wait there for the interpreter lock, which the first thread holds while it waits for the second.
-    So OMPL's own clock limits the time, and only one goal is set at a time; the roadmap persists when goals
-    change.
+    The second thread asks for the end of the time limit and for the validity of further goals. A Python
+    callback would wait there for the interpreter lock, which the first thread holds while it waits for the
+    second thread. OMPL's own clock therefore limits the time, and only one goal is set at a time; the roadmap
+    persists when goals change.
     """
     name, turn = planner.getName(), 0
     enough = time.monotonic() + _time_for(name, problem)
@@ -290,7 +291,7 @@ def _solve_without_python(
 
 
 def _time_for(name: str, problem: Problem) -> float:
-    """Compute the time [s] that a planner gets before its solution is read."""
+    """Compute the time [s] that an OMPL planner gets before its solution is read."""
     left = max(problem.deadline - time.monotonic(), 0.0)
     return min(left, ASYMPTOTIC_TIME) if name in ASYMPTOTIC else left
 

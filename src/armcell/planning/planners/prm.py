@@ -1,8 +1,8 @@
-"""PRM: one roadmap per robot and group, kept between queries and repaired on changes.
+"""PRM planner: one roadmap per robot and group, kept between queries, repaired on changes.
 
-If the roadmap has no path, it grows by uniform samples, and an RRT-Connect from the query's start and goals
-runs, longer each time; its path joins the roadmap. So narrow passages, which uniform samples hardly ever
-find, are in the roadmap after the first query through them (compare Coleman, Sucan, Moll, Okada and
+If the roadmap has no path, it grows by uniform samples, and RRT-Connect from the query's start and goals
+runs, longer each time; its path joins the roadmap. Narrow passages, which uniform samples hardly ever find,
+are therefore in the roadmap after the first query through them (compare Coleman, Sucan, Moll, Okada and
 Correll, "Experience-based planning with sparse roadmap spanners", ICRA 2015).
 """
 
@@ -53,21 +53,22 @@ class PRMSettings:
     """Settings of the PRM planner."""
 
     max_vertices: int = 16_384  # a multiple of 16
-    blocks: int = 4  # 16 samples each, by which it grows each time a query finds no path
-    slice: int = 1000  # iterations of RRT-Connect the first time; twice as many each time
+    blocks: int = 4  # blocks of 16 samples by which the roadmap grows when a query finds no path
+    slice: int = 1000  # iterations of the first RRT-Connect; doubled for each further one
 
 
 @dataclass(frozen=True, eq=False)
 class PRMResult:
-    """Waypoints (k, dof) proven free, or None, with statistics of the query.
+    """Result of a PRM query: waypoints (k, dof) proven free, or None, with statistics.
 
     Attributes:
-        vertex_checks, edge_checks: of this query. bridged: whether RRT-Connect found the path.
+        vertex_checks, edge_checks: number of checks in this query.
+        bridged: whether RRT-Connect found the path.
         closest: see `NativeResult`.
     """
 
     waypoints: Array | None
-    plan_s: float  # CPU time of this thread, with the simplification
+    plan_s: float  # [s] CPU time of this thread, including simplification
     vertices: int
     edges: int
     vertex_checks: int
@@ -78,7 +79,10 @@ class PRMResult:
 
 
 class Roadmap:
-    """The roadmap of one group of joints, for any scene. Hold `lock` during a query."""
+    """PRM roadmap of one group of joints, for any scene.
+
+    Hold `lock` during a query.
+    """
 
     def __init__(self, dof: int, settings: PRMSettings = PRMSettings(), seed: int = 0):
         self.settings, self.lock = settings, threading.Lock()
@@ -94,7 +98,7 @@ class Roadmap:
             np.zeros(compiled.MAX_NEIGHBORS, np.int32), np.zeros(compiled.MAX_NEIGHBORS, np.float32),
             np.zeros(L, np.float32),
         )  # fmt: skip
-        # Of one A*: its number at each vertex it has reached, cost, the edge it came by; the queue.
+        # State of one A* search: its number at each reached vertex, cost, incoming edge; the queue.
         self.search = (
             np.zeros(n, np.int64), np.empty(n), np.empty(n, np.int32), np.empty(2 * edges),
             np.empty(2 * edges, np.int32), np.zeros(2 * dof),
@@ -113,7 +117,7 @@ class Roadmap:
         )  # fmt: skip
 
     def enter(self, checker: KernelChecker, stop: NDArray[np.int64]) -> None:
-        """Check every vertex in the checker's scene unless it is the scene of the last query."""
+        """Check every roadmap vertex in the checker's scene, unless the last query had this scene."""
         digest = hashlib.blake2b(digest_size=16)
         for array in checker.flat:
             digest.update(array.data)
@@ -125,16 +129,16 @@ class Roadmap:
         )
 
     def grow(self, checker: KernelChecker, lower: Array, upper: Array, blocks: int, stop) -> None:
-        """Add the free ones of 16 `blocks` samples."""
+        """Add the collision-free configurations of `blocks` times 16 samples to the roadmap."""
         compiled.grow(
             checker.handle, self.no_room, *self._graph, *self.near, self.stamp, lower, upper, self.steps,
             self.sample, self.block, blocks, stop,
         )  # fmt: skip
 
     def insert(self, path: Array, joined: bool) -> NDArray[np.int32]:
-        """Add free configurations, and optionally the edges between them.
+        """Add free configurations, and optionally the edges between them, to the roadmap.
 
-        Return their vertex numbers.
+        Return the numbers of the vertices.
         """
         numbers = np.zeros(len(path), np.int32)
         rows = np.ascontiguousarray(path)
@@ -142,7 +146,10 @@ class Roadmap:
         return numbers
 
     def query(self, checker, start: int, goals, step: float, path: Array, route, stop) -> int:
-        """Find the shortest free path on the roadmap, see native.roadmap.query."""
+        """Find the shortest collision-free path on the roadmap.
+
+        See native.roadmap.query.
+        """
         return compiled.query(
             checker.handle, *self._graph, self.stamp, start, goals, step, *self.search, route, path, stop
         )
@@ -152,7 +159,7 @@ def plan_with_roadmap(
     roadmap: Roadmap, planner: NativePlanner, start: Array, goals: Array, lower: Array, upper: Array,
     seed: int = 0, stop: NDArray[np.int64] | None = None,
 ) -> PRMResult:  # fmt: skip
-    """Plan a path on a roadmap, every edge proven free, and extend the roadmap with it.
+    """Plan a path on a roadmap, every edge proven free, and extend the roadmap with the path.
 
     The result depends on earlier queries; the same queries in the same order give the same results.
 
@@ -167,7 +174,7 @@ def plan_with_roadmap(
     last = roadmap.insert(goals, False)
     route = np.zeros(len(planner.path), np.int32)
     more, iterations, bridged, tried = settings.slice, 0, False, 0
-    closest = nearest_roots(start, goals)  # of all searches: a new search may stop before it has any
+    closest = nearest_roots(start, goals)  # over all searches: a new search may stop before it has one
 
     def answer(waypoints: Array | None) -> PRMResult:
         now = roadmap.counts - before
@@ -217,7 +224,7 @@ _lock = threading.Lock()
 def roadmap_of(
     model: RobotModel, joint_names: tuple[str, ...], settings: PRMSettings = PRMSettings()
 ) -> Roadmap:
-    """Return the roadmap of a model, group and settings; created at the first request."""
+    """Return the roadmap for a model, group and settings; the first request creates it."""
     with _lock:
         kept = _roadmaps.setdefault(model, {})
         key = (joint_names, settings)
@@ -228,7 +235,7 @@ def roadmap_of(
 
 @pipelines["native"].register("PRM")
 def plan_prm(problem: Problem) -> PlannerResult:
-    """Plan by PRM: a path over the roadmap, proven free and simplified.
+    """Plan by PRM: find a path over the roadmap, prove it free and simplify it.
 
     Every query extends the roadmap.
     """
@@ -260,7 +267,7 @@ def plan_prm(problem: Problem) -> PlannerResult:
 
 @lru_cache(maxsize=1)
 def warm_up_roadmap() -> None:
-    """Compile the PRM kernels at their first use."""
+    """Compile the PRM kernels before their first use."""
     checker, a, b = small_problem()
     planner, roadmap, stop = NativePlanner(checker), Roadmap(1), np.zeros(1, np.int64)
     announce_compilation("PRM", query)

@@ -1,4 +1,4 @@
-"""The planner interface: what every planner takes (Problem) and returns (PlannerResult)."""
+"""Interface of all planners: their input (Problem) and their result (PlannerResult)."""
 
 from __future__ import annotations
 
@@ -21,17 +21,14 @@ Array = NDArray[np.float64]
 class SpaceOptions:
     """Options of a planner configuration besides the planner's own parameters."""
 
-    longest_valid_segment_fraction: float | None = None  # of the space's extent, between validity checks
+    longest_valid_segment_fraction: float | None = None  # check step: share of the space's extent
     projection_evaluator: tuple[str, ...] = ()  # joints whose values span the cells of (B)KPIECE
     simplify_solutions: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A planning problem in joint space.
-
-    A start, one or more goals (n,), bounds, checker and deadline.
-    """
+    """A planning problem in joint space: start, goals (n,), bounds, checker and deadline."""
 
     checker: KernelChecker
     start: Array
@@ -39,7 +36,7 @@ class Problem:
     lower: Array  # finite sampling bounds
     upper: Array
     seed: int
-    deadline: float  # [s] of time.monotonic()
+    deadline: float  # [s] on the clock of time.monotonic()
     cancel: threading.Event = field(default_factory=threading.Event)
     more_goals: Iterator[Array] | None = None  # further goals (n,), computed on demand
     options: SpaceOptions = SpaceOptions()
@@ -49,7 +46,7 @@ class Problem:
 
     @property
     def stopped(self) -> bool:
-        """Whether the request is cancelled or its time is up."""
+        """Whether the planning request is canceled or its time is up."""
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
     @property
@@ -59,7 +56,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class PlannerResult:
-    """Waypoints (k, n) from the start to a goal, or None with a message."""
+    """Result of a planner: waypoints (k, n) from the start to a goal, or None with a message."""
 
     waypoints: Array | None
     message: str = ""
@@ -73,9 +70,9 @@ Planner = Callable[[Problem], PlannerResult]
 def sampling_bounds(
     model: RobotModel, joint_names: tuple[str, ...], start: Array, goals: Sequence[Array]
 ) -> tuple[Array, Array]:
-    """Compute sampling bounds (n,).
+    """Compute the lower and upper sampling bounds (n,) of a planning problem.
 
-    Joint limits, or one turn around start and goals for wider ranges.
+    The bounds are the joint limits, or one turn around start and goals for joints with wider limits.
     """
     columns = model.columns(joint_names)
     low, high = model.lower[columns], model.upper[columns]

@@ -1,4 +1,4 @@
-"""Registry of planners: lookup by name, MoveIt's names, parameters, first-use hooks."""
+"""Registry of planners: lookup by name, MoveIt's names, parameters and first-use hooks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ SettingsParser = Callable[[Mapping[str, Any]], Any]
 
 
 class UnknownParameterError(UnknownNameError):
-    """A parameter that a planner does not have; lists its parameters with their present values."""
+    """Error for a parameter that a planner does not have.
+
+    The message lists the planner's parameters with their current values.
+    """
 
     def __init__(self, planner: str, name: object, present: Mapping[str, Any]):
         self.kind, self.name, self.known = f"parameter of planner {planner!r}", name, sorted(present)
@@ -38,7 +41,7 @@ class UnknownParameterError(UnknownNameError):
 
 
 def settings_parser(planner: str, cls: type) -> SettingsParser:
-    """Create a parser from request parameters to a planner's settings dataclass.
+    """Create a parser from a request's parameters to a planner's settings dataclass.
 
     Raises:
         UnknownParameterError: no such parameter. InputError: a value of the wrong type.
@@ -73,7 +76,7 @@ def announce_compilation(planner: str, function: Any) -> None:
 
 
 def _cached(function: Any) -> bool:
-    """Return whether Numba's cache folder has an index file for a function."""
+    """Return whether Numba's cache folder has an index file for a compiled function."""
     folder, code = Path(os.environ["NUMBA_CACHE_DIR"]), function.py_func.__code__
     pattern = f"{Path(code.co_filename).stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"
     return any(folder.rglob(pattern))
@@ -103,10 +106,10 @@ first_use_hooks: dict[Planner, Callable[[], object]] = {}
 
 
 def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str, Any]) -> Any:
-    """Convert a request's parameters to a planner's settings; None if there are no parameters.
+    """Convert a request's parameters to a planner's settings; None without parameters.
 
     Raises:
-        UnknownParameterError: the planner has no such parameter; lists its parameters.
+        UnknownParameterError: the planner has no such parameter; the error lists its parameters.
         InputError: an impossible value.
     """
     if not parameters:
@@ -142,14 +145,14 @@ SIMILAR_PLANNERS = {
 
 
 def normalized_pipeline_id(pipeline_id: str) -> str:
-    """Convert a pipeline name to armcell's; an empty name means the default pipeline."""
+    """Convert a planning pipeline's name to armcell's; an empty name means the default pipeline."""
     return PIPELINE_ALIASES.get(pipeline_id, pipeline_id)
 
 
 class UnknownPlannerError(UnknownNameError):
-    """A planner that a pipeline lacks.
+    """Error for a planner that a pipeline does not have.
 
-    Names the pipeline that has it, or the most similar planners.
+    The message names the pipeline that has the planner, or the most similar planners.
     """
 
     def __init__(self, pipeline_id: str, name: str):
@@ -173,15 +176,15 @@ class UnknownPlannerError(UnknownNameError):
 
 
 def _name_in(pipeline_id: str, name: str) -> str | None:
-    """Return the name under which a pipeline has a planner, or None."""
+    """Return the name under which a pipeline has a planner, or None if it does not have it."""
     table = pipelines[pipeline_id]
     return next((n for n in (name, ALIASES.get(name)) if n in table), None)
 
 
 def pipeline_for(pipeline_id: str, planner_id: str) -> str:
-    """Select the pipeline of a request.
+    """Select the planning pipeline of a request.
 
-    If it names none, the first pipeline that has the planner.
+    Without a pipeline name, it is the first pipeline that has the planner.
     """
     if pipeline_id:
         return normalized_pipeline_id(pipeline_id)
@@ -190,7 +193,7 @@ def pipeline_for(pipeline_id: str, planner_id: str) -> str:
 
 
 def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
-    """Look up the name and function of the planner that a request names.
+    """Look up the name and function of a planner by pipeline name and planner name.
 
     Without a pipeline name, the first pipeline that has the planner is used.
 
@@ -212,14 +215,14 @@ def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
 
 
 def find_planner(pipeline_id: str, planner_id: str) -> Planner:
-    """Look up the planner that a request names, see `named_planner`."""
+    """Look up a planner's function by pipeline name and planner name; see `named_planner`."""
     return named_planner(pipeline_id, planner_id)[1]
 
 
 def normalized_planner_id(planner_id: str) -> str:
-    """Normalize MoveIt's planner names.
+    """Convert MoveIt's planner names to armcell's.
 
-    `geometric::RRTConnect`, `RRTConnectkConfigDefault`, `arm[RRTConnect]`.
+    Examples: `geometric::RRTConnect`, `RRTConnectkConfigDefault`, `arm[RRTConnect]`.
     """
     name = planner_id.strip()
     if name.endswith("]") and "[" in name:

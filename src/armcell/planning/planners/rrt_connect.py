@@ -1,4 +1,4 @@
-"""RRT-Connect, the default planner, and helpers that all native planners share."""
+"""RRT-Connect, the default planner, and functions that all native planners share."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -44,17 +44,20 @@ class NativeSettings:
     max_nodes: int = 60_000  # per tree
     max_iterations: int = 100_000_000  # normally the time limit ends the search first
     max_waypoints: int = 512
-    detour: float = 1.45  # a path longer than this many straight lines is searched for once more,
-    detour_iterations: int = 8000  # if it was found within this number of iterations
+    detour: float = 1.45  # search once more if the path is longer than this many straight lines
+    detour_iterations: int = 8000  # and was found within this number of iterations
     slice: int = 1000  # iterations between streamed goals
 
 
 @dataclass(frozen=True, eq=False)
 class NativeResult:
-    """Waypoints (k, dof) proven free, or None; times in seconds of this thread's CPU."""
+    """Result of a native planner: waypoints (k, dof) proven free, or None.
+
+    Times are seconds of this thread's CPU time.
+    """
 
     waypoints: Array | None
-    raw: Array | None = None  # before simplification
+    raw: Array | None = None  # path before simplification
     plan_s: float = 0.0
     simplify_s: float = 0.0
     certify_s: float = 0.0
@@ -65,9 +68,9 @@ class NativeResult:
 
 
 class NativePlanner:
-    """RRT-Connect with simplification for one checker.
+    """RRT-Connect planner with simplification for one collision checker.
 
-    Keeps its trees between calls. Use one per thread.
+    The planner keeps its trees between calls. Use one instance per thread.
     """
 
     def __init__(self, checker: KernelChecker, settings: NativeSettings = NativeSettings()):
@@ -95,7 +98,9 @@ class NativePlanner:
         iterations: int | None = None,
         go_on: bool = False,
     ) -> tuple[int, int, int]:
-        """Run one search, or another `iterations` of the last one; writes the path into `self.path`.
+        """Run one RRT-Connect search, or continue the last one; write the path to `self.path`.
+
+        With `go_on`, the last search continues for another `iterations`.
 
         Returns:
             Waypoints (0: none yet), iterations and nodes so far.
@@ -125,7 +130,7 @@ class NativePlanner:
     def add_goal(self, q: Array, number: int) -> None:
         """Add a goal as another tree root to the running search.
 
-        It is row `number` of the goals from now on.
+        The goal becomes row `number` of the goals.
         """
         nodes, parents, radii = self.trees[:3]
         i = len(parents) // 2 + self.found[NODES_1]
@@ -137,14 +142,17 @@ class NativePlanner:
         self.found[NODES_1] += 1
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Prove path[:count] and shorten it in place; return the new count, 0 if a proof fails."""
+        """Prove the waypoints path[:count] collision-free and shorten the path in place.
+
+        Return the new count, or 0 if a proof fails.
+        """
         c = self.checker
         return simplify_path(c.handle, self.path, count, self.space, self.index, self.slack, PADDED, stop)
 
     def shortened(self, waypoints: Array, stop: NDArray[np.int64]) -> Array | None:
-        """Simplify a path (m, dof) to one (k, dof) with every edge proven.
+        """Simplify a path (m, dof) to waypoints (k, dof) with every edge proven free.
 
-        None if an edge cannot be proven.
+        Return None if an edge cannot be proven.
         """
         most = len(self.path)
         pieces = []
@@ -159,9 +167,9 @@ class NativePlanner:
 
     @property
     def closest(self) -> Array | None:
-        """The closest approach of the two trees in the last search.
+        """Closest approach of the two trees in the last search: its two ends (2, dof).
 
-        Its ends (2, dof), see `NativeResult`.
+        See `NativeResult`.
         """
         dof = len(self.slack)
         at = closest_at(dof)
@@ -178,13 +186,13 @@ class NativePlanner:
         rounds: int = 5,
         more_goals: Iterator[Array] | None = None,
     ) -> NativeResult:
-        """Plan a path whose every edge is proven free.
+        """Plan a path by RRT-Connect with every edge proven free.
 
         The result has no waypoints if none was found.
 
         Args:
             goals: (g, dof). stop: an int64 array (1,); another thread that writes to it ends the search.
-            rounds: how often a path that cannot be proven is replaced by another one.
+            rounds: maximum number of searches for another path if a path cannot be proven.
             more_goals: yields one more goal (dof,) whenever a slice of the search has not found a path.
         """
         stop = np.zeros(1, np.int64) if stop is None else stop
@@ -227,7 +235,10 @@ class NativePlanner:
     def _in_slices(
         self, start: Array, goals: Array, ask: tuple, more_goals: Iterator[Array]
     ) -> tuple[int, int, int, Array]:
-        """Search in slices with one more goal after each slice; also return all goals so far."""
+        """Search in slices of iterations, with one more goal after each slice.
+
+        Return the search result and all goals.
+        """
         stop, left, go_on = ask[3], self.settings.max_iterations, False
         iterations = 0
         while True:
@@ -246,12 +257,15 @@ class NativePlanner:
 
 
 def nearest_roots(start: Array, goals: Array) -> Array:
-    """Return the start and its nearest goal (2, dof): the closest approach before any search."""
+    """Return the start and its nearest goal (2, dof).
+
+    This pair is the closest approach of the trees before any search.
+    """
     return np.stack([start, goals[np.argmin(np.linalg.norm(goals - start, axis=1))]])
 
 
 def shorter(known: Array, other: Array | None) -> Array:
-    """Return the connection (2, dof) with the smaller distance [rad] between its ends."""
+    """Return the connection (2, dof) with the smaller distance [rad] between its two ends."""
     return known if other is None or _length(known) <= _length(other) else other
 
 
@@ -265,7 +279,7 @@ FINE = 0.01  # [rad] between samples of a blocked connection
 
 @pipelines["native"].register("RRTConnect")
 def plan_rrt_connect(problem: Problem) -> PlannerResult:
-    """Plan by RRT-Connect: a simplified path, every edge proven free."""
+    """Plan by RRT-Connect: return a simplified path with every edge proven free."""
     planner = planner_of(problem.checker, problem.settings)
     with stopping(problem) as stop:
         answer = planner.plan(
@@ -292,9 +306,9 @@ settings_parsers[plan_rrt_connect] = settings_parser("RRTConnect", NativeSetting
 def unsolved(
     planner: str, problem: Problem, iterations: int, closest: NDArray[np.float64] | None, statistics: dict
 ) -> PlannerResult:
-    """Build the result of a failed search.
+    """Build the planner result of a failed search.
 
-    How near the trees came and which contacts blocked them.
+    The result reports how near the trees came and which contacts blocked them.
 
     Args:
         closest: (2, dof) ends of the shortest connection between the trees that failed.
@@ -331,11 +345,9 @@ _of_thread = threading.local()
 
 
 def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -> NativePlanner:
-    """Return this thread's planner for the checker's number of joints.
+    """Return the current thread's native planner for the checker's number of joints.
 
-    Other settings create a new planner.
-
-    Planners are reused because their trees are large.
+    Planners are reused because their trees are large. Other settings create a new planner.
     """
     if settings not in (None, NativeSettings()):
         return NativePlanner(checker, settings)
@@ -349,7 +361,7 @@ def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -
 
 @contextmanager
 def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
-    """Provide a stop flag for compiled searches; a watcher sets it at the deadline or on cancel."""
+    """Provide a stop flag for compiled searches; a watcher thread sets it at deadline or cancel."""
     stop, done = np.zeros(1, np.int64), threading.Event()
 
     def watch() -> None:
@@ -368,9 +380,9 @@ def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
 
 
 def simplify(problem: Problem, waypoints: Array) -> Array | None:
-    """Simplify a path (m, n) of another planner to (k, n) with the same ends.
+    """Simplify another planner's path (m, n) to waypoints (k, n) with the same ends.
 
-    None if an edge cannot be proven.
+    Return None if an edge cannot be proven.
 
     Args:
         waypoints: (m, n); edges checked at samples or not at all.

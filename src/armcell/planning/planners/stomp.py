@@ -1,4 +1,4 @@
-"""STOMP: noisy paths around the present path, weighted by their cost, form the next path.
+"""STOMP: a planner that combines noisy paths, weighted by their cost, to the next path.
 
 Kalakrishnan, Chitta, Theodorou, Pastor, Schaal, "STOMP: Stochastic trajectory optimization for motion
 planning", ICRA 2011.
@@ -25,29 +25,32 @@ from armcell.planning.planners.trajectory_optimization import (
 
 Array = NDArray[np.float64]
 
-SHARPNESS = 10.0  # of the weights (the paper's h)
-COOLING = 0.97  # of the noise from one iteration to the next
+SHARPNESS = 10.0  # sharpness of the weights (the paper's h)
+COOLING = 0.97  # factor of the noise from one iteration to the next
 
 
 @dataclass(frozen=True)
 class STOMPSettings:
-    """Settings of STOMP; names follow MoveIt's stomp parameters where it has them."""
+    """Settings of the planner STOMP.
+
+    Names follow MoveIt's stomp parameters where it has them.
+    """
 
     num_timesteps: int = 24  # waypoints between the ends
-    num_iterations: int = 30  # per initial path
+    num_iterations: int = 30  # iterations per initial path
     num_rollouts: int = 16  # noisy paths per iteration
     max_starts: int = 1000  # initial paths: the straight line, then lines with smooth random detours
-    stddev: float = 0.5  # [rad or m] of the noise at first
+    stddev: float = 0.5  # [rad or m] initial standard deviation of the noise
     control_cost_weight: float = 0.02  # pull toward the straight line per iteration
     collision_clearance: float = 0.03  # [m] distance beyond the padding below which obstacles cost
-    detour: float = 0.5  # [rad or m] of the random detours
+    detour: float = 0.5  # [rad or m] size of the random detours
 
 
 def optimize_stomp(
     cost: ObstacleCost, path: Array, lower: Array, upper: Array, settings: STOMPSettings,
     is_free: Callable[[Array], bool], stopped: Callable[[], bool], rng: np.random.Generator,
 ) -> Descent:  # fmt: skip
-    """Optimize a path (m, n) by STOMP until it is free; its ends stay fixed."""
+    """Optimize a path (m, n) by STOMP until it is free; the path's ends stay fixed."""
     path = path.copy()
     m, n = path.shape
     line = path[0] + np.linspace(0.0, 1.0, m)[:, None] * (path[-1] - path[0])
@@ -87,7 +90,10 @@ pipelines["stomp"] = Registry("planner of pipeline 'stomp'", GROUP)
 
 @pipelines["stomp"].register("STOMP")
 def stomp(problem: Problem) -> PlannerResult:
-    """Plan by STOMP; the path is rough, so the pipeline simplifies it."""
+    """Plan a rough path by STOMP (stochastic trajectory optimization).
+
+    The pipeline simplifies the path.
+    """
     settings: STOMPSettings = problem.settings or STOMPSettings()
     cost = ObstacleCost(problem.checker, settings.collision_clearance)
 

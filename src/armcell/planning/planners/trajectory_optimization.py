@@ -1,4 +1,4 @@
-"""Functions that CHOMP and STOMP share.
+"""Functions that the planners CHOMP and STOMP share.
 
 Initial paths, smoothness metric, limits, repeated starts.
 """
@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 
 @lru_cache(maxsize=16)
 def smooth_metric(count: int) -> tuple[Array, Array]:
-    """Compute the inverse smoothness metric (count, count) and its root.
+    """Compute the inverse of the smoothness metric (count, count) and the inverse's root.
 
-    The metric is the squared acceleration with both ends fixed and at rest. The inverse is scaled to a
-    largest element of 1; the root times white noise is smooth noise.
+    The metric is the squared acceleration of a path with both ends fixed and at rest. The inverse is scaled
+    to a largest element of 1; the root times white noise is smooth noise.
     """
     K = np.zeros((count + 2, count))
     for i in range(count + 2):  # second differences; the path rests beyond its ends
@@ -42,7 +42,7 @@ def resample_path(path: Array, count: int) -> Array:
 
 
 def path_validity(problem: Problem) -> Callable[[Array], bool]:
-    """Create a test whether a path (m, n) is free with padding and proven free of contact."""
+    """Return a function that tests whether a path (m, n) is free with padding and proven free."""
     checker = problem.checker
 
     def is_free(path: Array) -> bool:
@@ -55,7 +55,7 @@ def optimize_from_many_starts(
     name: str, problem: Problem, optimize: Callable[[Array, np.random.Generator], Descent], count: int,
     starts: int, detour: float, done: bool,
 ) -> PlannerResult:  # fmt: skip
-    """Optimize from straight lines, then from lines with random detours, until a path is free.
+    """Optimize initial paths until a path is free: straight lines, then random detours.
 
     Args:
         done: whether the path keeps its shape and is not simplified later.
@@ -81,7 +81,7 @@ def optimize_from_many_starts(
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Result of an optimization.
+    """Result of a path optimization.
 
     `free` is the first free path (m, n) or None, `path` the last path.
     """
@@ -90,13 +90,13 @@ class Descent:
     free: Array | None
     iterations: int
     cost: float
-    distance: float  # [m] the smallest of the spheres, of the last path
+    distance: float  # [m] smallest distance of the spheres on the last path
 
 
 def clamp_path(path: Array, lower: Array, upper: Array, inverse: Array) -> None:
-    """Bring a path (m, n) within joint limits in place.
+    """Bring a path (m, n) within joint limits by smooth changes, in place.
 
-    Smoothly, the worst waypoint of each joint first.
+    The worst waypoint of each joint is corrected first.
     """
     for j in range(path.shape[1]):
         for _ in range(10):
@@ -113,7 +113,7 @@ def initial_path(
     start: Array, goal: Array, count: int, lower: Array, upper: Array, number: int, detour: float,
     rng: np.random.Generator,
 ) -> Array:  # fmt: skip
-    """Create the straight line (count + 2, n), or a line with a smooth random detour.
+    """Create an initial path (count + 2, n): a straight line or one with a random smooth detour.
 
     The size of the detour grows with `number`.
     """

@@ -1,4 +1,4 @@
 """Compiled kernels of the native planners (Numba).
 
-Searches, trees, nearest neighbors, path simplification.
+The kernels are searches, trees, nearest neighbors and path simplification.
 """

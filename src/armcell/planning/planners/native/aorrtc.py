@@ -2,12 +2,12 @@
 
 Wilson, Thomason, Kingston, Kavraki and Gammell, "AORRTC: Almost-surely asymptotically optimal planning with
 RRT-Connect" (2025), after Hauser and Zhou's AO-x ("Asymptotically optimal planning by feasible kinodynamic
-planning in a state-cost space", T-RO 2016). A node is a configuration with its cost to come; the nearest
-node is sought in both. A node through which no path below the bound can go is never added. The caller
-simplifies each path found; its length is the bound of the next search (see planners/aorrtc.py).
+planning in a state-cost space", T-RO 2016). A node is a configuration with its cost to come; nearest-node
+queries use both. A node through which no path below the bound can go is never added. The caller simplifies
+each path found; the length of this path is the bound of the next search (see planners/aorrtc.py).
 
-Samples come from the configurations that a path below the bound can pass (Gammell, Srinivasa and
-Barfoot, "Informed RRT*", IROS 2014). Cost is path length [rad].
+Samples come from the configurations that a path below the bound can pass (Gammell, Srinivasa and Barfoot,
+"Informed RRT*", IROS 2014). Cost is path length [rad].
 """
 
 # pyright: reportCallIssue=false
@@ -28,16 +28,16 @@ from armcell.planning.planners.native.tree import get, put, trace
 
 TRIES = 8  # attempts in the box, then in the ellipsoid, to sample a point of a cheaper path
 PARENTS = 3  # other parents tried for a new node
-PARTNERS = 3  # nodes tried, at ever lower costs, for one from which the path stays below the bound
+PARTNERS = 3  # nodes tried, at ever lower costs, to find one with a path below the bound
 SHORTER, SHORTEST = 0.7, 0.05  # factor by which a node's longest edge shrinks on failure, and its minimum
-GAIN = 1e-3  # [rad] by which another parent must make a node cheaper
+GAIN = 1e-3  # [rad] smallest cost reduction for another parent of a node
 
 
 @inner_njit(forceinline=True)
 def uniform(random):
-    """Draw a number in [0, 1) from the generator state random[0] (splitmix64.
+    """Draw a random number in [0, 1) from the generator state random[0].
 
-    Steele, Lea and Flood 2014).
+    The generator is splitmix64 (Steele, Lea and Flood 2014).
     """
     z = random[0] + np.uint64(0x9E3779B97F4A7C15)
     random[0] = z
@@ -57,7 +57,7 @@ def _apart(a, i, b, k, dof):
 
 @inner_njit
 def _to_go(roots, dof, first, last, q, at):
-    """Compute the distance of q[at:] from the nearest of the roots first..last."""
+    """Compute the distance of configuration q[at:] from the nearest of the roots first..last."""
     least = 1e300
     for r in range(first, last):
         least = min(least, _apart(roots, r * dof, q, at, dof))
@@ -66,7 +66,7 @@ def _to_go(roots, dof, first, last, q, at):
 
 @inner_njit
 def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
-    """Sample uniformly from the ellipsoid of points that a path below the bound can pass."""
+    """Sample uniformly from the ellipsoid of configurations on paths below the cost bound."""
     length = _apart(roots, 0, roots, goal * dof, dof)
     norm = 0.0
     for j in range(0, dof, 2):  # a direction from normal deviates (Box and Muller)
@@ -79,7 +79,7 @@ def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
     scale = uniform(random) ** (1.0 / dof) / np.sqrt(norm)
     across = 0.5 * np.sqrt(max(bound * bound - length * length, 0.0))
     dot = square = 0.0
-    for j in range(dof):  # mirrored so that the first axis comes to lie along start - goal
+    for j in range(dof):  # mirrored so that the first axis is along start - goal
         q[at + j] *= scale * (0.5 * bound if j == 0 else across)
         axis[j] = (roots[goal * dof + j] - roots[j]) / max(length, 1e-12) - (1.0 if j == 0 else 0.0)
         dot += axis[j] * q[at + j]
@@ -92,9 +92,9 @@ def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
 
 @inner_njit
 def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
-    """Sample a configuration that a path below the bound can pass, into q[at:].
+    """Sample a configuration that a path below the cost bound can pass, into q[at:].
 
-    False if none was found.
+    Return False if no sample was found.
     """
     for k in range(2 * TRIES):
         if k < TRIES:
@@ -114,9 +114,9 @@ def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
 def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
             axis, nodes, parents, radii, leaves, leaf_ints, capacity, room, random, stop, max_iterations,
             found):  # fmt: skip
-    """Run `aorrtc` on pointers. Nodes have dof + 1 coordinates.
+    """Run the search of `aorrtc` on bare pointers.
 
-    The last is the cost from their root.
+    Nodes have dof + 1 coordinates; the last coordinate is the cost from their root.
     """
     dof = ints(k)[DOF]
     dims = dof + 1
@@ -126,7 +126,7 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
         if stop[0] != 0 or n0 + 64 > capacity or n1 + 64 > capacity:
             break
         found[ITERATIONS], found[NODES] = iteration, n0 + n1
-        tree = 1 - tree  # in turns: below a tight bound one of them may hardly grow at all
+        tree = 1 - tree  # alternate: below a tight bound one of the trees may hardly grow at all
         mine, other = (n1, n0) if tree == 1 else (n0, n1)
         first, first_other = tree * capacity, (1 - tree) * capacity
         if not _sample(roots, dof, goals, bound, lower, upper, random, edge, q, axis):
@@ -142,7 +142,7 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
             i = nearest_node(nodes, parents, leaves, leaf_ints, dims, capacity, tree, mine, edge, q, room)
             get(nodes, dims, first + i, edge, 0)
             distance, longest = _apart(edge, 0, edge, q, dof), radii[first + i]
-            f = min(1.0, longest / max(distance, 1e-9))  # learnt: near obstacles most long edges fail
+            f = min(1.0, longest / max(distance, 1e-9))  # learned: near obstacles most long edges fail
             for j in range(dof):
                 edge[b + j] = edge[j] + f * (edge[q + j] - edge[j])
             cost = edge[dof] + f * distance
@@ -155,7 +155,7 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
             radii[first + i] = max(SHORTER * longest, SHORTEST * reach)
             continue
         radii[first + i] = min(longest / SHORTER, reach)
-        # Another parent that makes it cheaper: near in configuration, at a cost drawn from below.
+        # Another parent that makes the node cheaper: near in configuration, at a lower random cost.
         least = _to_go(roots, dof, mine_a, mine_b, edge, b)
         for _ in range(PARENTS):
             edge[b + dof] = least + (cost - least) * uniform(random)
@@ -171,7 +171,7 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
         parents[first + mine], radii[first + mine] = i, longest
         mine += 1
         n0, n1 = (mine, other) if tree == 0 else (other, mine)
-        # On to a node of the other tree with which the path stays below the bound.
+        # Continue to a node of the other tree with which the path stays below the bound.
         least, most, near = _to_go(roots, dof, other_a, other_b, edge, b), bound - cost, -1
         distance = 0.0
         for _ in range(PARTNERS):

@@ -1,10 +1,9 @@
 """Exact nearest-neighbor search among many tree nodes.
 
-Leaves of 16 nodes with bounding boxes, 16 at a time.
-
-A node joins its parent's leaf, which is mostly the right one: a child is at most one edge away. A full leaf
-is halved across the widest side of its box. A query first computes a lower bound of its distance to every
-box, then examines only the leaves that may hold a nearer node than the best so far, so it is exact.
+Nodes are stored in leaves of 16 nodes with bounding boxes, and 16 boxes are evaluated at a time. A node joins
+its parent's leaf, which is mostly the best leaf: a child is at most one edge away. A full leaf is split
+across the widest side of its box. A query first computes a lower bound of its distance to every box, then
+examines only the leaves that may hold a nearer node than the best known node, so the result is exact.
 
 Nanoseconds per query for uniform samples, tree.nearest / this search (Zen 4, AVX-512; trees of an
 unsolvable Panda problem for 7 joints, else of an RRT in which every second extension fails):
@@ -18,8 +17,8 @@ unsolvable Panda problem for 7 joints, else of an RRT in which every second exte
 | 4000 | 3935 / 1226 | 2164 / 857 | 5199 / 4216 | 4555 / 3322 |
 | 16000 | 7488 / 5763 | | 15069 / 9370 | 18326 / 7616 |
 
-Joining costs 40 to 250 ns per node. So there are no leaves below `LEAF_THRESHOLD` nodes; at that number,
-all nodes join at once.
+Joining a leaf costs 40 to 250 ns per node. Trees with fewer than `LEAF_THRESHOLD` nodes therefore have no
+leaves; at this number, all nodes join at once.
 """
 
 # pyright: reportCallIssue=false
@@ -46,14 +45,14 @@ from armcell.planning.planners.native.tree import FAR, nearest
 
 LEAF_THRESHOLD = 1000  # number of nodes above which leaves are faster
 
-# Of each tree, in the array of integers: how many nodes have joined, how many leaves there are; then the
-# leaves' sizes, the nodes in their lanes, and each node's leaf. In the array of floats: the leaves (dims, L),
-# the boxes (16 of them: dims lower sides, dims upper ones, L each), and the bounds of a query.
+# Integer array of each tree: number of joined nodes, number of leaves; then the leaves' sizes, the nodes in
+# their lanes, and each node's leaf. Float array: the leaves (dims, L), the boxes (16 at a time: dims lower
+# sides, dims upper sides, L each), and the bounds of a query.
 JOINED, LEAVES, SIZES = 0, 1, 2
 
 
 def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
-    """Allocate the leaves of two trees of `capacity` nodes with `dims` coordinates."""
+    """Allocate the leaves for two trees of `capacity` nodes with `dims` coordinates."""
     most = _most(capacity)
     return (
         np.empty(2 * most * ((L + 2) * dims + 1), np.float32),
@@ -63,13 +62,16 @@ def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True)
 def _most(capacity):
-    """Compute the maximal number of leaves: each holds at least half of L nodes."""
+    """Compute the maximum number of leaves for a tree of `capacity` nodes.
+
+    Each leaf holds at least half of L nodes.
+    """
     return (2 * capacity // L + L) // L * L
 
 
 @inner_njit
 def reset_leaves(ints, capacity):
-    """Empty the leaves of both trees."""
+    """Remove all nodes from the leaves of both trees."""
     size = SIZES + _most(capacity) * (L + 1) + capacity
     for tree in range(2):
         ints[tree * size + JOINED] = ints[tree * size + LEAVES] = 0
@@ -106,7 +108,10 @@ def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, a
 
 @inner_njit
 def _clear(floats, ints, dims, f, boxes, i, leaf):
-    """Initialize an empty leaf; the first leaf of a vector also empties the boxes that share it."""
+    """Initialize an empty leaf of nodes.
+
+    The first leaf of a vector also empties the boxes that share the vector.
+    """
     ints[i + SIZES + leaf] = 0
     box = boxes + (leaf // L) * 2 * dims * L
     for j in range(dims):
@@ -120,7 +125,10 @@ def _clear(floats, ints, dims, f, boxes, i, leaf):
 
 @inner_njit
 def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, at):
-    """Append a node, whose coordinates are source[at::L], to a leaf that has a free lane."""
+    """Append a node to a leaf that has a free lane.
+
+    The node's coordinates are source[at::L].
+    """
     lane = ints[i + SIZES + leaf]
     ints[i + SIZES + leaf] = lane + 1
     box = boxes + (leaf // L) * 2 * dims * L + leaf % L
@@ -135,7 +143,7 @@ def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, a
 
 @inner_njit
 def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, node):
-    """Add a node to a leaf; halve the leaf first if it is full."""
+    """Add a tree node to a leaf; split the leaf first if it is full."""
     at = ((first + node) // L) * dims * L + (first + node) % L
     if ints[i + SIZES + leaf] == L:
         box = boxes + (leaf // L) * 2 * dims * L + leaf % L
@@ -190,7 +198,7 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
 
 @inner_njit
 def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
-    """Find the lane (over all leaves) of the node nearest to q[at:]."""
+    """Find the lane (over all leaves) of the node nearest to configuration q[at:]."""
     zero, least, first = splat(np.float32(0.0)), np.float32(FAR * FAR), 0
     blocks = (leaves + L - 1) // L
     for b in range(blocks):
@@ -231,7 +239,7 @@ def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
 
 @inner_njit(forceinline=True)
 def _look(floats, dims, f, leaf, q, at, best, where):
-    """Update each lane's best distance and its leaf with another leaf."""
+    """Update each lane's best distance, and the leaf of the best node, with one more leaf."""
     base, total = f + leaf * dims * L, splat(np.float32(0.0))
     for j in range(dims):
         d = load(floats, base + j * L) - splat(q[at + j])

@@ -1,6 +1,6 @@
 """PRM kernel: grow a roadmap and search it with as few collision checks as possible.
 
-Vertices are checked sixteen at a time; edges only when a shortest path uses them (Bohlin and Kavraki, "Path
+Vertices are checked sixteen at a time, edges only when a shortest path uses them (Bohlin and Kavraki, "Path
 planning using lazy PRM", ICRA 2000). Check results of vertices and edges carry the stamp of their scene:
 +stamp means free, -stamp not free; any other value must be checked again. Each new vertex is joined with
 its k nearest, k = e (1 + 1/d) log n (PRM*: Karaman and Frazzoli, IJRR 2011).
@@ -22,7 +22,7 @@ from armcell.collision.kernel.simd import L, fma, load, mask_lt, pointer, splat,
 from armcell.planning.planners.native.tree import FAR, get, put
 
 MAX_NEIGHBORS = 32
-SAME = 1e-6  # [rad] nearer than this is the same vertex
+SAME = 1e-6  # [rad] vertices with a smaller distance count as one
 
 # Contents of `counts`: vertices, edges, vertex checks, edge checks, searches.
 VERTICES, EDGES, VERTEX_CHECKS, EDGE_CHECKS, SEARCHES, COUNTS = range(6)
@@ -30,9 +30,9 @@ VERTICES, EDGES, VERTEX_CHECKS, EDGE_CHECKS, SEARCHES, COUNTS = range(6)
 
 @inner_njit
 def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
-    """Find the k nearest vertices of q[at:], nearest first, into ids and near (squared).
+    """Find the k roadmap vertices nearest to q[at:], nearest first.
 
-    Return the count.
+    Write their numbers to ids and their squared distances to near. Return the count.
     """
     n, worst = 0, np.float32(FAR)
     for block in range((count + L - 1) // L):
@@ -61,7 +61,10 @@ def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
 
 @inner_njit
 def _link(a, b, length, stamp, head, following, to, lengths, edge_stamps, counts):
-    """Add an edge between two vertices. Edge e is entry 2 e at a and 2 e + 1 at b."""
+    """Add an edge between two roadmap vertices.
+
+    Edge e is entry 2 e at vertex a and entry 2 e + 1 at vertex b.
+    """
     e = counts[EDGES]
     if 2 * e + 2 > 2 * len(lengths):
         return
@@ -74,9 +77,9 @@ def _link(a, b, length, stamp, head, following, to, lengths, edge_stamps, counts
 @inner_njit
 def _add(nodes, dof, q, at, stamp, head, following, to, lengths, vertex_stamps, edge_stamps, counts, ids,
          near, room):  # fmt: skip
-    """Add a free vertex, joined with its nearest vertices.
+    """Add a free vertex to the roadmap and join it with its nearest vertices.
 
-    Return its number (-1: the roadmap is full).
+    Return the number of the vertex (-1: the roadmap is full).
     """
     n = counts[VERTICES]
     k = int(np.ceil(np.e * (1 + 1 / dof) * np.log(n + 2)))
@@ -98,7 +101,7 @@ def _add(nodes, dof, q, at, stamp, head, following, to, lengths, vertex_stamps, 
 
 @inner_njit
 def _not_free(k, lanes):
-    """Return the lanes whose configurations at w are not free."""
+    """Return the SIMD lanes whose configurations in the lane buffer are not free."""
     I, w = ints(k), lanes_of(k)
     for j in range(I[DOF]):
         store(w, rate_at(I, j), splat(np.float32(0.0)))
@@ -108,7 +111,10 @@ def _not_free(k, lanes):
 
 @njit(cache=True, nogil=True)
 def recheck(handle, no_room, nodes, vertex_stamps, stamp, counts, stop):
-    """Check every vertex in the present scene and stamp it. no_room: zeros (dof,)."""
+    """Check every roadmap vertex in the current scene and store the result as a stamp.
+
+    no_room: zeros (dof,).
+    """
     dof, n, W, x = len(no_room), counts[VERTICES], lanes_of(pointer(handle)), pointer(nodes)
     loosen(pointer(handle), pointer(no_room))
     for first in range(0, n, L):
@@ -135,7 +141,7 @@ def recheck(handle, no_room, nodes, vertex_stamps, stamp, counts, stop):
 def grow(handle, no_room, nodes, head, following, to, lengths, vertex_stamps,
          edge_stamps, counts, ids, near, room, stamp, lower, upper, steps, sample, block, blocks,
          stop):  # fmt: skip
-    """Add the free ones of 16 `blocks` samples to the roadmap.
+    """Add the collision-free configurations of `blocks` times 16 samples to the roadmap.
 
     Args:
         steps, sample: (dof,), see rrt_connect.kronecker_steps. block: scratch (16, dof).
@@ -166,10 +172,10 @@ def grow(handle, no_room, nodes, head, following, to, lengths, vertex_stamps,
 @njit(cache=True, nogil=True)
 def insert(nodes, head, following, to, lengths, vertex_stamps, edge_stamps, counts, ids, near, room, stamp,
            path, numbers, joined):  # fmt: skip
-    """Add the free rows of a path (m, dof) as vertices and return their numbers.
+    """Add the free rows of a path (m, dof) as roadmap vertices and return their numbers.
 
     Args:
-        joined: the path's edges are known to be free too.
+        joined: whether the path's edges are also known to be free.
     """
     m, dof = path.shape
     for i in range(m):
@@ -216,7 +222,7 @@ def _pop(keys, items, n):
 
 @inner_njit
 def _to_go(nodes, dof, v, goals, room):
-    """Compute the distance of vertex v from the nearest goal; room: 2 dof doubles."""
+    """Compute the distance of roadmap vertex v from the nearest goal; room: 2 dof doubles."""
     least = np.inf
     get(nodes, dof, v, room, 0)
     for g in goals:
@@ -233,7 +239,10 @@ def _to_go(nodes, dof, v, goals, room):
 @inner_njit
 def _shortest(nodes, dof, head, following, to, lengths, vertex_stamps, edge_stamps, stamp, start, goals,
               number, mark, cost, came, keys, items, ends, stop):  # fmt: skip
-    """Find the goal that the shortest path not known to be blocked reaches (A*), or -1."""
+    """Find a shortest roadmap path to a goal by A*; return the goal, or -1.
+
+    Only edges that are known to be blocked are excluded.
+    """
     mark[start], cost[start], came[start] = number, 0.0, -1
     e = pointer(ends)
     _push(keys, items, 0, _to_go(nodes, dof, start, goals, e), start)
@@ -264,10 +273,12 @@ def _shortest(nodes, dof, head, following, to, lengths, vertex_stamps, edge_stam
 def query(handle, nodes, head, following, to, lengths, vertex_stamps,
           edge_stamps, counts, stamp, start, goals, step, mark, cost, came, keys, items, ends, route, path,
           stop):  # fmt: skip
-    """Find the roadmap's shortest path, free at samples `step` [rad] apart, into path (m, dof).
+    """Find the shortest free path on the roadmap and write it into path (m, dof).
+
+    The path is free at samples `step` [rad] apart.
 
     Args:
-        start: vertex. goals: vertices (-1: none). route: out, its edges (m,).
+        start: vertex. goals: vertices (-1: none). route: receives the path's edges (m,).
     Returns:
         Number of waypoints; 0 if there is no path yet.
     """

@@ -18,8 +18,10 @@ from armcell.collision.kernel.simd import pointer
 from armcell.planning.planners.native.nearest_neighbors import nearest_node, reset_leaves
 from armcell.planning.planners.native.tree import get, put, trace
 
-DOMAIN = 0.75  # radius of a node's domain after its first failure, and the smallest it becomes, as shares
-DOMAIN_MIN = 0.19  # of how far apart two random configurations are (4 and 1 rad for a Panda)
+# Radius of a node's domain after its first failure, and its minimum, as shares of the typical distance of
+# two random configurations (4 and 1 rad for a Panda).
+DOMAIN = 0.75
+DOMAIN_MIN = 0.19
 DOMAIN_STEP = 1e-4
 UNLIMITED = 1e9
 
@@ -29,28 +31,27 @@ FROM, TO, ITERATIONS, NODES, NODES_0, NODES_1, TURN, FOUND = range(8)
 
 
 def space_size(dof: int) -> int:
-    """Compute the scratch size in doubles.
+    """Compute the size of RRT-Connect's scratch memory in doubles.
 
-    [edge, sample], [sample steps], [sample], [closest approach].
+    Layout: [edge, sample], [sample steps], [sample], [closest approach].
     """
     return 7 * dof + 1
 
 
 def closest_at(dof: int) -> int:
-    """Return the scratch offset of the closest approach of the trees.
+    """Return the scratch offset of the closest approach of the two trees.
 
-    Length [rad], then its two ends.
+    The closest approach is a length [rad], then its two ends.
     """
     return 5 * dof
 
 
 @njit(cache=True)
 def kronecker_steps(dof, out):
-    """Compute the steps of Roberts' R sequence in `dof` dimensions.
+    """Compute the steps of Roberts' R sequence, a low-discrepancy sequence in `dof` dimensions.
 
-    Powers of the root of 1/x^(d+1) = 1/x + 1.
-
-    u + k * step modulo 1 is as even as Halton's points, at the cost of an addition.
+    The steps are powers of the root of 1/x^(d+1) = 1/x + 1. u + k * step modulo 1 is as even as Halton's
+    points, at the cost of an addition.
     """
     x = 2.0
     for _ in range(40):
@@ -65,9 +66,9 @@ def kronecker_steps(dof, out):
 def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
             nodes, parents, radii, leaves, leaf_ints, capacity, room, stop, max_iterations,
             found):  # fmt: skip
-    """Run `rrt_connect` on pointers; tree 0 grows from the start, tree 1 from the goals.
+    """Run the search of `rrt_connect` on bare pointers.
 
-    Node i of tree t is node t * capacity + i.
+    Tree 0 grows from the start, tree 1 from the goals. Node i of tree t is node t * capacity + i.
     """
     dof = ints(k)[DOF]
     q = 2 * dof  # edge: its two ends, then the sample
@@ -112,7 +113,7 @@ def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
         put(nodes, dof, first + mine, edge, dof)
         parents[first + mine], radii[first + mine] = i, UNLIMITED
         mine += 1
-        # On towards the nearest node of the other tree, as far as it is free.
+        # Continue toward the nearest node of the other tree, as far as the motion is free.
         near = nearest_node(
             nodes, parents, leaves, leaf_ints, dof, capacity, 1 - tree, other, edge, dof, room
         )
@@ -172,15 +173,15 @@ def rrt_connect(
     max_iterations,
     path,
 ):
-    """Find a path from the start to one of the goals and write its waypoints into path (m, dof).
+    """Find a path from the start to one of the goals; write its waypoints into path (m, dof).
 
     Args:
-        goals: (g, dof). shift: (dof,) in [0, 1), where the sample sequence begins (the seed).
+        goals: (g, dof). shift: (dof,) in [0, 1), start of the sample sequence (the seed).
         reach: longest edge [rad]. step: distance between validity checks [rad].
         nodes, parents, radii: memory of both trees (see tree.new_trees). leaves, leaf_ints: see
             nearest_neighbors.new_leaves. room: float32 scratch.
         space: float64 scratch, see `space_size`. found: int64, see FOUND. Both keep the search between
-            calls: it restarts if found[ITERATIONS] is 0 and continues otherwise.
+            calls: the search restarts if found[ITERATIONS] is 0 and continues otherwise.
         stop: stop[0] != 0 ends the search at once; set by another thread.
         max_iterations: of this call.
     Returns:

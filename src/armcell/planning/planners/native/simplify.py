@@ -1,9 +1,7 @@
-"""Path simplification kernel: shortcuts and rounded corners.
+"""Path simplification kernel: shortcuts and rounded corners (Numba).
 
-Every accepted edge is proven free.
-
-Paths are rows of a flat float64 buffer `p`, behind a bare pointer: the joint positions, then a flag whether
-the edge to the next row is proven (1 or 0).
+Every accepted edge is proven free. Paths are rows of a flat float64 buffer `p`, behind a bare pointer: the
+joint positions, then a flag whether the edge to the next row is proven (1 or 0).
 """
 
 # pyright: reportCallIssue=false
@@ -44,7 +42,7 @@ def _copy(p, width, src, dst):
 
 @inner_njit
 def _shortcut(k, p, count, first, last, at, mode, stop):
-    """Join each vertex with the farthest later vertex that a proven straight line reaches."""
+    """Join each path vertex with the farthest later vertex that a proven straight line reaches."""
     dof = ints(k)[DOF]
     width, i = dof + 1, 0
     while i < count - 2 and stop[0] == 0:
@@ -65,7 +63,7 @@ def _shortcut(k, p, count, first, last, at, mode, stop):
 
 @inner_njit
 def _round_corners(k, p, count, room, first, last, at, mode):
-    """Move corners toward the midpoints of their edges if the new edges are proven free.
+    """Move path corners toward the midpoints of their edges if the new edges are proven free.
 
     p: rows, count of them; behind `room` rows there is memory for three times as many tried rows and then
     for the new path. Returns count, changed.
@@ -123,11 +121,11 @@ def _round_corners(k, p, count, room, first, last, at, mode):
 
 @njit(cache=True, nogil=True)
 def simplify_path(handle, path, count, space, index, room, mode, stop):
-    """Shorten path[:count] in place; every remaining edge is proven free.
+    """Shorten the path rows path[:count] in place; every remaining edge is proven free.
 
     Args:
         path: (m, dof). space: float64 scratch of 6 m (dof + 1) + 2 m numbers. index: int64 scratch of 4 m.
-        room: (dof,) how far each joint may deviate from the edges [rad].
+        room: (dof,) possible deviation of each joint from the edges [rad].
         stop: stop[0] != 0 ends the shortening; set by another thread.
     Returns:
         The new count; 0 if an edge that could not be replaced cannot be proven.

@@ -1,4 +1,4 @@
-"""Storage of two search trees in blocks of 16 nodes; brute-force nearest neighbors."""
+"""Storage of two search trees in blocks of 16 nodes, and brute-force nearest neighbors."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -24,7 +24,7 @@ FAR = 1e9
 
 
 def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Allocate two trees of `capacity` nodes each (a multiple of L).
+    """Allocate two search trees of `capacity` nodes each (a multiple of L).
 
     `put` fills them block by block.
 
@@ -41,9 +41,9 @@ def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 @inner_njit(forceinline=True)
 def put(nodes, dof, i, q, at):
-    """Write the configuration q[at:] as node i; the rest of a new block is set far away.
+    """Write the configuration q[at:] as tree node i.
 
-    Write nodes in ascending order.
+    Write nodes in ascending order. The rest of a new block is set far away.
     """
     base = (i // L) * dof * L + i % L
     if i % L == 0:
@@ -55,7 +55,7 @@ def put(nodes, dof, i, q, at):
 
 @inner_njit(forceinline=True)
 def get(nodes, dof, i, q, at):
-    """Read node i into q[at:]."""
+    """Read the configuration of tree node i into q[at:]."""
     base = (i // L) * dof * L + i % L
     for j in range(dof):
         q[at + j] = nodes[base + j * L]
@@ -63,7 +63,9 @@ def get(nodes, dof, i, q, at):
 
 @inner_njit
 def nearest(nodes, dof, first, count, q, at, room):
-    """Find the nearest of `count` nodes from node `first` (a multiple of L) on to q[at:].
+    """Find the tree node nearest to q[at:] among `count` nodes from `first` on.
+
+    `first` is a multiple of L.
 
     `room` is scratch memory of L floats.
     """
@@ -86,12 +88,12 @@ def nearest(nodes, dof, first, count, q, at, room):
 
 @inner_njit
 def trace(nodes, parents, dims, capacity, i, k, dof, row, path, most):
-    """Write the path from tree 0's root to its node i, and on from tree 1's node k to its root.
+    """Write a path through two connected trees: tree 0's root, node i, node k, tree 1's root.
 
     Args:
         row: scratch, dims numbers. path: rows of the first dof coordinates, at most `most`.
     Returns:
-        How many rows (0: too many), and the root of tree 1 at which the path ends.
+        Number of rows (0: too many), and the root of tree 1 at which the path ends.
     """
     before, after, root = 0, 0, i
     while root >= 0:
