@@ -56,7 +56,7 @@ class ArmcellError(Exception):
 
 
 class InputError(ArmcellError):
-    """Invalid input: the message states the element, the file, the cause and the hint."""
+    """Invalid input; the error message states the element, the file, the cause and the hint."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class InputError(ArmcellError):
 
 
 class UnknownNameError(InputError):
-    """Unknown name: the message lists the valid names and the closest one."""
+    """An unknown name; the error message lists the valid names and the closest one."""
 
     def __init__(self, kind: str, name: object, known: Iterable[object], **where):
         self.kind, self.name, self.known = kind, name, sorted(map(str, known))  # YAML has keys of any kind

@@ -55,7 +55,9 @@ def _package(point: EntryPoint) -> str:
 
 
 class Registry(Generic[T]):
-    """Registry: `@registry.register("name")` adds a component, `registry["name"]` returns it.
+    """A mapping from names to registered components, such as planners or drivers.
+
+    `@registry.register("name")` adds a component; `registry["name"]` returns it.
 
     Args:
         kind: what the components are, for messages: "planner", "mode".
@@ -76,7 +78,7 @@ class Registry(Generic[T]):
         return add
 
     def imported(self) -> dict[str, T]:
-        """Return the components whose modules have been imported, without loading plugins."""
+        """Return the registered components of all imported modules, without loading plugins."""
         return dict(self._items)
 
     def _load_plugins(self) -> None:
