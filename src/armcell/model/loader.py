@@ -182,7 +182,7 @@ def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:
-    """Return the part of a robot from a link downwards, for example without a URDF's "world" link."""
+    """Return the part of a robot from a link down, for example without a URDF's "world" link."""
     keep = set(model.subtree(link))
     return replace(
         model,
