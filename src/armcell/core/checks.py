@@ -200,6 +200,6 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
 
 
 def require(condition: bool, text: str) -> None:
-    """Raise an InputError unless the condition holds."""
+    """Raise an InputError unless a given condition holds."""
     if not condition:
         raise InputError(text)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def finite_points(points: ArrayLike) -> tuple[Array, int]:
-    """Return the finite ones of points (n, 3), and the number of dropped points.
+    """Return the finite points of an array (n, 3), and the number of dropped points.
 
     Depth cameras mark pixels without depth by NaN.
     """
@@ -30,7 +30,7 @@ def finite_points(points: ArrayLike) -> tuple[Array, int]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PointCloud:
-    """Point cloud: balls of one radius [m] around points (n, 3) [m] in the shape's frame.
+    """A point cloud as an obstacle: balls of one radius [m] around points (n, 3) [m].
 
     Raises:
         InputError: a point is not finite (see `finite_points`), or the radius is not positive.

@@ -1,4 +1,4 @@
-"""States and events that a running cell sends to its observers (viewer, recorder, report, wire)."""
+"""States and events that a running cell sends to observers such as viewers and recorders."""
 
 from __future__ import annotations
 

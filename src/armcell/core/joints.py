@@ -29,13 +29,13 @@ def _columns(have: Names, want: Iterable[str]) -> list[int]:
 
 
 def all_finite(values: Array) -> bool:
-    """Return whether all values (n,) are finite; faster than `np.isfinite(values).all()` for small n."""
+    """Return whether all values (n,) are finite, faster than NumPy for small n."""
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """Positions [rad or m] of named joints, with velocities [rad/s or m/s] if known."""
+    """A joint state: positions [rad or m] and, if known, velocities of named joints."""
 
     joint_names: Names
     positions: Array  # (n,)

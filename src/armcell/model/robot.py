@@ -285,7 +285,7 @@ class RobotModel:
         return fitting[0]
 
     def columns(self, joint_names: Iterable[str]) -> list[int]:
-        """Return the indices of the given joints in `joint_names`.
+        """Return the indices of the given joints in the robot model's `joint_names`.
 
         Raises:
             UnknownNameError: a name is not an actuated joint of this robot.

@@ -85,7 +85,7 @@ class PlanningScene:
         )
 
     def with_state(self, state: JointState) -> PlanningScene:
-        """Return the planning scene with the joints of `state` moved; other joints stay.
+        """Return the planning scene with the positions of a joint state; other joints do not move.
 
         Mimic joints, as ROS's /joint_states names them, follow their own joints and are ignored here.
         """
@@ -210,7 +210,7 @@ class PlanningScene:
         return replace(self, allowed_pairs={**self.allowed_pairs, **pairs})
 
     def with_default_allowed(self, name: str, allow: bool | None) -> PlanningScene:
-        """Return the scene with contact of a body with all others allowed or not by default.
+        """Return the planning scene with a default for whether a body may touch other bodies.
 
         The default applies to pairs without an entry of their own, including bodies added later. If the
         defaults of two bodies disagree, their contact is not allowed, as in MoveIt.

@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class GripperIndex:
-    """Indices and limits of one gripper's position servo.
+    """Indices and limits of one gripper's position servo in a MuJoCo model.
 
     The length of the servo's tendon is the driven joint's position, averaged over the fingers.
     """

@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 
 
 def addresses_of(arrays: Sequence[NDArray], dtypes: Sequence[DTypeLike]) -> NDArray[np.int64]:
-    """Return a table (n, 3) with the address and shape of arrays, for compiled functions.
+    """Return a table (n, 3) of array addresses and shapes, for compiled functions.
 
     The second size of a vector is 1. The caller must keep the arrays alive.
 

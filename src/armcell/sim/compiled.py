@@ -96,7 +96,7 @@ class CompiledSteps:
 def compiled_steps(
     built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding
 ) -> CompiledSteps | None:
-    """Return the compiled stepper, or None if MuJoCo's memory layout is unknown.
+    """Return a compiled physics stepper, or None if MuJoCo's memory layout is unknown.
 
     The stepper reads MuJoCo's number of contacts at a fixed offset in mjData; `_count_is_found` checks this
     offset.

@@ -129,7 +129,7 @@ class ContactMonitor:
         self._rule()
 
     def clear(self) -> None:
-        """Delete the recorded contacts and keep the contact rules."""
+        """Delete the contacts that the monitor recorded, and keep its contact rules."""
         self._found = {}
 
     def update(self, data: mujoco.MjData) -> None:
@@ -152,7 +152,7 @@ class ContactMonitor:
             self._fine.add(seen)
 
     def _attach(self, data: mujoco.MjData) -> None:
-        """Map MuJoCo's contact list as a live view.
+        """Attach a live array view of MuJoCo's contact list to the monitor.
 
         The list starts at the arena's base, whatever its length.
         """

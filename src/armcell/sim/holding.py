@@ -86,7 +86,7 @@ class Holding:
         self._past[:, 0] = 0.0
 
     def update(self, count: int, pairs: NDArray[np.int32]) -> None:
-        """Correct the held objects after a physics step without compiled code.
+        """Correct the creep and drift of held objects after a physics step taken from Python.
 
         Args:
             count: number of contacts.

@@ -69,7 +69,7 @@ class _PooledModel:
         self, scene: PlanningScene, objects: dict[str, CollisionObject], loose: list[CollisionObject],
         settings: PhysicsSettings,
     ) -> ModelLease | None:  # fmt: skip
-        """Lease the pooled model's copy, adapted to a scene; return None while it is leased."""
+        """Lease the copy of a pooled MuJoCo model for a scene, or return None while it is leased."""
         if self._lease() is not None:
             return None
         mj, data = self._free or self._copied()

@@ -94,7 +94,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """A request to render one image."""
+    """A request to a render process for one image."""
 
     setup: Setup
     state: State

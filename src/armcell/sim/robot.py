@@ -149,7 +149,7 @@ def _add_visuals(adder: GeomAdder, body: Any, link: Link) -> None:
 
 
 def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
-    """Exclude contacts of link pairs that may touch or that one joint connects.
+    """Exclude from MuJoCo's contacts the link pairs that may touch or that one joint connects.
 
     The allowed pairs come from the scene and its model. The hulls of neighboring links overlap at their
     joint, so a contact there would be meaningless.

@@ -46,7 +46,7 @@ class ArmServo:
         self._feedforward = np.array([drive.feedforward for drive in drives])
 
     def controls(self, columns: list[int]) -> Controls:
-        """Return the control indices of arm joints, given by columns in the model's joint order."""
+        """Return MuJoCo's control indices of arm joints, given their indices in the model's order."""
         at = np.array([self._at[c] for c in columns], dtype=int)
         return at, self._pos[at], self._vel[at]
 

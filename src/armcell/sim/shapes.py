@@ -32,7 +32,7 @@ _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
 
 
 class GeomAdder:
-    """Adds shapes as geoms to the bodies of one MuJoCo spec; each mesh becomes one shared asset."""
+    """A builder that adds shapes as geoms to a MuJoCo spec; each mesh becomes one shared asset."""
 
     def __init__(self, spec: mujoco.MjSpec):
         self.spec = spec

@@ -561,13 +561,13 @@ class SimWorld:
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Store an object's current pose in a gripper's tcp frame as the reference for `slip`."""
+        """Store an object's pose in a gripper's tcp frame as the reference for measuring its slip."""
         self._object(item)
         index = self._gripper(gripper)
         self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
 
     def slip(self, gripper: str | None = None) -> tuple[float, float]:
-        """Return how far the watched object has moved [m] and rotated [rad] in the gripper.
+        """Return how far an object has slipped [m] and rotated [rad] in a gripper.
 
         Args:
             gripper: name of the gripper; required only if more than one gripper is watched.

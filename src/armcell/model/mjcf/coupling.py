@@ -42,7 +42,7 @@ class Couplings:
     rules: dict[int, tuple[int, float, float]] = field(default_factory=dict)
 
     def add(self, joint: int, other: int, multiplier: float, offset: float) -> None:
-        """Add the rule q[joint] = multiplier * q[other] + offset, without forming a loop.
+        """Add the joint coupling q[joint] = multiplier * q[other] + offset, without forming a loop.
 
         Of two joints without a rule, the one with an own actuator drives; else the first in the tree.
         """

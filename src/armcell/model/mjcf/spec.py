@@ -63,7 +63,7 @@ class RobotSpec:
 
 
 def robot_spec(text: str) -> RobotSpec:
-    """Return the normalized spec of a robot's MJCF text.
+    """Return a robot's normalized MuJoCo spec from its MJCF text.
 
     Lights, cameras, sensors, keyframes, the floor and other fixed geoms of the world, and free objects are
     removed. A free base becomes a fixed base.

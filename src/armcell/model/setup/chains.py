@@ -119,7 +119,7 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
-    """Return the serial movable joints from a first joint on, and the joints after the branch."""
+    """Return a serial chain of movable joints, and the joints after the chain's next branch."""
     row = [first]
     while len(ends := _next_movable(model, row[-1].child)) == 1:
         row.append(ends[0])

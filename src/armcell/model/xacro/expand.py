@@ -443,7 +443,7 @@ def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Mac
 
 
 def _parent_of(scope: Scope) -> Scope:
-    """Return the scope that `scope="parent"` sets: the scope of a macro's caller.
+    """Return the scope to which xacro's `scope="parent"` refers: the scope of a macro's caller.
 
     For an included file with a namespace, the caller is the file that includes it.
     """

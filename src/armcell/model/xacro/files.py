@@ -39,7 +39,7 @@ SHOWN = 20  # entries of a folder in an error message
 
 
 class MissingFile(XacroError):
-    """A file that a xacro file includes or loads does not exist."""
+    """Error for a missing file that a xacro file includes or loads."""
 
 
 class RobotFiles:

@@ -23,7 +23,7 @@ ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
 
 
 class MissingArgument(XacroError):
-    """An argument of a xacro file has neither a default nor a given value."""
+    """Error for an argument of a xacro file that has neither a default nor a given value."""
 
     def __init__(self, name: str):
         super().__init__(f"argument {name!r} has no value", missing_hint([name]))
