@@ -30,7 +30,7 @@ def finite_points(points: ArrayLike) -> tuple[Array, int]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PointCloud:
-    """A point cloud as an obstacle: balls of one radius [m] around points (n, 3) [m].
+    """A point cloud: balls of one radius [m] around points (n, 3) [m] in the shape's frame.
 
     Raises:
         InputError: a point is not finite (see `finite_points`), or the radius is not positive.

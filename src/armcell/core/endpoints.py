@@ -80,7 +80,7 @@ def listen(sock: socket.socket, backlog: int) -> None:
     Raises:
         InputError: another program has taken the port since `reserve`.
     """
-    # Needed despite the last server's connections in TIME_WAIT; ours inherit the option for the next server.
+    # Allows a port with the last server's connections in TIME_WAIT; accepted connections inherit the option.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         sock.listen(backlog)

@@ -80,7 +80,7 @@ class UnknownNameError(InputError):
     """Error for an unknown name; the message lists the valid names and the closest one."""
 
     def __init__(self, kind: str, name: object, known: Iterable[object], **where):
-        self.kind, self.name, self.known = kind, name, sorted(map(str, known))  # YAML has keys of any kind
+        self.kind, self.name, self.known = kind, name, sorted(map(str, known))  # YAML keys may have any type
         near = difflib.get_close_matches(str(name), self.known, n=1, cutoff=0.6)
         shown = ", ".join(self.known[:30]) + (", ..." if len(self.known) > 30 else "")
         reason = f"unknown {kind} {str(name)!r}; known: {shown or 'none'}"

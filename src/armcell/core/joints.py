@@ -35,7 +35,10 @@ def all_finite(values: Array) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """A joint state: positions [rad or m] and, if known, velocities of named joints."""
+    """A joint state: positions [rad or m] and, if known, velocities of named joints.
+
+    Velocities are in rad/s or m/s.
+    """
 
     joint_names: Names
     positions: Array  # (n,)
@@ -218,7 +221,7 @@ class JointTrajectory:
     def samples(self, times: ArrayLike) -> tuple[Array, Array, Array]:
         """Return a trajectory's positions, velocities and accelerations (k, n) at times (k,) [s].
 
-        The values equal those of `sample`, but take less time than single calls.
+        The values equal the results of `sample`, but take less time than single calls.
         """
         known, at = self.times, float_array(times, (None,), "times")
         if len(known) == 0:
@@ -228,7 +231,7 @@ class JointTrajectory:
         rows = np.flatnonzero((at > known[0]) & (at < known[-1]))
         if len(rows):
             i = np.searchsorted(known, at[rows], side="right") - 1
-            # scalars' powers: those of arrays may differ in the last bit
+            # powers of scalars, because powers of arrays may differ in the last bit
             powers = np.array([[h**k for k in range(6)] for h in known[i + 1] - known[i]])
             s = (at[rows] - known[i])[:, None]
             q[rows], v[rows], a[rows] = self._between(i, s, list(powers.T[:, :, None]))

@@ -61,7 +61,7 @@ def set_packages(words: Iterable[str]) -> None:
 
 
 def xacro_args(own: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return a robot file's xacro arguments; those of the command line replace its own."""
+    """Return a robot file's xacro arguments, overridden by the command line's arguments."""
     return {**(own or {}), **_read(XACRO_ARGS)}
 
 

@@ -108,7 +108,7 @@ class SeenObject(Outcome):
 
 @dataclass(frozen=True)
 class Sight(Outcome):
-    """The result of object detection: objects sorted by size, also those without a pose.
+    """The result of object detection: objects sorted by size, including objects without a pose.
 
     The largest object comes first.
     """

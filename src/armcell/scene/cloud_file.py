@@ -234,9 +234,9 @@ def _unpacked(body: bytes, size: int, file: Path) -> bytes:
 def _unlzf(data, out):
     """Decompress LZF data (Marc Lehmann's liblzf); return the number of written bytes.
 
-    The result is -1 if the data are invalid. A control byte below 32 precedes so many literal bytes plus
-    one. The upper three bits of any other control byte are the length of a copy (if 7, the next byte is
-    added); the lower five bits and the next byte are its distance backwards.
+    The result is -1 if the data are invalid. A control byte n below 32 precedes n + 1 literal bytes. The
+    upper three bits of any other control byte are the length of a copy (if 7, the next byte is added); the
+    lower five bits and the next byte are the distance back to the copied bytes.
     """
     i, n = 0, 0
     while i < len(data):

@@ -117,7 +117,7 @@ class PlanningScene:
         return self.with_objects((item,))
 
     def with_objects(self, items: Iterable[CollisionObject]) -> PlanningScene:
-        """Return the planning scene with several objects added, replacing those of equal names.
+        """Return the planning scene with several objects added or replaced by name.
 
         Raises:
             InputError: a link, a fixed frame or an attached object has the name of one of them.

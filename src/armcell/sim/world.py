@@ -115,7 +115,7 @@ class SimWorld:
 
     def _build(self, scene: PlanningScene) -> None:
         log_mujoco_warnings()
-        self._lease = lease_model(scene, self.settings)  # of an earlier scene: dropped, for its snapshots
+        self._lease = lease_model(scene, self.settings)  # drops an earlier lease, which snapshots may need
         self.built, self._data = self._lease.built, self._lease.data
         self.robot: RobotModel = scene.model
         self._mj: mujoco.MjModel | None = self.built.mj
@@ -460,7 +460,7 @@ class SimWorld:
         if start is None:
             return np.zeros(6)
         velocity = self.mj_data.qvel[start : start + 6].copy()
-        velocity[3:] = self.object_pose(name).rotation.matrix @ velocity[3:]  # MuJoCo's is in the body frame
+        velocity[3:] = self.object_pose(name).rotation.matrix @ velocity[3:]  # qvel has the body frame here
         return velocity
 
     def set_object_pose(self, name: str, T_world_object: SE3) -> None:

@@ -64,7 +64,7 @@ class MjcfText:
 def read_mjcf(file: Path) -> MjcfText:
     """Read an MJCF file with all files that it includes, without textures.
 
-    Textures are left out: armcell draws links in plain colors, and a missing image must not stop a robot.
+    armcell needs no textures, because it draws links in plain colors; a missing image would be an error.
 
     Raises:
         InputError: a file is missing, too large or not valid XML, includes are nested too deeply, or the root

@@ -3,7 +3,7 @@
 armcell has its own processor because the library `xacro` cannot be made safe from outside. The library calls
 Python's `eval` in three places (expressions, `$(eval)`, units in YAML) behind a filter that a lambda
 bypasses; it keeps state in module variables, reads any file, parses entities and expands without limit.
-Replacing those functions at run time would replace most of the library, and after a renaming in the library
+Replacing these functions at run time would replace most of the library, and after a renaming in the library
 `eval` would silently be active again. Tests compare the results of both processors on the same files, element
 by element.
 
