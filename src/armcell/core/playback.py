@@ -19,7 +19,7 @@ T = TypeVar("T", float, Array)
 class Playback:
     """A fast evaluator of a trajectory's positions and velocities.
 
-    The values equal those of `JointTrajectory.sample`; accelerations are not available.
+    The values agree with `JointTrajectory.sample`; accelerations are not available.
 
     Position and velocity are polynomials in the time since the start of an interval; the constructor computes
     the coefficients of all intervals.
