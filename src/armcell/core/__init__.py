@@ -1,4 +1,4 @@
-"""Value types that all packages share: poses, joints, shapes, requests, results, errors, registry."""
+"""Value types shared by all packages: poses, joints, shapes, requests, results and errors."""
 
 from armcell.core.clouds import Octree, PointCloud, finite_points
 from armcell.core.constraints import (

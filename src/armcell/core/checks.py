@@ -15,11 +15,11 @@ from armcell.core.errors import ArmcellError, InputError, UnknownNameError
 
 T = TypeVar("T")
 _FLOAT = np.dtype(np.float64)
-_FEW = 32  # numbers, which are looked at one by one faster than by np.isfinite
+_FEW = 32  # arrays with fewer numbers are checked faster one by one than by np.isfinite
 
 
 def settings_from(cls: type[T], values: Any, what: str) -> T:
-    """Create a settings dataclass from a mapping (a parsed file); nested settings are nested mappings.
+    """Create a settings dataclass from a nested mapping, such as a parsed YAML file.
 
     Raises:
         InputError: unknown name (lists the valid names), wrong type, missing or invalid value.
@@ -46,10 +46,10 @@ def _number(value: Any) -> bool:
 
 
 def _like(default: Any, value: Any, what: str) -> Any:
-    """Convert a value to the type of the default."""
+    """Convert a setting's value from a file to the type of the setting's default value."""
     if is_dataclass(default) and not isinstance(default, type):
         return settings_from(type(default), value, what)
-    if (reads := getattr(type(default), "from_setting", None)) is not None:  # a value with a form of its own
+    if (reads := getattr(type(default), "from_setting", None)) is not None:  # a type with its own parser
         return reads(value, what)
     if isinstance(default, str):
         if not isinstance(value, str):
@@ -78,14 +78,14 @@ def is_number(value: Any, infinite: bool = False) -> bool:
         return False
     try:
         return math.isfinite(value) or (infinite and not math.isnan(value))
-    except OverflowError:  # an int that no float can hold
+    except OverflowError:  # an integer too large for a float
         return False
 
 
 def float_array(
     values: ArrayLike, shape: tuple[int | None, ...] | None, what: str, finite: bool = True
 ) -> NDArray[np.float64]:
-    """Convert values to a float array of a given shape; call this before passing them to compiled code.
+    """Convert values to a float array after checking their shape, for compiled code.
 
     Args:
         shape: the required shape. None in it accepts any length, a leading -1 any number of axes; None
@@ -101,7 +101,7 @@ def float_array(
         and (shape is None or values.shape == shape)
         and (not finite or (values.ndim == 1 and values.size < _FEW and math.isfinite(sum(values.tolist()))))
     ):
-        return values  # as nearly always: without the checks in full, which take three times as long
+        return values  # the usual case: the full checks below take three times as long
     try:
         array = np.asarray(values)
         if array.dtype != np.float64:
@@ -144,7 +144,9 @@ _TUPLE = {
 
 
 def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
-    """Class decorator (below `@dataclass`): the constructor rejects NaN, infinity and non-numbers.
+    """Return a class decorator that makes a dataclass reject NaN, infinity and non-numbers.
+
+    Apply it below `@dataclass`.
 
     It checks fields annotated as float, int or a tuple of floats, including optional ones.
 
@@ -198,6 +200,6 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
 
 
 def require(condition: bool, text: str) -> None:
-    """Raise an InputError unless the condition holds."""
+    """Raise an InputError unless a given condition holds."""
     if not condition:
         raise InputError(text)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def finite_points(points: ArrayLike) -> tuple[Array, int]:
-    """Return the finite points of (n, 3) and the number of dropped points.
+    """Return the finite points of an array (n, 3), and the number of dropped points.
 
     Depth cameras mark pixels without depth by NaN.
     """
@@ -30,7 +30,7 @@ def finite_points(points: ArrayLike) -> tuple[Array, int]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PointCloud:
-    """Point cloud: balls of one radius [m] around points (n, 3) [m] in the shape's frame.
+    """A point cloud: balls of one radius [m] around points (n, 3) [m] in the shape's frame.
 
     Raises:
         InputError: a point is not finite (see `finite_points`), or the radius is not positive.
@@ -52,13 +52,16 @@ class PointCloud:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest corner (3,), (3,) [m] of the bounding box; zeros if the shape is empty."""
+        """Return the lowest and highest corner (3,), (3,) [m] of a point cloud's bounding box.
+
+        Both corners are zero if the cloud is empty.
+        """
         return _bounds(self.points, self.radius)
 
 
 @dataclass(frozen=True, eq=False)
 class Octree:
-    """Occupied cells of an octomap: cubes aligned with the axes of the shape's frame.
+    """Occupied cells of an octomap: cubes aligned with the axes of the octree's frame.
 
     centres (n, 3) [m], sizes (n,) full edge lengths [m]. Cubes may overlap and need no common grid.
     """
@@ -80,7 +83,7 @@ class Octree:
 
     @staticmethod
     def from_grid(occupied: ArrayLike, size: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Octree:
-        """Create from a boolean grid (i, j, k) with cells of one size [m]; merges eight full neighbors.
+        """Create an octree from a boolean grid (i, j, k) of cells; merge eight full neighbors.
 
         Args:
             origin: the lowest corner of cell (0, 0, 0) [m].
@@ -107,7 +110,10 @@ class Octree:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest corner (3,), (3,) [m] of the bounding box; zeros if the shape is empty."""
+        """Return the lowest and highest corner (3,), (3,) [m] of an octree's bounding box.
+
+        Both corners are zero if the octree is empty.
+        """
         return _bounds(self.centres, self.sizes[:, None] / 2)
 
 

@@ -1,4 +1,4 @@
-"""Constraints on a motion or its goal, as in moveit_msgs/Constraints."""
+"""Constraints on a robot's motion or its goal, as in moveit_msgs/Constraints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ WORLD = "world"
 @dataclass(frozen=True)
 @checked()
 class JointConstraint:
-    """Keep a joint between position - tolerance_below and position + tolerance_above [rad or m]."""
+    """A constraint that keeps a joint within tolerances [rad or m] of a position.
+
+    The joint stays between position - tolerance_below and position + tolerance_above.
+    """
 
     joint: str
     position: float
@@ -25,7 +28,7 @@ class JointConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PositionConstraint:
-    """Keep a point of a link inside a region: inside at least one of the region's shapes."""
+    """A constraint that keeps a point of a link inside at least one shape of a region."""
 
     region: tuple[tuple[Shape, SE3], ...]  # (shape, T_frame_shape)
     link: str | None = None  # default: the group's tip; also an attached object or a subframe
@@ -36,7 +39,9 @@ class PositionConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class OrientationConstraint:
-    """Keep a link's orientation within a tolerance about each axis [rad]; pi or more frees that axis.
+    """A constraint that keeps a link's orientation within a tolerance about each axis [rad].
+
+    A tolerance of pi or more frees its axis.
 
     The error is the rotation from the desired to the current orientation, in the axes of the desired
     orientation: a rotation vector, or intrinsic x-y-z Euler angles (MoveIt's default, singular at 90 deg
@@ -53,7 +58,7 @@ class OrientationConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class VisibilityConstraint:
-    """Keep a disc visible to a sensor: no robot link is in the cone from the sensor to the disc.
+    """A constraint that keeps the cone from a sensor to a disc free of robot links.
 
     The sensor's own link, the link that carries the disc, and attached objects do not count (as in MoveIt).
     World objects are not checked.
@@ -72,7 +77,7 @@ class VisibilityConstraint:
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """A set of constraints that must all hold."""
+    """A set of constraints on a robot's motion or its goal, which must all hold."""
 
     joints: tuple[JointConstraint, ...] = ()
     positions: tuple[PositionConstraint, ...] = ()

@@ -1,4 +1,4 @@
-"""A contact between two bodies."""
+"""A contact between two bodies of a robot cell."""
 
 from __future__ import annotations
 

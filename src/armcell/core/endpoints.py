@@ -16,12 +16,12 @@ from armcell.core.errors import InputError
 
 PROC = Path("/proc")
 _TABLES = {"tcp": "0A", "tcp6": "0A", "udp": "", "udp6": ""}
-"""Files of /proc/net, and the state that a row must have: 0A is LISTEN; a UDP socket receives in any."""
+"""Socket tables in /proc/net with the required state of a row: 0A is LISTEN, empty is any."""
 
 
 @dataclass(frozen=True, order=True)
 class Endpoint:
-    """An address that accepts connections (tcp) or datagrams (udp).
+    """A network address at which a socket accepts TCP connections or UDP datagrams.
 
     Attributes:
         host: numeric address as bound; 0.0.0.0 and :: mean every interface.
@@ -35,13 +35,13 @@ class Endpoint:
 
     @classmethod
     def of(cls, sock: socket.socket, service: str = "") -> Endpoint:
-        """Create the endpoint of a bound socket."""
+        """Return the network address of a bound socket as an `Endpoint`."""
         host, port = sock.getsockname()[:2]
         return cls("udp" if sock.type == socket.SOCK_DGRAM else "tcp", host, port, service)
 
     @property
     def is_local(self) -> bool:
-        """Return whether only this machine can reach the endpoint."""
+        """Return whether only processes on this machine can reach the network address."""
         return ipaddress.ip_address(self.host.partition("%")[0]).is_loopback
 
     def __str__(self) -> str:
@@ -65,7 +65,7 @@ def reserve(host: str, port: int) -> socket.socket:
     try:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # despite connections in TIME_WAIT
         sock.bind((host, port))
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # from now on no other program may bind it
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # no other program may bind it from now on
     except BaseException:
         sock.close()
         raise
@@ -73,14 +73,14 @@ def reserve(host: str, port: int) -> socket.socket:
 
 
 def listen(sock: socket.socket, backlog: int) -> None:
-    """Open a reserved port.
+    """Accept connections on a TCP port that `reserve` has reserved.
 
     Args:
         backlog: number of connections that may wait to be accepted.
     Raises:
         InputError: another program has taken the port since `reserve`.
     """
-    # Needed despite the last server's connections in TIME_WAIT; ours inherit the option for the next server.
+    # Allows a port with the last server's connections in TIME_WAIT; accepted connections inherit the option.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         sock.listen(backlog)
@@ -90,7 +90,7 @@ def listen(sock: socket.socket, backlog: int) -> None:
 
 
 def host_in_url(host: str) -> str:
-    """Format a host for a URL: an IPv6 address gets brackets."""
+    """Format a host for a URL: put an IPv6 address into brackets."""
     return f"[{host}]" if ":" in host else host
 
 
@@ -116,7 +116,10 @@ def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
 
 
 def descendants(pid: int) -> list[int]:
-    """List a process and all its descendants; only the process itself on systems without /proc."""
+    """List the IDs of a process and all its descendants.
+
+    Systems without /proc yield only the process itself.
+    """
     children: dict[int, list[int]] = {}
     for entry in _entries(PROC):
         if entry.name.isdigit():
@@ -141,7 +144,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
-    """Yield the rows of a /proc/net table whose inode is in a set."""
+    """Return the sockets in a /proc/net table whose inode is in a set."""
     try:
         lines = file.read_text().splitlines()[1:]
     except OSError:  # the process has ended, or the kernel has no IPv6
@@ -156,7 +159,7 @@ def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
 
 
 def _numeric(text: str) -> str:
-    """Decode an address of /proc/net: hexadecimal 32-bit words in the machine's byte order."""
+    """Decode an IP address of /proc/net: hexadecimal 32-bit words in the machine's byte order."""
     words = [int(text[i : i + 8], 16) for i in range(0, len(text), 8)]
     raw = b"".join(word.to_bytes(4, sys.byteorder) for word in words)
     return str(ipaddress.ip_address(raw))

@@ -1,4 +1,4 @@
-"""Error codes for legitimate failures, exceptions for misuse and bad input.
+"""Error codes for failures that can occur in normal use, and exceptions for bad input.
 
 A request that can legitimately fail returns a result with an `ErrorCode`. The exceptions are for errors
 that the caller can fix: an unknown name, a broken file, a missing extra.
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 class ErrorCode(IntEnum):
-    """MoveIt's error codes (moveit_msgs/MoveItErrorCodes), including the misspelled one."""
+    """MoveIt's error codes (moveit_msgs/MoveItErrorCodes), including their misspelled name."""
 
     SUCCESS = 1
     FAILURE = 99999
@@ -56,7 +56,7 @@ class ArmcellError(Exception):
 
 
 class InputError(ArmcellError):
-    """Invalid input: the message states the element, the file, the cause and the hint."""
+    """Error for invalid input; the message states the element, the file, the cause and the hint."""
 
     def __init__(
         self,
@@ -77,10 +77,10 @@ class InputError(ArmcellError):
 
 
 class UnknownNameError(InputError):
-    """Unknown name: the message lists the valid names and the closest one."""
+    """Error for an unknown name; the message lists the valid names and the closest one."""
 
     def __init__(self, kind: str, name: object, known: Iterable[object], **where):
-        self.kind, self.name, self.known = kind, name, sorted(map(str, known))  # YAML has keys of any kind
+        self.kind, self.name, self.known = kind, name, sorted(map(str, known))  # YAML keys may have any type
         near = difflib.get_close_matches(str(name), self.known, n=1, cutoff=0.6)
         shown = ", ".join(self.known[:30]) + (", ..." if len(self.known) > 30 else "")
         reason = f"unknown {kind} {str(name)!r}; known: {shown or 'none'}"
@@ -88,7 +88,7 @@ class UnknownNameError(InputError):
 
 
 class MissingExtraError(ArmcellError):
-    """An optional dependency is not installed."""
+    """Error for an optional dependency that is not installed."""
 
     def __init__(self, package: str, extra: str):
         super().__init__(f"{package} is not installed (pip install 'armcell[{extra}]')")

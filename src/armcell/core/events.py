@@ -1,4 +1,4 @@
-"""States and events that a running cell sends to its observers (viewer, recorder, report, wire)."""
+"""States and events that a running cell sends to observers such as viewers and recorders."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from armcell.core.transforms import SE3
 
 @dataclass(frozen=True, eq=False)
 class StateSample:
-    """State of the cell at one instant of its clock."""
+    """The state of a robot cell at one instant: joints, objects and grippers."""
 
     time: float  # [s]
     joints: JointState  # all actuated joints, with velocities and efforts where known
@@ -25,7 +25,7 @@ class StateSample:
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """An event of a run, for example the start of a stage, a weld, or an unwanted contact.
+    """An event of a cell's run, for example a stage's start, a weld, or an unwanted contact.
 
     `kind` is one of "stage", "plan", "scene", "grasp", "weld", "contact", "stop", "error", "note". The event
     of a stage has the stage's name as text and `data["phase"]` "begin" or "end"; the event of a plan contains
@@ -39,7 +39,10 @@ class Event:
 
 
 class Observer(Protocol):
-    """Receives states and events. Called by the thread that steps the cell, so it must return quickly."""
+    """A receiver of a cell's states, events and trajectories.
+
+    The thread that steps the cell calls the methods, so they must return quickly.
+    """
 
     def on_state(self, sample: StateSample) -> None: ...
 

@@ -16,7 +16,7 @@ from armcell.core.joints import JointState
 from armcell.core.transforms import SE3, SO3
 
 Change = Callable[..., tuple[Any, Any]]
-"""(scene, request, **arguments) -> (scene, request)."""
+"""Function that applies a suggestion: (scene, request, **arguments) -> (scene, request)."""
 
 
 TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)"}
@@ -24,7 +24,7 @@ TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
-    """A change of the scene or the request that would help.
+    """A suggested change of the scene or the planning request after a failure.
 
     Attributes:
         text: the change as an instruction ("move the goal 12 mm along +z").
@@ -40,7 +40,7 @@ class Suggestion:
     works: bool | None = None
 
     def apply(self, scene: Any, request: Any) -> tuple[Any, Any]:
-        """Return the scene and the request with the change applied; the arguments stay unchanged."""
+        """Return scene and request with the suggested change; the arguments stay unchanged."""
         return self.change(scene, request, **self.arguments)
 
     def as_dict(self) -> dict[str, Any]:
@@ -56,7 +56,7 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """The causes of a failure and the changes that would help.
+    """The causes of a failed request, and the changes that would help.
 
     Attributes:
         summary: one line.
@@ -78,7 +78,7 @@ class Explanation:
     data: Mapping[str, Any] = field(default_factory=dict)
 
     def text(self) -> str:
-        """The whole explanation as text, one finding per line."""
+        """Return the explanation of a failure as text, one finding per line."""
         lines = [f"{self.code.name}: {self.summary}", *(f"  {line}" for line in self.details)]
         if self.suggestions:
             lines.append("what would help:")
@@ -87,7 +87,7 @@ class Explanation:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """The explanation as a dictionary of JSON types."""
+        """Return the explanation of a failure as a dictionary of JSON types."""
         return {
             "code": int(self.code),
             "code_name": self.code.name,
@@ -102,7 +102,10 @@ class Explanation:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to JSON types: non-finite numbers become None, poses position and quaternion."""
+    """Convert a value to JSON types.
+
+    Non-finite numbers become None, and a pose becomes a mapping of position and quaternion.
+    """
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, Enum):

@@ -18,7 +18,7 @@ from armcell.core.errors import InputError
 Array = NDArray[np.float64]
 
 PLANE_EXTENT_M = 100.0
-"""How far a plane is drawn and bounded; the contact itself is with the infinite half space."""
+"""Extent of a plane in images and bounding boxes [m]; contacts use the infinite half space."""
 
 
 def _positive(what: str, **sizes: float) -> None:
@@ -30,7 +30,7 @@ def _positive(what: str, **sizes: float) -> None:
 @dataclass(frozen=True)
 @checked()
 class Box:
-    """A box with full edge lengths x, y, z [m]."""
+    """A box with full edge lengths x, y, z [m], centered on its own frame."""
 
     x: float
     y: float
@@ -74,7 +74,10 @@ class Cylinder:
 @dataclass(frozen=True)
 @checked()
 class Capsule:
-    """A capsule: `length` is the length of the cylindrical part; the total is `length + 2 radius` [m]."""
+    """A capsule with the length and radius [m] of its cylindrical part.
+
+    The total length is `length + 2 radius`.
+    """
 
     radius: float
     length: float
@@ -105,7 +108,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Plane:
-    """A half space: z <= 0 in its own frame is solid."""
+    """A half space as an obstacle: z <= 0 in its own frame is solid."""
 
     @property
     def half_extents(self) -> Array:
@@ -114,7 +117,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh in meters."""
+    """A triangle mesh with vertices (v, 3) [m] and faces (f, 3)."""
 
     vertices: Array  # (v, 3) [m]
     faces: NDArray[np.int32]  # (f, 3)
@@ -143,7 +146,10 @@ Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh | PointCloud | O
 
 
 def extent(shape: Shape, direction: Array) -> tuple[float, float]:
-    """Return the lowest and highest coordinate [m] of a shape along a unit direction (3,) in its frame."""
+    """Return a shape's lowest and highest coordinate [m] along a unit direction (3,).
+
+    The direction is in the shape's frame.
+    """
     x, y, z = (float(v) for v in direction)
     across = float(np.hypot(x, y))
     match shape:
@@ -174,7 +180,10 @@ def extent(shape: Shape, direction: Array) -> tuple[float, float]:
 
 
 def local_bounds(shape: Shape) -> tuple[Array, Array]:
-    """Return center and half extents (3,), (3,) [m] of a shape's axis-aligned bounding box, in its frame."""
+    """Return center and half extents (3,), (3,) [m] of a shape's bounding box, in its frame.
+
+    The box is aligned with the axes of the shape's frame.
+    """
     if isinstance(shape, Mesh):
         low, high = shape.vertices.min(0), shape.vertices.max(0)
         return (low + high) / 2, (high - low) / 2

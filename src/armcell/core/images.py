@@ -13,7 +13,7 @@ from armcell.core.transforms import SE3
 
 Array = NDArray[np.float64]
 MAX_PIXELS = 8192
-"""Per side."""
+"""Maximum width and height of a camera image [px]."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,10 @@ class Pinhole:
 
     @staticmethod
     def of_fov(width: int, height: int, fovy_deg: float) -> Pinhole:
-        """Create intrinsics with square pixels, a centered principal point and a vertical field of view."""
+        """Create camera intrinsics with square pixels from a vertical field of view [deg].
+
+        The principal point is the center of the image.
+        """
         if not 1.0 <= fovy_deg <= 170.0:
             raise InputError(f"a camera has a field of view of {fovy_deg} deg", hint="use 1 to 170")
         f = height / 2 / float(np.tan(np.deg2rad(fovy_deg) / 2))
@@ -56,16 +59,19 @@ class Pinhole:
 
     @property
     def matrix(self) -> Array:
-        """Camera matrix K (3, 3) [px]."""
+        """Return the camera matrix K (3, 3) [px]."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     @property
     def fovy_deg(self) -> float:
-        """Vertical field of view [deg], for a centered principal point."""
+        """Return the camera's vertical field of view [deg], for a centered principal point."""
         return float(np.rad2deg(2 * np.arctan(self.height / 2 / self.fy)))
 
     def project(self, points: ArrayLike) -> Array:
-        """Project points (n, 3) [m, camera frame] to pixels (n, 2) without distortion; NaN behind it."""
+        """Project points (n, 3) [m, camera frame] to image pixels (n, 2), without distortion.
+
+        Points behind the camera yield NaN.
+        """
         p = float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3)
         z = np.where(p[:, 2] > 0, p[:, 2], np.nan)
         return np.column_stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy])
@@ -74,7 +80,7 @@ class Pinhole:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CameraImage:
-    """One image: color (h, w, 3) uint8, depth (h, w) [m] along the optical axis, or both.
+    """A camera image: color (h, w, 3) uint8, depth (h, w) [m] along the optical axis, or both.
 
     Pixels without depth are 0 (NaN and negative numbers mean the same). The camera frame is optical: z
     forward, x right, y down.

@@ -6,7 +6,9 @@ import math
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """Return Wilson's score interval (1927) of a success rate; z = 1.96 for 95 %; (0, 1) without trials.
+    """Return Wilson's confidence interval (1927) of a success rate.
+
+    `z` is 1.96 for 95 %. Without trials the interval is (0, 1).
 
     Raises:
         ValueError: more successes than trials, or a negative number.

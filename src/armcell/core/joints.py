@@ -1,4 +1,7 @@
-"""Joint-space values: state, path, trajectory. Each carries its joint names; reindex at interfaces."""
+"""Joint-space states, paths and trajectories, each with its joint names.
+
+At interfaces, `reindexed` converts values to another joint order.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +29,16 @@ def _columns(have: Names, want: Iterable[str]) -> list[int]:
 
 
 def all_finite(values: Array) -> bool:
-    """Return whether all values (n,) are finite; faster than `np.isfinite(values).all()` for small n."""
+    """Return whether all values (n,) are finite, faster than NumPy for small n."""
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """Positions [rad or m] of named joints, with velocities [rad/s or m/s] if known."""
+    """A joint state: positions [rad or m] and, if known, velocities of named joints.
+
+    Velocities are in rad/s or m/s.
+    """
 
     joint_names: Names
     positions: Array  # (n,)
@@ -62,7 +68,7 @@ class JointState:
         joint_names: Names, positions: Array, velocities: Array | None = None, efforts: Array | None = None,
         time: float = 0.0,
     ) -> JointState:  # fmt: skip
-        """Create a state without checks and copies, for drivers that read thousands per second."""
+        """Create a joint state without checks and copies, for drivers with high sample rates."""
         state = object.__new__(JointState)
         state.__dict__.update(
             joint_names=joint_names, positions=positions, velocities=velocities, efforts=efforts, time=time
@@ -74,7 +80,7 @@ class JointState:
         return JointState(tuple(values), np.array(list(values.values()), dtype=float))
 
     def reindexed(self, joint_names: Iterable[str]) -> JointState:
-        """Return the state in another joint order, or of a subset of joints.
+        """Return the joint state in another joint order, or for a subset of its joints.
 
         Raises:
             UnknownNameError: this state does not have the joint.
@@ -85,7 +91,7 @@ class JointState:
         return JointState(names, self.positions[cols], pick(self.velocities), pick(self.efforts), self.time)
 
     def columns(self, joint_names: Iterable[str]) -> list[int]:
-        """Return the indices of joints in this state.
+        """Return the indices of the given joints in this joint state.
 
         Raises:
             UnknownNameError: this state does not have the joint.
@@ -93,7 +99,7 @@ class JointState:
         return _columns(self.joint_names, joint_names)
 
     def updated(self, other: JointState) -> JointState:
-        """Return this state with the positions of `other`'s joints replaced."""
+        """Return this joint state with the positions of another state's joints replaced."""
         positions = self.positions.copy()
         positions[_columns(self.joint_names, other.joint_names)] = other.positions
         return JointState(self.joint_names, positions, time=other.time or self.time)
@@ -107,7 +113,7 @@ class JointState:
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """Waypoints in joint space, connected by straight segments, without time."""
+    """A path of waypoints in joint space, connected by straight segments, without time."""
 
     joint_names: Names
     waypoints: Array  # (k, n) [rad or m]
@@ -124,7 +130,7 @@ class JointPath:
 
     @property
     def length(self) -> float:
-        """Sum of the segments' Euclidean lengths [rad]."""
+        """Return a joint-space path's length [rad]: the sum of its segments' Euclidean lengths."""
         return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
 
     def reversed(self) -> JointPath:
@@ -133,7 +139,7 @@ class JointPath:
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """Timed joint motion. `velocities` and `accelerations` are optional, as in trajectory_msgs."""
+    """A timed joint motion with optional velocities and accelerations (trajectory_msgs)."""
 
     joint_names: Names
     times: Array  # (k,) [s], from the start, strictly increasing
@@ -176,7 +182,7 @@ class JointTrajectory:
         return JointState(self.joint_names, self.positions[-1])
 
     def reindexed(self, joint_names: Iterable[str]) -> JointTrajectory:
-        """Return the motion in another joint order, or of a subset of joints.
+        """Return the trajectory in another joint order, or for a subset of its joints.
 
         Raises:
             UnknownNameError: this trajectory does not have the joint.
@@ -191,7 +197,9 @@ class JointTrajectory:
         )
 
     def sample(self, t: float) -> tuple[Array, Array, Array]:
-        """Return position, velocity and acceleration at time t [s]; constant outside the duration.
+        """Return a trajectory's position, velocity and acceleration (n,) at time t [s].
+
+        Before the start and after the end, the position is constant.
 
         The interpolation is quintic with accelerations, cubic with velocities only, otherwise linear (as in
         ROS's joint_trajectory_controller).
@@ -211,7 +219,10 @@ class JointTrajectory:
         return self._between(i, t - times[i], [h**k for k in range(6)])
 
     def samples(self, times: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate `sample` at times (k,) [s]; arrays (k, n), the same values, faster than single calls."""
+        """Return a trajectory's positions, velocities and accelerations (k, n) at times (k,) [s].
+
+        The values equal the results of `sample`, but take less time than single calls.
+        """
         known, at = self.times, float_array(times, (None,), "times")
         if len(known) == 0:
             raise InputError("an empty trajectory has no position at any time")
@@ -220,17 +231,18 @@ class JointTrajectory:
         rows = np.flatnonzero((at > known[0]) & (at < known[-1]))
         if len(rows):
             i = np.searchsorted(known, at[rows], side="right") - 1
-            # scalars' powers: those of arrays may differ in the last bit
+            # powers of scalars, because powers of arrays may differ in the last bit
             powers = np.array([[h**k for k in range(6)] for h in known[i + 1] - known[i]])
             s = (at[rows] - known[i])[:, None]
             q[rows], v[rows], a[rows] = self._between(i, s, list(powers.T[:, :, None]))
         return q, v, a
 
     def _between(self, i: Any, s: Any, h: Sequence[Any]) -> tuple[Array, Array, Array]:
-        """Evaluate position, velocity and acceleration s [s] after point i.
+        """Evaluate a trajectory's position, velocity and acceleration s [s] after its point i.
 
         Args:
-            h: powers 0 to 5 of the interval's length. For k times, s and the powers have shape (k, 1)."""
+            h: powers 0 to 5 of the interval's length. For k times, s and the powers have shape (k, 1).
+        """
         p0, p1 = self.positions[i], self.positions[i + 1]
         if self.velocities is None:
             v = (p1 - p0) / h[1]

@@ -17,7 +17,9 @@ T = TypeVar("T", float, Array)
 
 
 class Playback:
-    """Evaluates a trajectory like `JointTrajectory.sample`, but much faster and without accelerations.
+    """A fast evaluator of a trajectory's positions and velocities.
+
+    The values agree with `JointTrajectory.sample`; accelerations are not available.
 
     Position and velocity are polynomials in the time since the start of an interval; the constructor computes
     the coefficients of all intervals.
@@ -55,7 +57,10 @@ class Playback:
         self._coefficients = np.concatenate([c, slopes], axis=2)  # (k - 1, 6, 2n)
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return position and velocity (n,) at time t [s]; constant outside the duration."""
+        """Return a trajectory's position and velocity (n,) at time t [s].
+
+        Before the start and after the end, the position is constant.
+        """
         known, n = self._times, self._n
         if not known[0] < t < known[-1]:
             return (self._first if t <= known[0] else self._last).copy(), np.zeros(n)
@@ -64,7 +69,10 @@ class Playback:
         return both[:n], both[n:]
 
     def at_times(self, times: ArrayLike) -> tuple[Array, Array]:
-        """Return positions and velocities (k, n) at times (k,) [s]; constant outside the duration."""
+        """Return a trajectory's positions and velocities (k, n) at times (k,) [s].
+
+        Before the start and after the end, the position is constant.
+        """
         t, known, n = float_array(times, (None,), "times"), self._knots, self._n
         positions = np.where((t <= known[0])[:, None], self._first, self._last)
         velocities = np.zeros_like(positions)

@@ -1,4 +1,4 @@
-"""Registries of components by name: planners, IK solvers, stages, drivers, shapes.
+"""Registries of components by name, such as planners, IK solvers, stages and drivers.
 
 A component registers itself with `@registry.register("name")` when its module is imported. Installed packages
 are found through entry points: a package that declares
@@ -30,7 +30,7 @@ _loading = threading.RLock()
 
 
 def load_plugins(group: str) -> None:
-    """Import the modules that installed packages declare as entry points of a group, once per process.
+    """Import the plugin modules that installed packages declare for a group, once per process.
 
     A plugin that fails to import gives a warning that names the plugin, its package and the error; the other
     plugins are loaded.
@@ -55,7 +55,9 @@ def _package(point: EntryPoint) -> str:
 
 
 class Registry(Generic[T]):
-    """Registry: `@registry.register("name")` adds a component, `registry["name"]` returns it.
+    """A mapping from names to registered components, such as planners or drivers.
+
+    `@registry.register("name")` adds a component; `registry["name"]` returns it.
 
     Args:
         kind: what the components are, for messages: "planner", "mode".
@@ -76,7 +78,7 @@ class Registry(Generic[T]):
         return add
 
     def imported(self) -> dict[str, T]:
-        """Return the components whose modules have been imported, without loading plugins."""
+        """Return the registered components of all imported modules, without loading plugins."""
         return dict(self._items)
 
     def _load_plugins(self) -> None:

@@ -1,4 +1,4 @@
-"""Planning requests and goals."""
+"""Planning requests and their goals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from armcell.core.transforms import SE3
 @dataclass(frozen=True, eq=False)
 @checked()
 class JointGoal:
-    """Goal in joint positions; other joints keep their positions.
+    """A planning goal given by joint positions; joints without a goal keep their positions.
 
     The planner prefers the exact positions and otherwise uses positions within the tolerance. With `turns`, a
     joint may end whole turns away from its goal, as close to the start as its limits allow.
@@ -29,7 +29,7 @@ class JointGoal:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PoseGoal:
-    """Goal pose of a link (default: the group's tip) in the world frame.
+    """A planning goal: the pose of a link (default: the group's tip) in the world frame.
 
     The planner prefers the exact pose and otherwise uses one within the tolerances: a ball around the
     position, and a rotation by less than one angle, or less than three angles about the goal's axes.
@@ -43,14 +43,17 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class NamedGoal:
-    """Goal at a named state of the group (SRDF group_state)."""
+    """A planning goal at a named state of the planning group (group_state in the SRDF)."""
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintGoal:
-    """Goal region: any state that satisfies all constraints (position, orientation, region, joint ranges)."""
+    """A planning goal region: any state that satisfies all constraints.
+
+    The constraints limit position, orientation, region and joint ranges.
+    """
 
     constraints: Constraints
 
@@ -59,13 +62,16 @@ Corner = tuple[float, float, float]
 Goal = JointGoal | PoseGoal | NamedGoal | ConstraintGoal
 
 ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "validation")
-"""What is done around a planner where a request does not say otherwise."""
+"""Default processing steps before and after the planner, like MoveIt's request adapters."""
 
 
 @dataclass(frozen=True, eq=False)
 @checked()
 class PlanRequest:
-    """Request for a collision-free motion of one group. Defaults are MoveIt's where MoveIt has one."""
+    """A request for a collision-free motion of one planning group.
+
+    The defaults are MoveIt's where MoveIt has one.
+    """
 
     group: str
     goals: tuple[Goal, ...]  # the planner may choose any of them
@@ -92,7 +98,7 @@ class PlanRequest:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CartesianRequest:
-    """Request for straight-line motions of a link through poses, as in compute_cartesian_path."""
+    """A request for straight-line motions of a link through poses (compute_cartesian_path)."""
 
     group: str
     waypoints: tuple[SE3, ...]  # T_world_link
@@ -100,7 +106,7 @@ class CartesianRequest:
     start: JointState | None = None
     max_step: float = 0.005  # [m] between checked poses
     jump_threshold: float = 0.2  # [rad] largest step of a revolute joint between two poses; 0: any
-    prismatic_jump_threshold: float = 0.05  # [m] the same for a prismatic joint; 0: any
+    prismatic_jump_threshold: float = 0.05  # [m] largest step of a prismatic joint between two poses; 0: any
     relative_jump_threshold: float = 0.0  # largest step as a multiple of the mean step, as in MoveIt; 0: any
     avoid_collisions: bool = True
     path_constraints: Constraints = Constraints()  # hold along the whole line
@@ -111,6 +117,9 @@ class CartesianRequest:
 
 @dataclass(frozen=True, eq=False)
 class SequenceRequest:
-    """Request for a sequence of motions, each with a blend radius [m] around its end (0: stop there)."""
+    """A request for a sequence of motions with a blend radius [m] around each motion's end.
+
+    With radius 0, the robot stops there.
+    """
 
     items: tuple[tuple[PlanRequest, float], ...]

@@ -34,9 +34,10 @@ class Outcome:
         return self.code is ErrorCode.SUCCESS
 
     def explain(self, seconds: float = 10.0) -> Explanation:
-        """Explain the failure and suggest changes, within about the given number of seconds.
+        """Explain a failed request and suggest changes, within about the given number of seconds.
 
-        Without a diagnosis for the kind of request, it contains the code, the message and the contacts.
+        Without a diagnosis for the kind of request, the explanation contains the code, the message and the
+        contacts.
         """
         if self.explainer is not None:
             return self.explainer(seconds)
@@ -49,7 +50,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class IKResult(Outcome):
-    """Result of inverse kinematics: `positions` (dof,) of the group, or the closest ones after a failure."""
+    """The result of inverse kinematics: joint positions (dof,) of a planning group.
+
+    After a failure, `positions` are the closest ones found.
+    """
 
     positions: Array | None = None
     position_error: float = np.inf  # [m]
@@ -58,7 +62,10 @@ class IKResult(Outcome):
 
 @dataclass(frozen=True)
 class PlanResult(Outcome):
-    """Result of planning: a path and its trajectory; None after a failure, except partial Cartesian paths."""
+    """The result of planning: a path and its trajectory.
+
+    After a failure both are None, except for partial Cartesian paths.
+    """
 
     path: JointPath | None = None
     trajectory: JointTrajectory | None = None
@@ -69,13 +76,16 @@ class PlanResult(Outcome):
 
     @cached_property
     def min_clearance(self) -> float:
-        """Minimum clearance [m] along the motion over the checked pairs; computed on first access."""
+        """Return the minimum clearance [m] along the planned motion, over the checked pairs.
+
+        The value is computed on first access.
+        """
         return self.clearance() if self.clearance is not None else np.inf
 
 
 @dataclass(frozen=True)
 class ExecutionResult(Outcome):
-    """Result of an execution. Times are in the driver's clock [s]."""
+    """The result of an executed motion: times [s] of the driver's clock, and errors."""
 
     started: float = 0.0
     finished: float = 0.0

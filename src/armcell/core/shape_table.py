@@ -1,4 +1,4 @@
-"""The table of shapes that are described by sizes: one row per shape, which all formats use.
+"""A table of the shapes that sizes describe, with one row per shape, for all file formats.
 
 Cell files, records, MoveIt's .scene files, ROS messages, URDF, SDF and Unity convert shapes by this table, so
 a new shape is one row here. A package adds a shape as a function from sizes to a mesh:
@@ -32,7 +32,10 @@ from armcell.core.transforms import SE3
 
 
 class Format(StrEnum):
-    """Formats that know only some shapes by name; cell files and records know all."""
+    """File and message formats that support only some of the shapes by name.
+
+    Cell files and records support all shapes.
+    """
 
     SCENE_FILE = "scene_file"  # MoveIt's .scene
     URDF = "urdf"
@@ -43,7 +46,7 @@ class Format(StrEnum):
 
 @dataclass(frozen=True)
 class SolidPrimitive:
-    """How shape_msgs/SolidPrimitive describes a shape: its `type` and the order of its `dimensions`."""
+    """A shape's `type` and the order of its `dimensions` in shape_msgs/SolidPrimitive."""
 
     type: int
     dimensions: tuple[str, ...]
@@ -64,7 +67,7 @@ class SizedMesh(Mesh):
 
 @dataclass(frozen=True)
 class ShapeKind:
-    """One row of the table.
+    """One row of the shape table: constructor, names of the sizes, and supporting formats.
 
     Attributes:
         make: the shape's class, or a function that makes the shape from its sizes.
@@ -84,20 +87,20 @@ class ShapeKind:
     parts: Callable[[Any, SE3], list[tuple[Shape, SE3]]] | None = None
 
     def values(self, shape: Any) -> list[float]:
-        """Return the sizes of a shape of this kind [m], in the table's order."""
+        """Return a shape's sizes [m] in the order of the shape table."""
         if isinstance(shape, SizedMesh):
             return list(shape.sizes)
         return [float(getattr(shape, size)) for size in self.sizes]
 
     def named(self, shape: Any) -> dict[str, Any]:
-        """Return the sizes by name, or as one list under `vector`."""
+        """Return a shape's sizes [m] by name, or as one list under the key `vector`."""
         values = self.values(shape)
         return {self.vector: values} if self.vector else dict(zip(self.sizes, values, strict=True))
 
     def from_named(
         self, number: Callable[[str], float], vector: Callable[[str, int], Sequence[float]]
     ) -> Shape:
-        """Make a shape from a format with named values.
+        """Create a shape of this kind from a format that stores sizes by name.
 
         Args:
             number: reads one number by name.
@@ -113,7 +116,7 @@ shapes: Registry[ShapeKind] = Registry("shape", "armcell.shapes")
 
 
 def make_shape(name: str, sizes: Sequence[float]) -> Shape:
-    """Make a shape from its name in the table and its sizes [m].
+    """Create a shape from its name in the shape table and its sizes [m].
 
     Raises:
         UnknownNameError: the table has no such shape.
@@ -127,12 +130,17 @@ def make_shape(name: str, sizes: Sequence[float]) -> Shape:
 
 
 def shape_name(shape: Shape) -> str:
-    """Return the shape's name in the table; for meshes and clouds the class name in lower case."""
+    """Return a shape's name in the shape table.
+
+    Meshes and clouds have no row; the result is their class name in lower case.
+    """
     return shape.name if isinstance(shape, SizedMesh) else type(shape).__name__.lower()
 
 
 def shape_kind(shape: Shape, format: Format | None = None) -> ShapeKind | None:
-    """Return the shape's row of the table.
+    """Return a shape's row in the shape table, or None.
+
+    The result is None for meshes and clouds, and if `format` does not know the shape by name.
 
     None for meshes and clouds, and if `format` does not know the shape by name.
     """
@@ -141,13 +149,16 @@ def shape_kind(shape: Shape, format: Format | None = None) -> ShapeKind | None:
 
 
 def simpler_parts(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
-    """Return an equivalent of a shape at pose T, for formats that do not know the shape; else the shape."""
+    """Return simpler shapes with poses that replace a shape at pose T, or the shape itself.
+
+    The result is for formats that do not know the shape.
+    """
     kind = shape_kind(shape)
     return [(shape, T)] if kind is None or kind.parts is None else kind.parts(shape, T)
 
 
 def named_shapes(format: Format) -> Mapping[str, ShapeKind]:
-    """Return the shapes that a format knows by name."""
+    """Return the rows of the shapes that a format knows by name, by shape name."""
     return {name: kind for name, kind in shapes.imported().items() if format in kind.formats}
 
 
@@ -155,7 +166,9 @@ MeshFunction = Callable[..., tuple[ArrayLike, ArrayLike]]
 
 
 def register_shape(name: str) -> Callable[[MeshFunction], MeshFunction]:
-    """Decorator: add a shape to the table by a function from sizes [m] to vertices (v, 3) and faces (f, 3).
+    """Register a shape by a function from its sizes [m] to a mesh, as a decorator.
+
+    The function returns vertices (v, 3) and faces (f, 3).
 
     The names of the function's parameters are the names of the sizes. The mesh should be closed, with
     outward normals, and centered on its own frame.

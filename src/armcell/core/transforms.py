@@ -1,4 +1,4 @@
-"""Rigid transforms: `SO3` and `SE3` values.
+"""Rigid transforms: rotations `SO3` and poses `SE3` as values.
 
 This module and the wire codecs are the only places that know a quaternion's component order.
 `T_a_b` maps coordinates in frame b to frame a, so `T_a_b @ T_b_c == T_a_c`.
@@ -19,17 +19,20 @@ from armcell.core.errors import InputError
 Array = NDArray[np.float64]
 
 QUAT_NORM_TOLERANCE = 1e-3
-"""How far from 1 a quaternion's norm may be before it counts as a mistake, not as rounding."""
+"""Largest deviation of a quaternion's norm from 1 that counts as rounding, not as a mistake."""
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the 3x3 matrix with `skew(v) @ w == cross(v, w)`."""
+    """Return the skew-symmetric 3x3 matrix of a vector: `skew(v) @ w == cross(v, w)`."""
     x, y, z = np.asarray(v, dtype=float)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _length(v: Array) -> float:
-    """Return the length of a vector (n,); the same bits as `np.linalg.norm` in a third of its time."""
+    """Return the length of a vector (n,), in a third of the time of `np.linalg.norm`.
+
+    Both results have the same bits.
+    """
     return math.sqrt(v.dot(v))
 
 
@@ -57,7 +60,7 @@ class SO3:
 
     @staticmethod
     def from_quat_wxyz(quat_wxyz: ArrayLike) -> SO3:
-        """Create from a unit quaternion, scalar first.
+        """Create a rotation from a unit quaternion, scalar first.
 
         Raises:
             InputError: not four finite numbers, or a norm further from 1 than `QUAT_NORM_TOLERANCE`.
@@ -81,13 +84,13 @@ class SO3:
 
     @staticmethod
     def from_quat_xyzw(quat_xyzw: ArrayLike) -> SO3:
-        """Create from a unit quaternion, scalar last (ROS, SciPy, Unity)."""
+        """Create a rotation from a unit quaternion, scalar last (ROS, SciPy, Unity)."""
         x, y, z, w = _finite(quat_xyzw, 4, "a quaternion")
         return SO3.from_quat_wxyz((w, x, y, z))
 
     @staticmethod
     def from_rpy(rpy: ArrayLike) -> SO3:
-        """Create from roll, pitch, yaw [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)`, as in URDF."""
+        """Create a rotation from roll, pitch, yaw [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)` (URDF)."""
         r, p, y = _finite(rpy, 3, "roll-pitch-yaw")
         cr, sr, cp, sp, cy, sy = np.cos(r), np.sin(r), np.cos(p), np.sin(p), np.cos(y), np.sin(y)
         return SO3(
@@ -102,7 +105,7 @@ class SO3:
 
     @staticmethod
     def exp(rotvec: ArrayLike) -> SO3:
-        """Create from a rotation vector [rad] (Rodrigues' formula)."""
+        """Create a rotation from a rotation vector (3,) [rad], by Rodrigues' formula."""
         v = _finite(rotvec, 3, "a rotation vector")
         angle = float(np.linalg.norm(v))
         K = skew(v)
@@ -129,7 +132,7 @@ class SO3:
 
     @property
     def quat_wxyz(self) -> Array:
-        """Unit quaternion, scalar first, scalar >= 0 (Shepperd's method)."""
+        """Return the rotation as a unit quaternion, scalar first, scalar >= 0 (Shepperd's method)."""
         (a, b, c), (d, e, f), (g, h, i) = self.matrix.tolist()  # Python's floats: a fifth of numpy's time
         trace = a + e + i
         largest = max(trace, a, e, i)
@@ -147,12 +150,12 @@ class SO3:
 
     @property
     def quat_xyzw(self) -> Array:
-        """Unit quaternion, scalar last, scalar >= 0."""
+        """Return the rotation as a unit quaternion, scalar last, scalar >= 0."""
         return np.roll(self.quat_wxyz, -1)
 
     @property
     def rpy(self) -> Array:
-        """Roll, pitch, yaw [rad]; roll is 0 at the pitch singularity."""
+        """Return the rotation as roll, pitch, yaw [rad]; roll is 0 at the pitch singularity."""
         m = self.matrix
         pitch = np.arctan2(-m[2, 0], np.hypot(m[0, 0], m[1, 0]))
         if abs(np.cos(pitch)) < 1e-9:
@@ -160,7 +163,7 @@ class SO3:
         return np.array([np.arctan2(m[2, 1], m[2, 2]), pitch, np.arctan2(m[1, 0], m[0, 0])])
 
     def log(self) -> Array:
-        """Return the rotation vector [rad], with a length of at most pi."""
+        """Return the rotation as a rotation vector (3,) [rad] with a length of at most pi."""
         q = self.quat_wxyz
         v = q[1:].copy()
         n = _length(v)
@@ -177,7 +180,7 @@ class SO3:
 
 @dataclass(frozen=True, eq=False)
 class SE3:
-    """A rigid transform: rotation and translation [m]."""
+    """A rigid transform between two frames: rotation and translation [m]."""
 
     rotation: SO3
     translation: Array  # (3,)
@@ -201,12 +204,12 @@ class SE3:
 
     @staticmethod
     def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> SE3:
-        """Create from a position [m] and roll-pitch-yaw [rad], as in URDF's `<origin>`."""
+        """Create a transform from a position [m] and roll-pitch-yaw [rad], as in URDF's `<origin>`."""
         return SE3(SO3.from_rpy(rpy), _finite(xyz, 3, "a position"))
 
     @staticmethod
     def from_matrix(matrix: ArrayLike) -> SE3:
-        """Create from a 4x4 homogeneous matrix."""
+        """Create a transform from a 4x4 homogeneous matrix."""
         m = float_array(matrix, (4, 4), "a homogeneous transform")
         R = m[:3, :3]
         if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
@@ -223,8 +226,10 @@ class SE3:
 
     @staticmethod
     def from_mapping(value: object, what: str = "pose") -> SE3:
-        """Create from a pose in a cell file: `[x, y, z]`, `[x, y, z, roll, pitch, yaw]` or
-        `{xyz: [...], rpy: [...]}` / `{xyz, rpy_deg}` / `{xyz, quat_xyzw}`.
+        """Create a transform from a pose in a cell file: a list, or a mapping with xyz and rpy.
+
+        The forms are `[x, y, z]`, `[x, y, z, roll, pitch, yaw]` and `{xyz: [...], rpy: [...]}` / `{xyz,
+        rpy_deg}` / `{xyz, quat_xyzw}`.
 
         Raises:
             InputError: any other form; the message names `what`.
@@ -283,11 +288,11 @@ class SE3:
         return p @ self.rotation.matrix.T + self.translation
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:
-        """Return the pose translated in the parent frame [m]."""
+        """Return the pose translated by x, y, z [m] along the axes of its parent frame."""
         return SE3(self.rotation, self.translation + _finite((x, y, z), 3, "a shift"))
 
     def distance_to(self, other: SE3) -> tuple[float, float]:
-        """Return the distance in position [m] and in rotation [rad]."""
+        """Return the distance to another pose in position [m] and in rotation angle [rad]."""
         angle = _length((self.rotation.inv() @ other.rotation).log())
         return _length(self.translation - other.translation), angle
 
@@ -296,11 +301,11 @@ class SE3:
         return metres <= position and radians <= rotation
 
     def interpolate(self, other: SE3, fraction: float) -> SE3:
-        """Interpolate linearly in position and with constant angular velocity in orientation."""
+        """Interpolate between two poses: linear position and constant angular velocity."""
         return self.interpolated(other, [fraction])[0]
 
     def interpolated(self, other: SE3, fractions: Iterable[float]) -> list[SE3]:
-        """Evaluate `interpolate` at many fractions, faster than single calls."""
+        """Interpolate between two poses at many fractions, faster than single calls."""
         fractions = float_array(list(fractions), (None,), "fractions")
         rotvec = (self.rotation.inv() @ other.rotation).log()
         turns = float(np.linalg.norm(rotvec)) > 1e-12  # less is rounding

@@ -1,4 +1,4 @@
-"""Grasp and placement planning: candidates for holding an object and for putting it down."""
+"""Planning of grasps and placements: candidates for picking up and putting down an object."""
 
 import armcell.grasping.generators  # noqa: F401  registers them
 from armcell.grasping.candidates import (

@@ -1,4 +1,4 @@
-"""Compiled: where a parallel hand fits from straight above, on a map of heights."""
+"""Compiled search for top-down poses of a parallel gripper on a height map."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from numba import njit
 
 FEATURES = 10
 MOST_ROWS, MOST_STEPS = 64, 256
-POINT = 1e9  # slant of what has no side, only a point
+POINT = 1e9  # slant of a side with only one point
 
 
 @njit(cache=True)
 def _height(heights, x0, y0, resolution, x, y):
-    """Of the cell at a point; outside of the map nothing is."""
+    """Return the height of a height map's cell at a point (x, y), or -1e9 outside the map."""
     i = int(np.floor((x - x0) / resolution + 0.5))
     j = int(np.floor((y - y0) / resolution + 0.5))
     if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
@@ -22,8 +22,10 @@ def _height(heights, x0, y0, resolution, x, y):
 
 @njit(cache=True)
 def _slope(x, y):
-    """Of a line through points: the median of the pairs' slopes (Theil and Sen), which a few points off the
-    line, as cameras see them at edges, do not turn."""
+    """Return the absolute slope of a line through points: the median slope of all pairs.
+
+    The estimator (Theil and Sen) is robust against a few outliers, which cameras produce at edges.
+    """
     n = len(x)
     if n < 2:
         return POINT
@@ -37,26 +39,30 @@ def _slope(x, y):
 
 @njit(cache=True)
 def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, palm, opens, rules):
-    """Every place, turn and depth at which the hand fits around something.
+    """Find all poses at which a hand fits around a piece on a height map, from straight above.
 
-    The hand points down and closes along (cos a, sin a). Seen from above a thing is as wide at the height of
-    the tips as it is anywhere higher: what overhangs hides what is below.
+    A pose is a cell, a rotation and a depth. The hand points down and closes along (cos a, sin a). On a
+    height map, a piece is as wide at the fingertips as anywhere above them, because overhangs hide the space
+    below.
 
     Args:
-        heights: (nx, ny) [m]; x0, y0, resolution: of the map.
-        cells: (k, 2) where the middle between the fingers may be.
-        turns: (a,) [rad]; depths: (d,) [m] of the tips below the top at the cell.
-        floor: [m] that the tips stay above.
+        heights: (nx, ny) [m] heights of the cells.
+        x0, y0: center of the first cell [m].
+        resolution: edge length of a cell [m].
+        cells: (k, 2) cells that may be the center between the fingers.
+        turns: (a,) rotations of the hand [rad].
+        depths: (d,) depths of the fingertips below the height of the cell [m].
+        floor: lowest height of the fingertips [m].
         finger: half width across the closing direction, thickness, length from tip to palm [m].
         palm: half sizes [m] along and across the closing direction.
-        opens: [m] at most.
-        rules: room beside the thing on each side, how far the fingers stay above what is below them, least
-            height of the thing above the tips [m].
+        opens: largest opening of the fingers [m].
+        rules: free space on each side of the piece, distance of the fingers above lower cells, minimum height
+            of the piece above the fingertips [m].
 
     Returns:
-        (m, FEATURES): cell, turn index, tip height, shift of the middle along the closing direction, width,
-        opening [m], share of the fingers' width in contact, largest slant of a side, least height of a side
-        above the tips, top at the cell [m].
+        (m, FEATURES) one row per pose: cell, index in `turns`, height of the fingertips, shift of the center
+        along the closing direction, width of the piece, opening [m], fraction of the fingers' width in
+        contact, largest slant of a side, smallest height of a side above the fingertips, cell's height [m].
     """
     half, thick, length = finger[0], finger[1], finger[2]
     room, clear, engage = rules[0], rules[1], rules[2]
@@ -94,7 +100,7 @@ def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, pal
                 if z < tip + engage or tip == last:
                     continue
                 last = tip
-                # --- how far the thing goes both ways, across the whole width of the fingers
+                # --- extent of the piece in both closing directions, over the whole width of the fingers
                 low, high = mid, mid
                 while low > 0 and top[low] > tip - clear:
                     low -= 1
@@ -107,7 +113,7 @@ def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, pal
                 if width > opens - room or width <= 0:
                     continue
                 shift = ((low + high) / 2 - mid) * resolution
-                # --- the open fingers, and the way they close
+                # --- free space for the open fingers and their closing motion
                 free = True
                 for side in (-1.0, 1.0):
                     outer = opening / 2 + thick
@@ -128,7 +134,7 @@ def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, pal
                         break
                 if not free:
                     continue
-                # --- the palm above everything
+                # --- the palm must be above all cells below it
                 under = tip + length - clear
                 ok = True
                 p = -palm[0]
@@ -149,7 +155,7 @@ def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, pal
                     p += 2 * resolution
                 if not ok:
                     continue
-                # --- what the pads meet: where the thing is widest, over how much of their width, how slanted
+                # --- contact of the pads at the piece's widest point: fraction of their width, slant
                 touching, slant, lowest = 1.0, 0.0, 1e9
                 for side in (-1, 1):
                     edge = high - 1 if side > 0 else low + 1

@@ -36,7 +36,7 @@ FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
 @dataclass(frozen=True, eq=False)
 @checked()
 class Grasp:
-    """Grasp pose; the TCP's z axis is the approach direction, its y axis the closing direction.
+    """A grasp pose, whose tcp approaches along its z axis and closes along its y axis.
 
     The hand approaches along +z of the TCP and retreats along -z. The approach is `approach` [m] long if
     there is enough free space, and at least `shortest_approach` [m].
@@ -55,7 +55,7 @@ class Grasp:
 
 @dataclass(frozen=True)
 class Rejection:
-    """Rejected grasp candidate with the reason."""
+    """A rejected grasp candidate with the reason for the rejection."""
 
     name: str
     reason: str
@@ -65,21 +65,24 @@ class Rejection:
 
 @dataclass
 class Proposals:
-    """Proposals of a grasp generator: unique names and TCP poses in the object's frame."""
+    """The proposals of a grasp generator: unique names and tcp poses in the object's frame."""
 
     names: list[str] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)  # (4, 4)
     taken: dict[str, int] = field(default_factory=dict)  # number of uses by name
 
     def add(self, name: str, T_object_tcp: Array) -> None:
-        """Add a TCP pose (4, 4); a repeated name gets a number."""
+        """Add a grasp proposal with a tcp pose (4, 4); a repeated name gets a number."""
         count = self.taken[name] = self.taken.get(name, 0) + 1
         self.names.append(name if count == 1 else f"{name} ({count})")
         self.poses.append(T_object_tcp)
 
 
 Generator = Callable[[CollisionObject, Surface, Hand, Array], Proposals]
-"""(object, its surface, the hand, up direction (3,) in the object's frame) -> proposals."""
+"""Grasp generator: function (object, its surface, hand, up direction (3,)) -> proposals.
+
+The up direction is in the object's frame.
+"""
 
 generators: Registry[Generator] = Registry("grasp generator", "armcell.grasp_generators")
 
@@ -96,7 +99,7 @@ def generator_for(item: CollisionObject) -> str:
 def grasp_candidates(
     item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True
 ) -> tuple[list[Grasp], list[Rejection]]:
-    """Return grasp candidates, best first, and the rejected ones with their reasons.
+    """Return an object's grasp candidates, best first, and the rejected ones with reasons.
 
     Args:
         generator: generator by name; default: by the object's geometry.
@@ -112,7 +115,7 @@ def grasp_candidates(
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """Fitted grasp candidates, independent of mass and friction.
+    """Grasp candidates after the geometric fit, which does not depend on mass and friction.
 
     They are cached per object, gripper and up direction.
     """
@@ -224,7 +227,7 @@ def _judged(
 
 
 def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
-    """Return reason, number of passed checks and excess of a candidate that fails the fit."""
+    """Return why a grasp candidate fails the fit, its number of passed checks, and its excess."""
     by, opens = float(measures[2]), hand.gripper.max_width
     mm = 1000 * by
     match verdict:
@@ -240,7 +243,7 @@ def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
 
 
 def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
-    """Return the rejected candidate that passed the most checks, or None.
+    """Return the rejected grasp candidate that passed the most checks, or None.
 
     Among equals, the candidate with the smallest excess wins.
     """
@@ -248,5 +251,5 @@ def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
 
 
 def how_near(rejection: Rejection) -> tuple[int, float]:
-    """Return a sort key that orders rejected candidates by how nearly they passed."""
+    """Return a sort key that orders rejected grasp candidates by passed checks and excess."""
     return -rejection.passed, rejection.excess

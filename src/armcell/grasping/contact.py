@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PadContact:
-    """Contact patch of a soft finger: friction along the surface and torsion about its normal."""
+    """A contact patch of a soft finger, with friction along the surface and torsional friction."""
 
     point: Array  # (3,) [m] center of the patch
     normal: Array  # (3,) unit vector, points out of the object
@@ -22,6 +22,6 @@ class PadContact:
 
     @staticmethod
     def of(row: Array) -> PadContact:
-        """Create a contact from a row (8,) of `kernel.fit`."""
+        """Create a gripper pad's contact from a row (8,) of the result of `kernel.fit`."""
         row = float_array(row, (8,), "a row", finite=False)
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))

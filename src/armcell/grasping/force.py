@@ -1,4 +1,4 @@
-"""Grip force from mass, friction, softness of the material and position of the weight."""
+"""Computation of the grip force from mass, friction, softness and position of the weight."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIFT_ACCELERATION = 3.0  # [m/s^2] assumed acceleration of the held object, in a
 
 
 def holding_factor(friction: float, torsional_friction: float, lever: Array, patch: Array) -> Array:
-    """Return the factor on `needed_force` if the weight acts off the line through the contacts.
+    """Return the factor on the grip force for a weight off the line through the contacts.
 
     A soft finger pressed with F holds a force f along the surface and a torque t about its normal while
     (f / (mu F))^2 + (t / (g F))^2 <= 1 (Howe and Cutkosky 1996), with g = mu r + the torsional coefficient
@@ -31,7 +31,7 @@ def holding_factor(friction: float, torsional_friction: float, lever: Array, pat
 
 
 def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
-    """Return the sliding friction coefficient between an object and its support, as MuJoCo does.
+    """Return the sliding friction coefficient between an object and its support, as in MuJoCo.
 
     MuJoCo takes the material of the geom with the higher priority, and the larger coefficient if priorities
     are equal ("Contact parameters" in its XML reference). Movable objects have the higher priority.
@@ -41,7 +41,7 @@ def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
 
 
 def needed_force(item: CollisionObject) -> float:
-    """Return the minimum force per finger [N] that holds the object at its center of mass.
+    """Return the minimum force per finger [N] that holds an object at its center of mass.
 
     Coulomb friction: m (g + a) / (2 mu).
     """
@@ -49,10 +49,10 @@ def needed_force(item: CollisionObject) -> float:
 
 
 def firm_force(needed: float, gripper: Gripper) -> float:
-    """Return the force per finger [N] with a safety factor, limited by the gripper's maximum."""
+    """Return a grip force per finger [N] with a safety factor, limited by the gripper's maximum."""
     return float(np.clip(needed * SAFETY, MIN_FORCE, gripper.max_force))
 
 
 def grip_force(item: CollisionObject, gripper: Gripper) -> float:
-    """Return the force per finger [N] for gripping an object at its center."""
+    """Return the grip force per finger [N] for an object that is gripped at its center."""
     return firm_force(needed_force(item), gripper)

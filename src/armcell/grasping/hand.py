@@ -22,7 +22,9 @@ AT_THE_PAD = 0.001  # [m] maximum distance of a finger box from the closing plan
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """Boxes of a hand (n, 6) [m]: lowest and highest corner in the TCP frame, fingers closed.
+    """Boxes (n, 6) [m] that enclose a gripper's hand in the tcp frame, with closed fingers.
+
+    A box is its lowest and highest corner.
 
     Opening moves the fingers by half the width along y: `left` to +y and `right` to -y.
     """
@@ -39,13 +41,13 @@ class Hand:
 
 
 def pre_opening(width: float, gripper: Gripper) -> float:
-    """Return the finger opening [m] before the approach to an object of the given width [m]."""
+    """Return the finger opening [m] for the approach to an object of a given width [m]."""
     return min(max(width * WIDER, width + MARGIN), gripper.max_width)
 
 
 @lru_cache(maxsize=32)
 def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
-    """Return the hand geometry of a robot's gripper.
+    """Return the hand geometry of a robot's gripper, as boxes in the tcp frame.
 
     Raises:
         InputError: the gripper's links have no collision shapes.
@@ -82,7 +84,7 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
 
 
 def _pad(left: Array, right: Array) -> Array:
-    """Return the x and z range of the pads, where both closed fingers meet."""
+    """Return the x and z range of the finger pads, where both closed fingers meet."""
     inner = (
         left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],
         right[right[:, 4] > right[:, 4].max() - AT_THE_PAD],

@@ -1,4 +1,4 @@
-"""Compiled: rays through triangles, and how a hand fits around points."""
+"""Compiled grasp geometry: rays through a triangle mesh, and fits of a hand around points."""
 
 from __future__ import annotations
 
@@ -8,24 +8,29 @@ from numba import njit
 FREE, NOTHING_BETWEEN, TOO_WIDE, HAND_HITS, SUPPORT_HIT, TOO_FLAT = range(6)
 
 MAX_HITS = 64
-TIE = 1e-6  # [m] hits nearer to each other than this are one place: entering counts first
-PATCH = 0.001  # [m] below the highest point that counts as touching the pad
-INSET = 0.0015  # [m] a contact stays off the pads' edges
-CLEARANCE = 0.003  # [m] of the hand above what the object stands on
-GAP = 0.001  # [m] of the hand to the object
-THINNEST = 5e-4  # [m] that can be held
-BESIDE = 0.02  # [m] beyond the open pads what is met is another part, such as the other wall of a bin
-WIDER, MARGIN = 1.125, 0.010  # pre-opening: 10-15 % wider, at least so many metres [m]
+TIE = 1e-6  # [m] nearer hits count as one point, where entering precedes leaving
+PATCH = 0.001  # [m] depth below the outermost point within which points touch the pad
+INSET = 0.0015  # [m] minimum distance of a contact from the pads' edges
+CLEARANCE = 0.003  # [m] distance of the hand from the object's support
+GAP = 0.001  # [m] distance of the hand from the object
+THINNEST = 5e-4  # [m] smallest width that the hand can hold
+BESIDE = 0.02  # [m] points farther beyond the open pads are another part, such as a bin's other wall
+WIDER, MARGIN = 1.125, 0.010  # opening before the approach: factor on the width, and minimum margin [m]
 
 
 @njit(cache=True)
 def cast(origins, directions, triangles):
-    """Where rays (n, 3) that begin on the surface and go inwards leave the solid.
+    """Find the points where rays that start on a solid's surface and point inwards leave it.
 
-    Solids may be several that touch or overlap: a ray has left when it is in none of them.
+    Several solids may touch or overlap: a ray has left the solids when it is in none of them.
 
+    Args:
+        origins: (n, 3) start points [m].
+        directions: (n, 3) directions of the rays.
+        triangles: (t, 3, 3) surface [m].
     Returns:
-        Distances (n, 2) [m] of the first and of the last way out, and the triangles (n, 2) there; -1 if none.
+        Distances (n, 2) [m] of the first and the last exit, and indices (n, 2) of the triangles there; -1
+        without an exit.
     """
     n, m = len(origins), len(triangles)
     distance = np.full((n, 2), -1.0)
@@ -44,7 +49,7 @@ def cast(origins, directions, triangles):
             e1x, e1y, e1z = triangles[k, 1, 0] - ax, triangles[k, 1, 1] - ay, triangles[k, 1, 2] - az
             e2x, e2y, e2z = triangles[k, 2, 0] - ax, triangles[k, 2, 1] - ay, triangles[k, 2, 2] - az
             px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
-            det = e1x * px + e1y * py + e1z * pz  # negative where the ray goes out through the triangle
+            det = e1x * px + e1y * py + e1z * pz  # negative if the ray leaves the solid through the triangle
             if det == 0.0:
                 continue
             sx, sy, sz = ox - ax, oy - ay, oz - az
@@ -59,7 +64,7 @@ def cast(origins, directions, triangles):
             if t > 1e-5 and hits < MAX_HITS:
                 t_hit[hits], way_hit[hits], k_hit[hits] = t, (-1 if det < 0.0 else 1), k
                 hits += 1
-        for a in range(1, hits):  # few: by insertion
+        for a in range(1, hits):  # insertion sort, because there are few hits
             t, way, k, b = t_hit[a], way_hit[a], k_hit[a], a
             while b > 0 and (
                 t_hit[b - 1] > t + TIE or (abs(t_hit[b - 1] - t) <= TIE and way_hit[b - 1] < way)
@@ -82,7 +87,10 @@ def cast(origins, directions, triangles):
 
 @njit(cache=True)
 def _lowest(R, p, box, up, shift):
-    """Lowest point along `up` of a box of the hand moved by `shift` along its y."""
+    """Return the lowest coordinate of a box of the hand along `up`.
+
+    The box is moved by `shift` along the hand's y axis.
+    """
     cx = (box[0] + box[3]) / 2
     cy = (box[1] + box[4]) / 2 + shift
     cz = (box[2] + box[5]) / 2
@@ -98,22 +106,26 @@ def _lowest(R, p, box, up, shift):
 
 @njit(cache=True)
 def fit(poses, points, normals, palm, left, right, pad, max_width, up, floor, approach):
-    """Put the hand around the object at each pose, as well as it goes.
+    """Fit a hand around an object's surface points at each grasp pose.
 
-    The hand is centred between the surfaces that the pads meet, drawn back until palm and support are clear,
-    opened for the object, and looked at along its straight approach.
+    The function centers the hand between the surfaces that the pads touch, moves it back until palm and
+    support are clear, opens it for the object, and checks its straight approach.
 
     Args:
         poses: (k, 4, 4) T_object_tcp, changed in place.
         points, normals: (n, 3) of the object's surface.
-        up, floor: direction (3,) away from the support in the object's frame and the support's height along
-            it [m]; -inf for none.
-        approach: length [m] of the straight way on which the open hand must not touch the object.
+        palm, left, right: boxes of the hand, see `Hand`.
+        pad: (2, 2) [m] minimum and maximum x and z of the pads.
+        max_width: largest opening of the gripper [m].
+        up: (3,) direction away from the support, in the object's frame.
+        floor: height of the support along `up` [m]; -inf without a support.
+        approach: length [m] of the straight approach on which the open hand must not touch the object.
 
     Returns:
-        (k,) verdicts; (k, 3) the object's width, the pre-opening and how far the hand was moved or (if it
-        does not fit) by how much it does not [m]; (k, 2, 8) per pad +y and -y: centre of the contact and
-        mean normal in the tcp frame, number of points, radius of the patch [m].
+        Verdicts (k,). Measures (k, 3) [m]: the object's width, the opening before the approach, and the
+        distance that the hand was moved (if the hand does not fit: the excess over the limit). Contacts
+        (k, 2, 8) of the pads at +y and -y: center and mean normal in the tcp frame, number of points, patch
+        radius [m].
     """
     k, n = len(poses), len(points)
     verdict = np.zeros(k, dtype=np.int64)
@@ -152,7 +164,7 @@ def fit(poses, points, normals, palm, left, right, pad, max_width, up, floor, ap
                 break
             opening = min(max(width * WIDER, width + MARGIN), max_width)
             middle = (low_y + high_y) / 2
-            # --- how far back: the palm off the object, everything off the support
+            # --- distance to move back: palm off the object, whole hand off the support
             back = 0.0
             for b in range(len(palm)):
                 for j in range(n):
@@ -192,7 +204,7 @@ def fit(poses, points, normals, palm, left, right, pad, max_width, up, floor, ap
         measures[i, 0], measures[i, 1], measures[i, 2] = width, opening, drawn if verdict[i] == FREE else need
         if verdict[i] != FREE:
             continue
-        # --- the open fingers on their way in, the palm behind
+        # --- approach of the open fingers and the palm
         deepest = 0.0
         for side in range(3):
             boxes = palm if side == 0 else left if side == 1 else right
@@ -207,7 +219,7 @@ def fit(poses, points, normals, palm, left, right, pad, max_width, up, floor, ap
         if deepest > 0.0:
             verdict[i], measures[i, 2] = HAND_HITS, deepest
             continue
-        # --- what the pads meet
+        # --- contact patches of the pads
         for side in range(2):
             sign = 1.0 if side == 0 else -1.0
             edge = high_y if side == 0 else -low_y

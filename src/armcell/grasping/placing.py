@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 @checked()
 class Placement:
-    """Pose for putting an object down; `T_world_object` is the object's resting pose.
+    """A pose T_world_object at which an object rests on a support, as a placement candidate.
 
     `normal` (3,) is the unit normal of the support surface in the world frame.
     """
@@ -41,18 +41,18 @@ class Placement:
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def above(self, distance: float) -> SE3:
-        """Return T_world_object at a distance [m] off the surface, along its normal."""
+        """Return the object's pose at a distance [m] above the support surface, along its normal."""
         x, y, z = (distance * n for n in self.normal)
         return self.T_world_object.shifted(x, y, z)
 
 
 def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
-    """Return the support surface on which friction holds an object, with a safety margin.
+    """Return the surface of a support on which friction holds an object, with a safety margin.
 
     The result is that of `support_surface`.
 
     Raises:
-        InputError: there is none; the text states the surface's tilt and the maximum tilt.
+        InputError: no such surface exists; the text states the surface's tilt and the maximum tilt.
     """
     return support_surface(support, float(np.arctan(pair_friction(item, support) / FRICTION_MARGIN)))
 
@@ -65,7 +65,9 @@ def place_candidates(
     other_sides: bool = False,
     up: tuple[float, float, float] | None = None,
 ) -> list[Placement]:
-    """Return placements on a support: a 3 x 3 grid around a point, then the whole surface.
+    """Return placements of an object on a support: a 3 x 3 grid, then the whole surface.
+
+    The grid is around a point.
 
     The object is aligned with the support's axes or keeps its orientation; it rests on the side that is
     nearest to its present orientation.
@@ -146,7 +148,9 @@ def _mass_height(item: CollisionObject, side: Rest) -> float:
 
 
 def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, SO3]]:
-    """Return rotations about the surface normal, as (angle, object rotation in the world) pairs.
+    """Return rotations of an object about the surface normal for placing, preferred ones first.
+
+    The results are (angle, rotation of the object in the world) pairs.
 
     First come alignments with the surface's edges, the nearest to the present orientation first, then the
     present orientation.
@@ -161,7 +165,7 @@ def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, S
 
 
 def _slope(frame: SE3) -> Array:
-    """Return the horizontal offset (2,) of a plumb line in a surface's frame, per meter."""
+    """Return the offset (2,) of a plumb line per meter of height, in a tilted surface's frame."""
     return -frame.rotation.matrix[2, :2] / frame.rotation.matrix[2, 2]
 
 
@@ -175,7 +179,7 @@ def _stands_to(item: CollisionObject, side: Rest, frame: SE3) -> float:
 
 
 def _tilt_held(item: CollisionObject, side: Rest, turned: Array, frame: SE3) -> float:
-    """Return the maximum stable tilt [rad] of a surface for one rotation of the object.
+    """Return the maximum tilt [rad] of a surface at which an object in one rotation is stable.
 
     Args:
         turned: (3, 3) rotation of the object in the surface's frame.
@@ -206,10 +210,10 @@ def _on_side(
     places: list[tuple[float, float, float, bool]],
     open_edges: bool,
 ) -> list[Placement]:
-    """Return placements on one side of the object at the given places of the support.
+    """Return placements of an object on one of its sides, at given points of the support.
 
     Args:
-        places: (x, y [m], cost, whether the place is the center).
+        places: points of the support (x, y [m], cost, whether the point is the center).
     """
     tilt, slope, normal = tilt_of(frame), _slope(frame), frame.rotation.matrix[:, 2]
     surface, height = surface_of(item), _mass_height(item, side)
@@ -247,7 +251,7 @@ def _on_side(
 
 
 def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
-    """Return True if a center of mass (2,) is well inside the supported part of a base (n, 2).
+    """Return whether a center of mass (2,) is well inside the supported part of a base (n, 2).
 
     Args:
         half: (2,) [m] half size of the support's rectangle.
@@ -279,7 +283,7 @@ def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
 
 
 def _yaw(R: SO3, upright: SO3) -> float:
-    """Return the rotation about world z that remains after removing the upright rotation."""
+    """Return the yaw angle [rad] by which a rotation differs from an upright rotation."""
     return float((R @ upright.inv()).rpy[2])
 
 

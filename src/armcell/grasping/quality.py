@@ -30,7 +30,7 @@ CLOSED = 1e-6  # minimum epsilon for force closure
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality measures of one grasp; `epsilon` and `volume` are 0 without force closure."""
+    """The quality measures of one grasp; epsilon and volume are 0 without force closure."""
 
     force_closure: bool
     epsilon: float  # [N per N of grip]
@@ -40,7 +40,7 @@ class Quality:
 @dataclass(frozen=True)
 @checked()
 class Noise:
-    """Standard deviations of the uncertain quantities of a grasp."""
+    """Standard deviations of a grasp's uncertain quantities, to evaluate its robustness."""
 
     position: float = 0.002  # [m] object position along each axis
     rotation: float = 0.035  # [rad] about each axis
@@ -48,13 +48,13 @@ class Noise:
     mass: float = 0.1  # relative
 
     def poses(self, count: int, rng: np.random.Generator) -> list[SE3]:
-        """Sample small displacements of the object in its own frame; the first is the identity."""
+        """Sample small displacements of an object in its own frame; the first is the identity."""
         shifts = rng.normal(scale=self.position, size=(count, 3))
         turns = rng.normal(scale=self.rotation, size=(count, 3))
         return [SE3.identity(), *(SE3(SO3.exp(t), s) for s, t in zip(shifts[1:], turns[1:], strict=True))]
 
     def materials(self, item: CollisionObject, count: int, rng: np.random.Generator) -> list[CollisionObject]:
-        """Sample copies of the object with varied friction and mass; the first is unchanged."""
+        """Sample copies of an object with varied friction and mass; the first is unchanged."""
         shares = np.exp(rng.normal(size=(count, 2)) * [self.friction, self.mass])
         shares[0] = 1.0
         m = item.material
@@ -71,7 +71,9 @@ class Noise:
 def contact_wrenches(
     contacts: tuple[PadContact, ...], about: Array, size: float, material: Material, edges: int = EDGES
 ) -> Array:
-    """Return wrenches (n, 6) of the edges of the soft-finger cones, per newton of normal force.
+    """Return wrenches (n, 6) along the friction cones of a grasp, per newton of normal force.
+
+    The contacts are soft fingers.
 
     Args:
         about: (3,) reference point of the torques, in the contacts' frame.
@@ -93,7 +95,7 @@ def contact_wrenches(
 
 
 def hull_quality(wrenches: Array) -> Quality:
-    """Return the quality measures of a convex hull of wrenches (n, 6).
+    """Return the quality measures of a grasp from the convex hull of its wrenches (n, 6).
 
     Force closure holds if the hull contains the origin; epsilon is the origin's depth inside the hull.
     """

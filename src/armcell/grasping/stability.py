@@ -22,7 +22,10 @@ NARROW = 5e-4  # [m] assumed half width of the contact line or point of a round 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """Resting pose: up direction (3,) in the object's frame, support polygon, stability margin."""
+    """A resting pose of an object: up direction (3,), support polygon and stability margin.
+
+    All are in the object's frame.
+    """
 
     up: Array
     foot: Array  # (n, 3) [m] corners of the support polygon, in the object's frame, in order around `up`
@@ -30,7 +33,7 @@ class Rest:
 
     @property
     def height(self) -> float:
-        """Height [m] of the object's origin above the support."""
+        """Return the height [m] of a resting object's origin above its support."""
         return -float(self.foot[0] @ self.up)
 
 
@@ -109,7 +112,7 @@ def margin_of(corners: Array, up: Array, point: Array) -> float:
 
 
 def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8) -> Rest | None:
-    """Return the resting pose nearest to an object's present orientation.
+    """Return the resting pose of an object that is nearest to its present orientation.
 
     A stable resting pose is preferred to one on which the object rolls.
 
@@ -130,7 +133,7 @@ def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8)
 
 
 def _rolled(item: CollisionObject, now: Array, nearest: Rest) -> Rest | None:
-    """Return the resting pose of a rolling body (sphere, lying cylinder or capsule).
+    """Return the resting pose of a rolling body: a sphere, lying cylinder or capsule.
 
     The body keeps its present orientation. The result is None for other objects.
     """

@@ -21,7 +21,7 @@ Found = tuple[SE3, float, float]
 
 
 def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
-    """Return the largest flat, upward-facing surface of an object; level ones are preferred.
+    """Return an object's largest flat, upward-facing surface; level surfaces are preferred.
 
     Args:
         steepest: [rad] maximum tilt from the horizontal.
@@ -50,7 +50,7 @@ def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
 
 
 def tilt_of(frame: SE3) -> float:
-    """Return the angle [rad] between a surface's normal, its frame's z axis, and the vertical."""
+    """Return the tilt [rad] of a surface: the angle between its normal (z) and the vertical."""
     z = frame.rotation.matrix[:, 2]
     return float(np.arctan2(np.hypot(z[0], z[1]), z[2]))
 

@@ -1,4 +1,4 @@
-"""Outer surface of an object as triangles and as points with normals, for grasp checks."""
+"""The outer surface of an object as triangles and points with normals, for grasp checks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ NEIGHBOURS = 16  # neighbors used for a cloud point's normal
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Surface in the object's frame; normals point outwards as far as the shapes define it."""
+    """An object's outer surface in its frame, as triangles and as points with normals.
+
+    Normals point outwards as far as the shapes define it.
+    """
 
     points: Array  # (n, 3) [m]
     normals: Array  # (n, 3)
@@ -54,7 +57,7 @@ _kept: OrderedDict[tuple, Surface] = OrderedDict()
 
 
 def surface_of(item: CollisionObject) -> Surface:
-    """Return the surface of an object, cached by its shapes.
+    """Return the outer surface of an object, cached by its shapes.
 
     Raises:
         InputError: the object is a plane or an empty point cloud and cannot be grasped.
@@ -69,7 +72,7 @@ def surface_of(item: CollisionObject) -> Surface:
 
 
 def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
-    """Return the surface of a point cloud (n, 3) [m], with normals from local planes.
+    """Return the surface of a point cloud (n, 3) [m], with normals of locally fitted planes.
 
     Normals point away from the cloud's center, because a cloud seen from one side is a shell.
 
@@ -147,7 +150,7 @@ def _areas(triangles: Array) -> Array:
 
 
 def _sampled(triangles: Array, count: int) -> tuple[Array, Array]:
-    """Sample about `count` points and normals evenly by area, including the corners."""
+    """Sample about `count` points with normals on triangles, evenly by area, with all corners."""
     areas = _areas(triangles)
     triangles, areas = triangles[areas > 0], areas[areas > 0]
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
@@ -166,7 +169,10 @@ def _sampled(triangles: Array, count: int) -> tuple[Array, Array]:
 
 
 def _inside(shape: Shape, points: Array) -> NDArray[np.bool_]:
-    """Return which points are well inside a convex shape; none for a non-convex mesh."""
+    """Return a mask of the points that are well inside a convex shape.
+
+    The mask of a non-convex mesh is False.
+    """
     tolerance = 2e-5
     triangles = triangles_of(shape)
     areas = _areas(triangles)
@@ -222,7 +228,10 @@ def _arc(radius: float, z: float, start: float, end: float, steps: int) -> list[
 
 
 def _revolved(profile: list[tuple[float, float]]) -> Array:
-    """Return the surface of revolution about z of a profile (radius, z), from bottom to top."""
+    """Return the triangles of a surface of revolution about z, given its profile (radius, z).
+
+    The profile runs from bottom to top.
+    """
     t = 2 * np.pi * np.arange(SECTIONS + 1) / SECTIONS
     circle = np.column_stack([np.cos(t), np.sin(t)])
     found = []

@@ -28,7 +28,7 @@ MAX_MESH_BYTES = 100_000_000
 MAX_PACKAGE_BYTES = 1_000_000  # size limit of a package.xml
 MESH_SUFFIXES = {".stl", ".obj", ".dae", ".glb", ".gltf", ".ply", ".off"}
 ONE_FILE = {".stl", ".obj", ".dae", ".glb", ".ply", ".off"}
-"""Formats whose triangles are all in the named file, so that the disk cache can be keyed by its content."""
+"""Mesh formats that store all triangles in one file, so its content can be a cache key."""
 
 
 def installed_share() -> list[Path]:
@@ -100,7 +100,7 @@ def find_package(package: str, base: Path) -> FoundPackage:
 
 
 def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
-    """Yield candidate folders of a ROS package, nearest first.
+    """Yield the folders that may be a ROS package of a given name, nearest first.
 
     Each folder comes with a flag: whether it is from the ROS search path or from pip's folders.
     """
@@ -288,7 +288,7 @@ def load_visual_parts(
 
 
 def _own_color(part: trimesh.Trimesh) -> Color:
-    """Return the RGBA color of a mesh from its material, or else the mean of its face colors."""
+    """Return a mesh's RGBA color from its material, or else the mean of its face colors."""
     source = getattr(part.visual, "material", None) or part.visual
     rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)
     if rgba.shape != (4,):

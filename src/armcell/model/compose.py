@@ -11,7 +11,7 @@ from armcell.model.robot import EndEffector, Group, Joint, Link, Mimic, MjcfPart
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One robot of a composition: its model, its name prefix and its mounting pose.
+    """One robot to be composed with others: its model, its name prefix and its mounting pose.
 
     `parent_link` is "world" or a link of an earlier part; `T_parent_root` is the pose of this part's root
     link in the frame of `parent_link`.
@@ -83,7 +83,7 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
 
 
 def compose(name: str, parts: Sequence[Part]) -> RobotModel:
-    """Build one robot from several parts, each mounted on the world or on an earlier part.
+    """Compose several robots into one; each is mounted on the world or on an earlier robot.
 
     Raises:
         InputError: `parts` is empty, or two parts share a link, joint or group name (use prefixes).

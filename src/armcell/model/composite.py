@@ -11,7 +11,7 @@ from armcell.model.robot import Group, RobotModel
 
 
 def with_composites(model: RobotModel, groups: Any, states: Any, file: Path) -> RobotModel:
-    """Add composite planning groups and extra named states from robot.yaml to a robot.
+    """Return the robot with composite planning groups and named states from robot.yaml.
 
     If all members of a composite group have a named state of the same name, the composite group gets that
     state, too.

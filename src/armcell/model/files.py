@@ -93,7 +93,7 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
 
 
 class Bounded:
-    """A binary file wrapper whose `read` never requests more bytes than the file has left.
+    """A binary file wrapper that never requests more bytes from the file than it has left.
 
     A corrupt file can declare a length of gigabytes, and the ordinary `read` allocates that much memory
     before it reads.
@@ -135,7 +135,7 @@ def parse_xml(text: str, file: Path | str) -> etree._Element:
 
 
 def check_yaml_events(text: str, path: Path) -> None:
-    """Reject YAML that is small to write but expensive to build: deep nesting and many aliases.
+    """Reject YAML text with deep nesting or many aliases, which is expensive to load.
 
     Raises:
         InputError: more than 50 aliases ("billion laughs" attack), or more than 64 nesting levels.
@@ -155,7 +155,7 @@ def check_yaml_events(text: str, path: Path) -> None:
 
 
 def yaml_value(text: str) -> Any:
-    """Parse one YAML value from a string, by the same rules as `read_yaml` applies to files.
+    """Parse one YAML value from a string, by the same rules as for YAML files.
 
     Raises:
         yaml.YAMLError: `text` is not valid YAML.

@@ -1,4 +1,4 @@
-"""The robots that armcell knows by name: where their descriptions come from, and whether they are here."""
+"""The robots of armcell's library: the sources of their descriptions and their availability."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROBOT_FILE = "robot.yaml"
 
 @dataclass(frozen=True)
 class KnownRobot:
-    """A robot of the library.
+    """A robot of armcell's library, with the source of its description.
 
     Attributes:
         source: maker, model, and origin of the description with its license.
@@ -30,7 +30,7 @@ class KnownRobot:
 
     @property
     def hint(self) -> str:
-        """How to get the missing package; empty if no package is missing."""
+        """Return how to get the ROS package with the robot's description; empty if it is present."""
         if self.package is None or not self.description:
             return ""
         return f"get {self.package} from {self.description} and pass --package {self.package}=FOLDER"
@@ -42,12 +42,12 @@ def robot_names() -> list[str]:
 
 
 def installed_robots() -> list[str]:
-    """Return the names of the library's robots whose descriptions are on this machine."""
+    """Return the names of the library robots whose descriptions are on this machine."""
     return [name for name in robot_names() if known_robot(name).package is None]
 
 
 def known_robot(name: str) -> KnownRobot:
-    """Return a robot of the library by name, without loading its model."""
+    """Return a library robot's entry by name, without loading the robot's model."""
     folder = LIBRARY / name
     data = read_yaml(folder / ROBOT_FILE)
     about = str(data.get("source", "")), str(data.get("description", ""))

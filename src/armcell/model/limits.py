@@ -36,7 +36,7 @@ _SWITCHES = {
 
 
 def with_joint_limits(model: RobotModel, path: Path) -> RobotModel:
-    """Return the robot with the limits of a joint_limits.yaml; limits may only become tighter.
+    """Return the robot with the joint limits of a joint_limits.yaml, which may only be tighter.
 
     Raises:
         InputError: wrong type, or a limit wider than the URDF's.

@@ -1,4 +1,4 @@
-"""The `load_robot` function: loads a robot by library name, folder, or URDF, xacro or MJCF file."""
+"""Loading of robots by library name, folder, or URDF, xacro or MJCF file: `load_robot`."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def load_robot(
             only if ARMCELL_ALLOW_ENV is set, as `armcell --allow-env` does.
         xacro_args: values for a xacro file's arguments, by name.
     Raises:
-        InputError: the robot cannot be loaded; the message contains file, element, reason and remedy.
+        InputError: the robot cannot be loaded; the message contains file, element, reason and hint.
     """
     if isinstance(robot, str) and robot in robot_names():
         return load_folder(LIBRARY / robot, allow_env, xacro_args)
@@ -88,21 +88,26 @@ def _load_file(path: Path, allow_env: bool | None, xacro_args: XacroArgs) -> Rob
 
 
 def is_mjcf(path: Path) -> bool:
-    """Return whether a file is MJCF: its suffix is .mjcf, or .xml with the root element <mujoco>."""
+    """Return whether a file is MJCF: suffix .mjcf, or .xml with the root element <mujoco>."""
     if path.suffix.lower() != ".xml":
         return path.suffix.lower() == ".mjcf"
     return parse_xml(read_text(path), path).tag == "mujoco"
 
 
 def load_mjcf_file(path: Path) -> RobotModel:
-    """Load an MJCF file, see `load_mjcf`; links that share a joint need no collision check."""
+    """Load a robot from an MJCF file and disable collision checks of adjacent links.
+
+    Adjacent links share a joint. See also `load_mjcf`.
+    """
     from armcell.model.mjcf import load_mjcf  # imported late: imports MuJoCo, which URDF robots do not need
 
     return with_adjacent_disabled(load_mjcf(path))
 
 
 def with_keyframes(model: RobotModel) -> RobotModel:
-    """Return the robot with MJCF's keyframes as named states of its groups, clipped to the joint limits.
+    """Return the robot with MJCF's keyframes as named states of its planning groups.
+
+    The positions are clipped to the joint limits.
 
     If no keyframe has the name "home", the first keyframe is also the state "home".
     """
@@ -166,7 +171,7 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
 
 
 def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
-    """Return the robot with IK solvers named by planning group."""
+    """Return the robot with the IK solvers that robot.yaml names for its planning groups."""
     if not isinstance(names, dict) or not all(isinstance(name, str) for name in names.values()):
         raise InputError("is not a mapping of groups to solver names", file=file, element="ik_solvers")
     for group in names:
@@ -177,7 +182,7 @@ def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:
-    """Return the part of a robot from `link` down, for example without a URDF's "world" link."""
+    """Return the part of a robot from a link down, for example without a URDF's "world" link."""
     keep = set(model.subtree(link))
     return replace(
         model,
@@ -197,7 +202,7 @@ def with_adjacent_disabled(model: RobotModel) -> RobotModel:
 
 
 def xacro_texts(value: Any, file: Path) -> dict[str, str]:
-    """Return xacro arguments from YAML as xacro's texts: booleans are `true` and `false`.
+    """Convert xacro arguments from YAML values to texts; booleans become `true` and `false`.
 
     Raises:
         InputError: `value` is not a mapping of names to numbers, texts or booleans.

@@ -1,4 +1,4 @@
-"""Options for robot files that apply to a whole command: xacro arguments and package folders.
+"""Options for all robot files of a command: xacro arguments and ROS package folders.
 
 The command line passes them on in environment variables, because child processes of a command load the same
 files.
@@ -15,7 +15,7 @@ from pathlib import Path
 from armcell.core import InputError
 
 XACRO_ARGS, PACKAGES = "ARMCELL_XACRO_ARGS", "ARMCELL_PACKAGES"
-"""Environment variables: JSON objects of xacro arguments, and of package folders by package name."""
+"""Environment variables with JSON objects: xacro arguments, and package folders by name."""
 _NAME = re.compile(r"[^\s:=]+")
 
 
@@ -61,12 +61,12 @@ def set_packages(words: Iterable[str]) -> None:
 
 
 def xacro_args(own: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the xacro arguments of a file; those of the command line replace the file's own."""
+    """Return a robot file's xacro arguments, overridden by the command line's arguments."""
     return {**(own or {}), **_read(XACRO_ARGS)}
 
 
 def package_folder(name: str) -> Path | None:
-    """Return the folder that `--package` names for a ROS package, or None."""
+    """Return the folder that the option `--package` names for a ROS package, or None."""
     folder = _read(PACKAGES).get(name)
     return None if folder is None else Path(folder)
 

@@ -1,4 +1,4 @@
-"""`RobotModel`, an immutable description of a robot, and the links, joints and groups in it.
+"""`RobotModel`, an immutable description of a robot, with its links, joints and groups.
 
 The model contains no joint positions; robot states are separate objects.
 """
@@ -68,7 +68,7 @@ class JointLimits:
 @dataclass(frozen=True)
 @checked()
 class Mimic:
-    """A mimic rule of a joint: `position = multiplier * position(joint) + offset`."""
+    """A mimic rule of a joint: `position = multiplier * position(other joint) + offset`."""
 
     joint: str
     multiplier: float = 1.0
@@ -78,7 +78,7 @@ class Mimic:
 @dataclass(frozen=True)
 @checked()
 class Servo:
-    """Gains of a joint's own position servo: force = kp (target - q) + kv (target speed - speed)."""
+    """Gains of a joint's position servo: force = kp (target - q) + kv (target speed - speed)."""
 
     kp: float  # [Nm/rad or N/m]
     kv: float = 0.0  # [Nm s/rad or N s/m]
@@ -105,7 +105,7 @@ class MjcfPart:
     states: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False, compare=False)
 
     def prefixed(self, prefix: str) -> MjcfPart:
-        """Return a copy of the part with `prefix` before every name."""
+        """Return a copy of the robot's MJCF part with `prefix` before every name."""
         return replace(
             self,
             root=prefix + self.root,
@@ -146,7 +146,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Group:
-    """A planning group: actuated joints in model order, links, and the two ends of a chain.
+    """A planning group of a robot: its actuated joints, its links, and its base and tip link.
 
     Attributes:
         ik_solver: name of the inverse kinematics solver; empty: armcell chooses one.
@@ -232,17 +232,17 @@ class RobotModel:
 
     @cached_property
     def movable_joint_names(self) -> tuple[str, ...]:
-        """Names of all joints that are not fixed: actuated and mimic joints."""
+        """Return the names of all joints that are not fixed: actuated and mimic joints."""
         return tuple(j.name for j in self.joints.values() if j.movable)
 
     @cached_property
     def parent_joint(self) -> Mapping[str, Joint]:
-        """Mapping from each link's name to the joint above the link; the root link is not in it."""
+        """Return each link's parent joint by link name; the root link has none."""
         return {j.child: j for j in self.joints.values()}
 
     @cached_property
     def _column(self) -> Mapping[str, int]:
-        """Mapping from each actuated joint's name to its index in `joint_names`."""
+        """Return the index of each actuated joint in `joint_names`, by joint name."""
         return {name: i for i, name in enumerate(self.joint_names)}
 
     @property
@@ -265,7 +265,7 @@ class RobotModel:
         return self.groups[name]
 
     def gripper(self, name: str | None = None, arm_group: str | None = None) -> Gripper:
-        """Return a gripper by name, else the gripper on `arm_group`, else the robot's only gripper.
+        """Return a robot's gripper by name, or the gripper on an arm group, or the only gripper.
 
         Raises:
             UnknownNameError: the robot has no gripper of that name.
@@ -285,7 +285,7 @@ class RobotModel:
         return fitting[0]
 
     def columns(self, joint_names: Iterable[str]) -> list[int]:
-        """Return the indices of the given joints in `joint_names`.
+        """Return the indices of the given joints in the robot model's `joint_names`.
 
         Raises:
             UnknownNameError: a name is not an actuated joint of this robot.
@@ -306,7 +306,7 @@ class RobotModel:
         return np.array([self.joints[n].limits.upper for n in self.joint_names])
 
     def limits(self, joint_names: Iterable[str], kind: str) -> Array:
-        """Return one kind of limit, such as "velocity", of the given joints, (n,).
+        """Return one kind of limit, such as "velocity", for each of the given joints, (n,).
 
         Args:
             joint_names: the n joints.
@@ -315,7 +315,7 @@ class RobotModel:
         return np.array([getattr(self.joint(n).limits, kind) for n in joint_names])
 
     def neutral(self) -> Array:
-        """Return zero for each joint, or the mid-range position if zero is out of limits, (dof,)."""
+        """Return zero joint positions (dof,), or mid-range positions where zero is out of limits."""
         low = np.where(np.isfinite(self.lower), self.lower, -np.inf)
         high = np.where(np.isfinite(self.upper), self.upper, np.inf)
         bounded = np.isfinite(low) & np.isfinite(high)
@@ -420,7 +420,7 @@ class RobotModel:
 
     @cached_property
     def rigid_groups(self) -> tuple[frozenset[str], ...]:
-        """Sets of links that fixed joints connect, so that they never move relative to each other."""
+        """Return the sets of links that fixed joints connect rigidly."""
         of: dict[str, set[str]] = {self.root_link: {self.root_link}}
         for joint in self.joints.values():
             if joint.movable:

@@ -1,6 +1,6 @@
 """URDF parser: builds the links and joints of a `RobotModel`.
 
-Every error message names the file, line, element and remedy.
+Every error message names the file, line, element and hint.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def urdf_text(
     home: Path | None = None,
     xacro_args: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the text of a URDF or SRDF file; expand the file first if it is a xacro file."""
+    """Return the text of a URDF or SRDF file, expanded if it is a xacro file."""
     path = Path(path)
     if path.suffix == ".xacro":
         return expand_xacro(path, xacro_args, allow_env, home)
@@ -240,7 +240,10 @@ class _Reader:
         return Inertial(mass, self.origin(element), I)
 
     def check_inertia(self, element: etree._Element, mass: float, inertia: np.ndarray) -> None:
-        """Warn about an inertia matrix that no body of this mass can have; planning does not need it."""
+        """Warn about an inertia matrix that no body of the given mass can have.
+
+        Planning does not need the inertia.
+        """
         a, b, c = np.linalg.eigvalsh(inertia)
         if mass > 0 and (a <= 0 or a + b < c * (1 - 1e-3) - 1e-9):
             link = element.getparent()
@@ -283,7 +286,7 @@ class _Reader:
         raise self.fail(geometry, "unknown geometry", hint=f"{', '.join(sized)} and mesh exist")
 
     def checked_size(self, geometry: etree._Element, mesh: Mesh) -> Mesh:
-        """Return a link's mesh after checking that it has the size of a robot's part in meters."""
+        """Return a link's mesh after checking that its size is plausible in meters."""
         size = float(np.ptp(mesh.vertices, axis=0).max())
         if size > LARGEST_LINK:
             hint = 'if its file is in millimeters, add scale="0.001 0.001 0.001"'
@@ -310,7 +313,7 @@ class _Reader:
         return Visual(self.origin(element), shape=self.shape(element), color=color)
 
     def joint(self, element: etree._Element, links: dict[str, Link]) -> list[Joint]:
-        """Return the joint of a URDF element; a planar or floating joint becomes several joints.
+        """Convert a URDF joint element to a joint, or to several for a planar or floating joint.
 
         Massless links connect the joints of such a chain.
         """

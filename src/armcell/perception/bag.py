@@ -24,7 +24,7 @@ _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 @dataclass(eq=False)
 class CameraRecord:
-    """Newest camera data of a record, by frame."""
+    """The newest camera images, point clouds and transforms of an MCAP record, by frame."""
 
     file: Path
     infos: dict[str, Pinhole] = field(default_factory=dict)
@@ -34,7 +34,10 @@ class CameraRecord:
     transforms: dict[str, tuple[str, SE3]] = field(default_factory=dict)  # child -> parent, T_parent_child
 
     def pose(self, frame: str) -> SE3:
-        """Return T_world_frame; the world is the root of the transform tree."""
+        """Return the pose T_world_frame of a recorded frame.
+
+        The world is the root of the transform tree.
+        """
         T, seen = SE3.identity(), set()
         while frame in self.transforms and frame not in seen:
             seen.add(frame)
@@ -43,7 +46,9 @@ class CameraRecord:
         return T
 
     def image(self, frame: str | None = None) -> CameraImage:
-        """Return the newest image of a camera, given by its frame; default: the only camera.
+        """Return the newest image of a recorded camera, given by its frame.
+
+        By default, the camera is the only one.
 
         Raises:
             InputError: no such camera, several cameras, or no camera info; the text lists the cameras.
@@ -111,7 +116,7 @@ def _image(found: CameraRecord, m: Any) -> None:
 
 
 def depth_pixels(m: Any) -> NDArray[np.float32]:
-    """Return the depths (h, w) [m] of a sensor_msgs/Image; 0 for missing values.
+    """Return the depths (h, w) [m] of a sensor_msgs/Image message; 0 for missing values.
 
     Raises:
         InputError: the encoding has no depth, or the data do not match the size.

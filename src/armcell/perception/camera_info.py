@@ -1,4 +1,4 @@
-"""Camera calibration files in the YAML format of ROS's camera_calibration."""
+"""Camera calibration files in the YAML format of ROS's camera_calibration package."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ MODELS = ("plumb_bob", "")
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """Calibrated camera: name and intrinsics with distortion."""
+    """A calibrated camera: its name and its intrinsics with distortion."""
 
     name: str
     pinhole: Pinhole
 
     def rectified(self) -> Pinhole:
-        """Return the intrinsics without distortion, for rectified images."""
+        """Return the camera's intrinsics without distortion, for rectified images."""
         p = self.pinhole
         return Pinhole(p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
 
 def load_camera_info(path: str | Path) -> CameraInfo:
-    """Load a calibration file of ROS's `cameracalibrator` or image_transport.
+    """Load a camera calibration file of ROS's `cameracalibrator` or image_transport.
 
     Raises:
         InputError: a key is missing or has the wrong size, or the distortion model is not plumb_bob.
@@ -74,7 +74,7 @@ def load_camera_info(path: str | Path) -> CameraInfo:
 
 
 def save_camera_info(path: str | Path, name: str, pinhole: Pinhole) -> None:
-    """Write a calibration file that ROS and `load_camera_info` can read."""
+    """Write a camera calibration file that ROS and `load_camera_info` can read."""
     p = pinhole
     d = [*p.distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
 
@@ -95,7 +95,9 @@ def save_camera_info(path: str | Path, name: str, pinhole: Pinhole) -> None:
 
 
 def rectified(image: CameraImage) -> CameraImage:
-    """Return an image without lens distortion (Brown's model, as in OpenCV), same focal length.
+    """Return a camera image without lens distortion, with the same focal length.
+
+    The distortion model is Brown's, as in OpenCV.
 
     Color is interpolated. Depth uses the nearest pixel, because interpolation would mix depths across edges.
     Pixels outside the original image are black and have no depth.

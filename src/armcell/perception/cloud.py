@@ -1,4 +1,4 @@
-"""From a depth image to an organised cloud: one point per pixel, in the camera's frame."""
+"""Conversion of a depth image to an organized point cloud: one point per pixel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ F64 = NDArray[np.float64]
 
 
 def metres(depth: ArrayLike) -> F32:
-    """Depth (h, w) [m], 0 where nothing was seen; whole numbers are millimetres (ROS's 16UC1)."""
+    """Convert a depth image (h, w) to meters, with 0 for pixels without depth.
+
+    Integers are millimeters (ROS's 16UC1).
+    """
     image = np.asarray(depth)
     if image.ndim != 2 or image.dtype.kind not in "fiu":
         raise InputError(f"a depth image has rows and columns of numbers, not shape {image.shape}")
@@ -22,7 +25,10 @@ def metres(depth: ArrayLike) -> F32:
 
 
 def organised(depth: ArrayLike, pinhole: Pinhole) -> F64:
-    """Points (h, w, 3) [m, camera frame]; NaN where nothing was seen."""
+    """Return the organized point cloud (h, w, 3) [m, camera frame] of a depth image.
+
+    Pixels without depth yield NaN.
+    """
     z = metres(depth)
     if z.shape != (pinhole.height, pinhole.width):
         raise InputError(

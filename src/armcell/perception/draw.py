@@ -1,4 +1,4 @@
-"""Overlay of perception results on an image: object edges, axes and names."""
+"""Drawing of perception results into an image: object edges, axes and names."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _background(image: CameraImage) -> NDArray[np.uint8]:
 
 @lru_cache(maxsize=64)
 def _edges(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
-    """Return the ends (n, 2, 3) of an object's sharp edges; for smooth objects some mesh edges."""
+    """Return the ends (n, 2, 3) of an object's sharp edges, or of some edges of a smooth mesh."""
     import trimesh
 
     mesh = surface_mesh(shapes)

@@ -1,4 +1,4 @@
-"""Image files with depth: PNG (16-bit depth in millimeters) and YAML, or a point cloud.
+"""Files of camera images with depth: PNG (16-bit depth in millimeters) and YAML, or a cloud.
 
 An image NAME consists of three files: NAME.yaml (camera info in ROS's format, and `camera_pose`),
 NAME_rgb.png, NAME_depth.png.
@@ -23,7 +23,7 @@ _SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 
 def save_image(path: str | Path, image: CameraImage) -> list[Path]:
-    """Write NAME.yaml, NAME_rgb.png and NAME_depth.png; return the written files.
+    """Write an image as NAME.yaml, NAME_rgb.png and NAME_depth.png; return the written files.
 
     Depth is rounded to millimeters, up to 65 m.
     """
@@ -54,7 +54,7 @@ def load_image(
     depth: str | Path | None = None,
     T_world_camera: SE3 | None = None,
 ) -> CameraImage:
-    """Load an image from its camera info, color and depth files, and rectify it.
+    """Load a camera image from its camera info, color and depth files, and rectify the image.
 
     Args:
         info: NAME.yaml. Without `rgb` and `depth`, NAME_rgb.png and NAME_depth.png are used.
@@ -87,12 +87,12 @@ def load_image(
 
 
 def load_rgb(path: str | Path) -> NDArray[np.uint8]:
-    """Load the colors (h, w, 3) of an image file."""
+    """Load the colors (h, w, 3) uint8 of an image file."""
     return np.asarray(_opened(path).convert("RGB"), dtype=np.uint8)
 
 
 def load_depth(path: str | Path) -> NDArray[np.float32]:
-    """Load depth (h, w) [m] from a 16-bit PNG in millimeters or a .npy array in meters."""
+    """Load a depth image (h, w) [m] from a 16-bit PNG in millimeters or a .npy array in meters."""
     file = Path(path)
     if file.suffix.lower() == ".npy":
         try:

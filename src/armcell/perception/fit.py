@@ -1,10 +1,10 @@
-"""Fitting a solid to what a camera saw of it: points on its surface, and rays that do not go through it.
+"""Fit of a solid to camera evidence: points on its surface, and rays that pass beside it.
 
-The surface alone says nothing about where a face ends that is seen from straight above; the rays that pass
-beside it do. Levenberg and Marquardt's method (Marquardt, SIAM J. 11(2), 1963), with residuals weighted by
-Geman and McClure so that what does not belong to the object hardly counts.
+Points alone do not show where a face ends that the camera sees from straight above; the rays that pass
+beside the face do. Levenberg and Marquardt's method (Marquardt, SIAM J. 11(2), 1963) minimizes the residuals
+with Geman and McClure's weights, so that points of other objects hardly count.
 
-Everything here is in the support's frame: z = 0 is the plane that things stand on, z points away from it.
+All values are in the support's frame: z = 0 is the support plane, and z points away from it.
 """
 
 from __future__ import annotations
@@ -21,23 +21,31 @@ from armcell.perception.solids import Solid, solid_distance
 F64 = NDArray[np.float64]
 
 FREE, SLIDING, BOX_STANDS, CYLINDER_STANDS, CYLINDER_LIES, BALL_LIES = range(6)
-"""What may vary: a whole pose; x, y and yaw; x, y, yaw and sizes of a box that stands on the plane, ..."""
-_LEAST = 0.002  # [m] no solid is smaller
+"""Modes of a fit by free parameters: pose; x, y and yaw; x, y, yaw and sizes of a box; etc.
+
+The solids of the last four modes rest on the support plane.
+"""
+_LEAST = 0.002  # [m] smallest size of a fitted solid
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What was seen of one thing: points (n, 3) on it; rays from `eye` along unit directions (m, 3) that are
-    free up to `free_to` (m,) [m]."""
+    """A camera's evidence of one object: points (n, 3) on it, and rays that pass beside it.
+
+    The rays start at `eye`, have unit directions `rays` (m, 3), and are free up to `free_to` (m,) [m].
+    """
 
     points: F64
     eye: F64  # (3,)
     rays: F64
     free_to: F64
-    scale: float  # [m] residuals beyond this count less and less
+    scale: float  # [m] larger residuals have less and less weight
 
     def thinned(self, points: int, rays: int) -> Evidence:
-        """About so many of each, evenly taken."""
+        """Return a subset of the evidence with about the given numbers of points and rays.
+
+        The subset is evenly distributed.
+        """
         i = _every(len(self.points), points)
         k = _every(len(self.rays), rays)
         return Evidence(self.points[i], self.eye, self.rays[k], self.free_to[k], self.scale)
@@ -51,24 +59,24 @@ def _every(count: int, wanted: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A solid's pose T_support_solid and parameters, and how well they explain the evidence."""
+    """A fitted solid: its pose T_support_solid, its parameters, and how well it fits."""
 
     mode: int
     parameters: F64
     T: SE3
-    size: F64  # (3,) of a primitive, as solids.Solid has it
-    cost: float  # mean weighted square over scale squared: 0 perfect, towards 1 hopeless
-    rms: float  # [m] of the points that are within three scales
+    size: F64  # (3,) size of a primitive, as in solids.Solid
+    cost: float  # mean robust loss of the residuals: 0 perfect, 1 worst
+    rms: float  # [m] rms of the points with residuals up to three scales
 
 
 def fit(evidence: Evidence, solid: Solid, mode: int, start: F64, T0: SE3, iterations: int = 25) -> Fit:
-    """The best fit near a start.
+    """Fit a solid to camera evidence, starting near given parameters.
 
     Args:
         start: parameters of the mode. FREE: rotation vector and translation from T0. SLIDING: x, y, yaw from
             T0. BOX_STANDS: x, y, yaw and full sizes. CYLINDER_STANDS: x, y, radius, length.
             CYLINDER_LIES: x, y, yaw, radius, length. BALL_LIES: x, y, radius.
-        T0: T_support_solid that FREE and SLIDING start from.
+        T0: T_support_solid from which FREE and SLIDING start.
     """
     base = T0.matrix[:3].ravel()
     e, s = evidence, solid
@@ -94,7 +102,7 @@ def judged(e: Evidence, solid: Solid, mode: int, parameters: F64, T0: SE3, cost:
 
 
 def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
-    """How well a solid explains the evidence where it is."""
+    """Return how well a solid at a pose explains the camera evidence: 0 is perfect, 1 worst."""
     e, s = evidence, solid
     zero = np.zeros(3)
     return float(
@@ -107,7 +115,7 @@ def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
 
 @njit(cache=True)
 def _place(mode, p, base, R, t, size):
-    """Pose and size of parameters."""
+    """Compute a solid's pose (R, t) and size from the parameters of a fit mode, in place."""
     size[:] = 0.0
     if mode == FREE:
         w = p[:3]
@@ -135,7 +143,7 @@ def _place(mode, p, base, R, t, size):
         return
     R[:, :] = 0.0
     t[0], t[1] = p[0], p[1]
-    if mode == CYLINDER_LIES:  # its x is up, its z along (c, s, 0)
+    if mode == CYLINDER_LIES:  # the cylinder's x axis is up, its z axis is along (c, s, 0)
         R[2, 0] = 1.0
         R[0, 1], R[1, 1] = s, -c
         R[0, 2], R[1, 2] = c, s
@@ -173,9 +181,9 @@ def _point_residuals(points, R, t, kinds, sizes, poses, grid, origin, step):
 
 @njit(cache=True)
 def _depth_of_ray(R, t, eye, ray, free_to, reach, kinds, sizes, poses, grid, origin, step, convex):
-    """How deep [m] the free part of a ray is in a solid, 0 if it passes beside it.
+    """Return the depth [m] by which a ray's free part enters a solid, 0 if it passes beside.
 
-    The distance to a convex solid is convex along a line: its least value is found by golden section.
+    The distance to a convex solid is convex along a line, so golden section finds its minimum.
     """
     middle = 0.0
     off = 0.0
@@ -208,7 +216,7 @@ def _depth_of_ray(R, t, eye, ray, free_to, reach, kinds, sizes, poses, grid, ori
                 d = a + g * (b - a)
                 fd = _at(R, t, eye[0] + d * ray[0], eye[1] + d * ray[1], eye[2] + d * ray[2], kinds, sizes,
                          poses, grid, origin, step)  # fmt: skip
-            if min(fc, fd) > b - a:  # distances change by at most a metre per metre
+            if min(fc, fd) > b - a:  # a distance changes by at most 1 m per meter
                 break
         least = min(fc, fd)
     else:
@@ -245,7 +253,7 @@ def _residuals(
 
 @njit(cache=True)
 def _robust(r, scale):
-    """Mean of Geman and McClure's function of residuals, 0 to 1."""
+    """Return the mean of Geman and McClure's loss of residuals, from 0 to 1."""
     total = 0.0
     for x in r:
         q = (x / scale) ** 2

@@ -28,7 +28,7 @@ LEVER = 0.3  # [m] weight of a rotation error of 1 rad
 
 @dataclass(frozen=True)
 class HandEye(Outcome):
-    """Calibrated camera pose T_hand_camera (eye in hand) or T_base_camera (eye to hand).
+    """A calibrated camera pose: T_hand_camera (eye in hand) or T_base_camera (eye to hand).
 
     Residuals are the deviations of each view's marker pose from the mean of all views.
     """
@@ -42,7 +42,7 @@ class HandEye(Outcome):
 
     @property
     def rms(self) -> tuple[float, float]:
-        """Root mean squares of the position [m] and rotation [rad] residuals."""
+        """Return the rms residuals of a calibration in position [m] and rotation [rad]."""
         p, r = np.array(self.position_residuals), np.array(self.rotation_residuals)
         return float(np.sqrt(np.mean(p**2))), float(np.sqrt(np.mean(r**2)))
 
@@ -54,7 +54,7 @@ def calibrate_hand_eye(
     most_position: float = 0.005,
     most_rotation: float = 0.02,
 ) -> HandEye:
-    """Calibrate the pose of a camera on the hand or beside the robot from marker views.
+    """Calibrate a camera's pose on the hand or beside the robot from views of a marker.
 
     Args:
         hands: T_base_hand of each view.
@@ -99,7 +99,7 @@ def calibrate_hand_eye(
 
 
 def _refused(hands: Sequence[SE3]) -> str:
-    """Return why the views are insufficient; empty if they are sufficient."""
+    """Return why the views do not suffice for a calibration; empty if they suffice."""
     if len(hands) < LEAST_POSES:
         return f"{len(hands)} views are too few (take {LEAST_POSES} or more, better 10 to 15)"
     turns = [(a.rotation.inv() @ b.rotation).log() for a, b in combinations(hands, 2)]
@@ -138,7 +138,7 @@ def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
 
 
 def _refined(A: list[SE3], B: list[SE3], X: SE3) -> tuple[SE3, SE3]:
-    """Return X and Y that minimize the errors of A_i X B_i = Y."""
+    """Find poses X and Y by least squares that minimize the errors of A_i X B_i = Y."""
     from scipy.optimize import least_squares
 
     Y = A[0] @ X @ B[0]

@@ -1,4 +1,4 @@
-"""Height map of a bin seen from above, and segmentation of its contents into pieces."""
+"""Height map of a bin seen from above, and its segmentation into pieces."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ def height_map(
     floor: float,
     resolution: float = 0.003,
 ) -> HeightMap:
-    """Return the highest visible point in each cell, without the robot.
+    """Compute a height map from a depth image: the highest visible point in each cell.
+
+    Points on the robot are ignored.
 
     Args:
         image: image with depth.
@@ -49,7 +51,7 @@ def height_map(
 
 
 def _filled(heights: F64) -> F64:
-    """Fill cells without a height with their highest neighbor, from the rim inwards."""
+    """Fill height-map cells without a height with their highest neighbor, from the rim inwards."""
     from scipy.ndimage import grey_dilation
 
     found = heights.copy()
@@ -64,7 +66,7 @@ def _filled(heights: F64) -> F64:
 def pieces(
     seen: HeightMap, where: NDArray[np.bool_], above: float, step: float = 0.010, smallest: int = 8
 ) -> NDArray[np.int64]:
-    """Label the separate pieces (nx, ny) of a height map, -1 for no piece.
+    """Label the separate pieces of a height map (nx, ny); -1 marks cells without a piece.
 
     A height step between neighboring cells separates two pieces.
 

@@ -1,4 +1,4 @@
-"""Pose estimation of known objects: the shape is fitted to the points from all orientations.
+"""Pose estimation of known objects: fits of the shape to the points from all orientations.
 
 A variant of iterated closest point (Besl and McKay, IEEE PAMI 14(2), 1992): closest points come from the
 object's distance field, and rays that pass beside the object count, too.
@@ -30,7 +30,7 @@ _TILTED = 0.7  # maximum cost of a tilted fit, relative to the resting fit
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Pose of a known object in the support's frame."""
+    """The estimated pose of a known object in the support's frame, with its errors."""
 
     T: SE3
     cost: float
@@ -54,7 +54,9 @@ def cube_turns() -> tuple[SO3, ...]:
 def rough_match(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], stands: bool = True
 ) -> Match | None:
-    """Estimate an object's pose from a subset of the evidence; None if its size does not match.
+    """Estimate a known object's pose from a subset of the camera evidence.
+
+    The result is None if the object's size does not match.
 
     Args:
         stands: whether the object rests on z = 0.
@@ -93,7 +95,10 @@ def match_known(
 def _starts(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], solid: Solid, stands: bool
 ) -> list[SE3]:
-    """Return start poses above the center of the points, with each side down and matching yaw."""
+    """Return start poses for a known object above the points, with each side down.
+
+    The poses are above the center of the points and have matching yaw.
+    """
     points = _outline(shapes)
     around = footprint(evidence.points)
     primitive = len(shapes) == 1 and isinstance(shapes[0][0], Box | Cylinder | Sphere)
@@ -122,7 +127,7 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
-    """Return the pose nearest to `prior` among the poses that look like T by symmetry.
+    """Return the pose nearest to a prior pose, among the poses that look like T by symmetry.
 
     Considers single spheres, cylinders and boxes; other objects are treated as asymmetric.
     """
@@ -149,7 +154,10 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """Return `wanted` rotated so that its z axis is parallel to that of `here`, up to sign."""
+    """Return a rotation turned so that its z axis is parallel to that of another rotation.
+
+    The direction of the z axis may be opposite.
+    """
     axis = here.matrix[:, 2]
     if axis @ wanted.matrix[:, 2] < 0:
         axis = -axis
@@ -157,5 +165,5 @@ def _spun(here: SO3, wanted: SO3) -> SO3:
 
 
 def pose_error(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, T_true: SE3) -> tuple[float, float]:
-    """Return the position [m] and rotation [rad] error of a pose, up to the object's symmetry."""
+    """Return the position [m] and rotation [rad] error of an object's pose, up to its symmetry."""
     return closest_equivalent(shapes, T, T_true).distance_to(T_true)

@@ -1,4 +1,4 @@
-"""Object detection: from an image with depth to objects with poses, fit quality or reasons.
+"""Object detection in a depth image: objects with poses and fit quality, or with reasons.
 
 Steps: compute points; remove the robot and known fixed objects; find the support plane; cluster the points
 above it; match each cluster to a known object of the scene, or fit a box, cylinder or sphere.
@@ -76,7 +76,10 @@ class LookSettings:
 
 @dataclass(frozen=True)
 class SeenObject(Outcome):
-    """Detected object; without a pose, code and message give the reason and the points remain."""
+    """A detected object with its pose, or with the reason why its pose is unknown.
+
+    Without a pose, `code` and `message` give the reason, and `points` remain.
+    """
 
     name: str = ""  # name of the known object, or kind and number
     known: bool = False  # True for an object of the scene
@@ -93,7 +96,10 @@ class SeenObject(Outcome):
         return type(self.shapes[0][0]).__name__.lower() if len(self.shapes) == 1 else "compound"
 
     def as_object(self, name: str | None = None, movable: bool = True) -> CollisionObject:
-        """Return an object for the planning scene: the fitted shape, or the points without a fit."""
+        """Return a detected object as a collision object for the planning scene.
+
+        Its shape is the fitted one, or the points without a fit.
+        """
         if self.T_world_object is None or not self.shapes:
             cloud = PointCloud(self.points, 0.006)
             return CollisionObject.single(name or self.name, cloud, color=self.color)
@@ -102,7 +108,10 @@ class SeenObject(Outcome):
 
 @dataclass(frozen=True)
 class Sight(Outcome):
-    """Result of a look: objects sorted by size, largest first, including those without a pose."""
+    """The result of object detection: objects sorted by size, including objects without a pose.
+
+    The largest object comes first.
+    """
 
     objects: tuple[SeenObject, ...] = ()
     missing: tuple[str, ...] = ()  # known objects that were not found
@@ -124,7 +133,7 @@ def look(
     settings: LookSettings = LookSettings(),
     now: float | None = None,
 ) -> Sight:
-    """Detect the objects in an image with depth.
+    """Detect the objects in a camera image with depth.
 
     Args:
         scene: removed from the cloud: the robot in its present state, held objects, fixed objects.
@@ -209,7 +218,7 @@ def _without(
 
 
 def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the mask of points at or above an object's top, within its bounds seen from above."""
+    """Return a mask of the points at or above an object's top, within its bounds from above."""
     low, high = item.bounds()
     corners = np.array(
         [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
@@ -225,7 +234,7 @@ def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArra
 
 
 def _is_level(item: CollisionObject) -> bool:
-    """Return True if the object is flat and wide, so that it can be a support."""
+    """Return whether an object is flat and wide, so that it can be a support."""
     if any(isinstance(shape, Plane) for shape, _ in item.shapes):
         return True
     sizes = [2 * local_bounds(shape)[1] for shape, _ in item.shapes]
@@ -245,7 +254,7 @@ def _plane(points: F64, settings: LookSettings) -> SupportPlane | None:
 
 @dataclass(frozen=True, eq=False)
 class _Thing:
-    """Point cluster as evidence in the frame of its support."""
+    """A cluster of points as evidence of one object, in the frame of its support."""
 
     T_world_support: SE3
     evidence: Evidence
@@ -274,7 +283,7 @@ class _Thing:
 def _beside(
     pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
 ) -> tuple[F64, F64, float]:
-    """Return rays (m, 3) through pixels around a cluster, their free lengths, and the occlusion.
+    """Return camera rays (m, 3) that pass beside a cluster, their free lengths, and occlusion.
 
     The occlusion is the fraction of the outline that a nearer object or the image border cuts off.
     """
@@ -310,7 +319,7 @@ def _named(
     settings: LookSettings,
     image_has_colour: bool,
 ) -> tuple[SeenObject, ...]:
-    """Assign each cluster to the known object that fits best, or to a primitive.
+    """Assign each point cluster to the known object that fits best, or to a primitive.
 
     Among equal shapes, the one with the matching color wins. A known object may consist of two clusters if
     its middle is hidden; a match of two clusters is preferred to a similar match of one.

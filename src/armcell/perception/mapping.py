@@ -43,7 +43,7 @@ class MapSettings:
 
 @dataclass(frozen=True)
 class MapUpdate(Outcome):
-    """Result of adding one image to a map."""
+    """The result of adding one camera image or point cloud to an occupancy map."""
 
     hits: int = 0  # number of obstacle points
     robot_points: int = 0
@@ -53,7 +53,10 @@ class MapUpdate(Outcome):
 
 
 class CameraMap:
-    """Occupancy map that is updated image by image; `map` and `octree` hold the current state."""
+    """An occupancy map that is updated with camera images, one by one.
+
+    `map` and `octree` contain the current state.
+    """
 
     def __init__(self, settings: MapSettings = MapSettings()):
         self.settings = settings
@@ -64,7 +67,7 @@ class CameraMap:
         self.octree = self.map.octree()
 
     def update(self, image: CameraImage, scene: PlanningScene, now: float | None = None) -> MapUpdate:
-        """Add an image to the map.
+        """Add a camera image to the occupancy map.
 
         Rays mark the cells they pass as free, also rays that end on the robot or on an object of the scene.
 
@@ -99,12 +102,14 @@ class CameraMap:
         )  # fmt: skip
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene with this map as its octomap."""
+        """Return the planning scene with this occupancy map as its octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
 
 
 def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Return a mask without connected patches of fewer than `least` pixels (8-connectivity).
+    """Return a pixel mask without connected patches of fewer than `least` pixels.
+
+    Pixels are 8-connected.
 
     Noise moves single pixels of a known surface out of its margin; an obstacle covers several adjacent
     pixels.

@@ -43,7 +43,7 @@ CROOKED_PX = 0.3  # [px] minimum median distance from its line of a partly hidde
 
 @dataclass(frozen=True, eq=False)
 class SeenMarker:
-    """Detected marker with its pose.
+    """A detected ArUco marker or AprilTag with its number and pose.
 
     The marker's frame has its origin in the center, x right, y up, z out of the marker.
     """
@@ -59,7 +59,7 @@ class SeenMarker:
 
 @dataclass(frozen=True)
 class MarkerSight(Outcome):
-    """Markers detected in one image, with their numbers."""
+    """The markers detected in one camera image, with their numbers."""
 
     markers: tuple[SeenMarker, ...] = ()
     missing: tuple[int, ...] = ()  # wanted but not visible
@@ -80,7 +80,7 @@ def find_markers(
     now: float | None = None,
     max_age: float = 0.5,
 ) -> MarkerSight:
-    """Detect the markers of a family in a color image.
+    """Detect the markers of an ArUco or AprilTag family in a color image.
 
     Args:
         size: [m] edge of the black square, for all markers or by number; other numbers are ignored.
@@ -141,7 +141,9 @@ def _why(name: str, family: str, missing: tuple[int, ...], found: list[SeenMarke
 
 
 def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
-    """Return a marker image (n, n) with one pixel per cell and a white border of `QUIET` cells.
+    """Return the image of a marker (n, n), with one pixel per cell and a white border.
+
+    The border is `QUIET` cells wide.
 
     Raises:
         MissingExtraError: OpenCV is not installed.
@@ -157,7 +159,7 @@ def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
 
 
 def picture_size(family: str, size: float) -> float:
-    """Return the edge [m] of a marker's whole image for a black square of edge `size` [m]."""
+    """Return the edge [m] of a marker's whole image, given the edge [m] of its black square."""
     cells = _dictionary(family)[1].markerSize + 2
     return size * (cells + 2 * QUIET) / cells
 

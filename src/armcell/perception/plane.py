@@ -1,4 +1,4 @@
-"""The plane that things stand on, found in a cloud.
+"""Detection of the support plane, on which objects rest, in a point cloud.
 
 Fischler and Bolles, "Random sample consensus", Communications of the ACM 24(6), 1981; then least squares.
 """
@@ -16,27 +16,30 @@ from armcell.core.checks import float_array, is_number, require
 
 F64 = NDArray[np.float64]
 MAX_TRIALS = 100_000
-_SUBSET = 1500  # points that the trials are judged by
+_SUBSET = 1500  # number of points with which trials are evaluated
 
 
 @dataclass(frozen=True, eq=False)
 class SupportPlane:
-    """A plane n . p = offset, with how well it fits."""
+    """A support plane n . p = offset in a point cloud, with the quality of its fit."""
 
-    normal: F64  # (3,) unit, away from what it supports
+    normal: F64  # (3,) unit vector, toward the supported objects
     offset: float  # [m]
     inliers: int
-    rms: float  # [m] of the inliers
+    rms: float  # [m] rms distance of the inliers
 
     def __post_init__(self) -> None:
         float_array(self.normal, (3,), "a plane's normal")
 
     def heights(self, points: F64) -> F64:
-        """Above the plane (...) [m] of points (..., 3)."""
+        """Return the heights (...) [m] of points (..., 3) above a plane; negative below it."""
         return float_array(points, (-1, 3), "points", finite=False) @ self.normal - self.offset
 
     def frame(self, point: F64) -> SE3:
-        """z along the normal, the origin on the plane below a point, x as near the world's as may be."""
+        """Return the frame of a plane, with its origin at the projection of a point onto the plane.
+
+        The z axis is the plane's normal. The shortest rotation from the world frame determines x and y.
+        """
         point = float_array(point, (3,), "a point")
         R = SO3.between([0.0, 0.0, 1.0], self.normal)
         return SE3(R, point - (point @ self.normal - self.offset) * self.normal)
@@ -45,11 +48,15 @@ class SupportPlane:
 def find_plane(
     points: F64, up: F64, max_tilt: float, thickness: float, seed: int = 0, trials: int = 120
 ) -> SupportPlane | None:
-    """The plane with the most points (n, 3), None where no trial finds three that are not on a line.
+    """Find the plane with the most points of a point cloud (n, 3), by RANSAC and least squares.
+
+    The result is None if no trial finds a valid plane.
 
     Args:
-        up: (3,) the normal is within `max_tilt` [rad] of it.
-        thickness: [m] points nearer than this belong to the plane.
+        up: (3,) direction from which the plane's normal may deviate by `max_tilt` [rad].
+        thickness: points within this distance [m] belong to the plane.
+        seed: seed of the random trials.
+        trials: number of random planes.
     """
     points, up = float_array(points, (None, 3), "points"), float_array(up, (3,), "up")
     for name, value in (("max_tilt", max_tilt), ("thickness", thickness), ("trials", trials)):

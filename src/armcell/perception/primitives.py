@@ -1,4 +1,4 @@
-"""Fit of boxes, cylinders and spheres of unknown size to a cluster; the best fit wins."""
+"""Fits of boxes, cylinders and spheres of unknown size to a point cluster, best first."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GOOD = 0.05  # kinds with at most this cost are always refined
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Smallest rectangle around points seen from above: x, y, yaw, edge lengths and height."""
+    """The smallest rectangle around points seen from above, with the height of the points."""
 
     x: float
     y: float
@@ -34,7 +34,7 @@ class Footprint:
 
 
 def footprint(points: F64) -> Footprint:
-    """Return the smallest rectangle around points (n, 3) in the support's frame.
+    """Return the smallest rectangle around points (n, 3), seen along the support's normal.
 
     The rectangle has an edge of the convex hull (Freeman and Shapira, Communications of the ACM 18(7), 1975).
     """
@@ -66,7 +66,7 @@ def footprint(points: F64) -> Footprint:
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Fitted primitive with its pose in the support's frame."""
+    """A primitive shape fitted to points, with its pose in the support's frame."""
 
     shape: Shape
     T: SE3

@@ -1,4 +1,4 @@
-"""Clusters of an organised cloud: neighbouring pixels whose points are near each other."""
+"""Segmentation of an organized point cloud into clusters of neighboring, close points."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ F64 = NDArray[np.float64]
 
 
 def clusters(points: F64, wanted: NDArray[np.bool_], gap: float, smallest: int) -> list[NDArray[np.int64]]:
-    """Pixel numbers (n,) of each cluster, largest first.
+    """Return the pixel indices (n,) of each cluster in an organized point cloud, largest first.
 
     Args:
         points: (h, w, 3) [m].
-        wanted: (h, w) the pixels to be put together; their points are finite.
-        gap: [m] between points of one cluster at most, over up to two pixels.
-        smallest: clusters of fewer pixels are noise.
+        wanted: (h, w) mask of the pixels to be clustered; their points are finite.
+        gap: largest distance [m] between neighboring points of a cluster, up to two pixels apart.
+        smallest: clusters with fewer pixels are noise.
     """
     labels = _labels(points, wanted, gap).ravel()
     inside = np.flatnonzero(labels >= 0)

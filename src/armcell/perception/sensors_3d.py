@@ -21,7 +21,7 @@ CLOUD, DEPTH = "PointCloudOctomapUpdater", "DepthImageOctomapUpdater"
 @dataclass(frozen=True)
 @checked()
 class Sensor3d:
-    """One updater of the octomap; lengths in meters."""
+    """One updater of the octomap, as configured in sensors_3d.yaml; lengths in meters."""
 
     point_cloud_topic: str = ""  # sensor_msgs/PointCloud2
     image_topic: str = ""  # sensor_msgs/Image with depth; default camera_info in its namespace
@@ -59,7 +59,7 @@ class Sensor3d:
 
 @dataclass(frozen=True)
 class Sensors3d:
-    """Contents of a sensors_3d.yaml: updaters of one octomap.
+    """The contents of a sensors_3d.yaml: the updaters of one octomap.
 
     Attributes:
         frame: the octomap's frame; must be fixed in the world, in which clouds are mapped.

@@ -1,7 +1,8 @@
-"""Signed distance of the solids that are fitted: below zero inside, exact for box, cylinder and sphere.
+"""Signed distances to solids that are fitted to points: negative inside, positive outside.
 
-A solid is some parts in one frame; its distance is the least of theirs. What is no primitive is a grid of
-distances, interpolated between its nodes.
+The distance is exact for a box, a cylinder and a sphere. Other shapes become a grid of distances, which is
+interpolated between its nodes. A solid consists of parts in one frame; its distance is the smallest one of
+its parts.
 """
 
 from __future__ import annotations
@@ -19,36 +20,40 @@ F64 = NDArray[np.float64]
 
 BOX, CYLINDER, SPHERE, GRID = 0, 1, 2, 3
 NODES = 44
-"""Of a grid along the longest side of what it is around."""
-_MARGIN = 4  # nodes of a grid around the object
-_SAMPLES = 40_000  # on the surface
+"""Number of nodes along the longest side of a distance grid."""
+_MARGIN = 4  # margin of a grid around the object, in nodes
+_SAMPLES = 40_000  # number of samples on the surface
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Parts: kinds (k,), sizes (k, 3), poses (k, 12) as rows of 3x4; a grid (i, j, k) for kind GRID."""
+    """A solid for distance computations: primitive parts, or one grid of distances.
+
+    The parts have kinds (k,), sizes (k, 3) and poses (k, 12) as rows of 3x4 matrices; kind GRID has a grid
+    (i, j, k).
+    """
 
     kinds: NDArray[np.int64]
     sizes: F64
     poses: F64
     grid: F64
-    origin: F64  # (3,) [m] of the grid's first node
-    step: float  # [m] between nodes
-    low: F64  # (3,) [m] corners of the box around it, in its frame
+    origin: F64  # (3,) [m] position of the grid's first node
+    step: float  # [m] distance between nodes
+    low: F64  # (3,) [m] corners of the bounding box in the solid's frame
     high: F64
 
     @property
     def radius(self) -> float:
-        """[m] of the ball around its frame's origin that holds it."""
+        """Return the radius [m] of the ball around the frame's origin that contains the solid."""
         return float(np.linalg.norm(np.maximum(np.abs(self.low), np.abs(self.high))))
 
     @property
     def diameter(self) -> float:
-        """[m] of the box around it, from corner to corner."""
+        """Return the diagonal [m] of the solid's bounding box."""
         return float(np.linalg.norm(self.high - self.low))
 
     def distances(self, points: F64) -> F64:
-        """Signed distances (n,) [m] of points (n, 3) in its frame."""
+        """Return the signed distances (n,) [m] of points (n, 3), in the solid's frame, to the solid."""
         return _distances(points, self.kinds, self.sizes, self.poses, self.grid, self.origin, self.step)
 
 
@@ -56,7 +61,10 @@ NO_GRID = np.zeros((1, 1, 1))
 
 
 def primitive(kind: int, size: tuple[float, float, float]) -> Solid:
-    """One primitive in its own frame. Size: half extents; radius and half length; radius."""
+    """Create a solid from one primitive in its own frame.
+
+    The size is a box's half extents, a cylinder's radius and half length, or a sphere's radius.
+    """
     half = {
         BOX: np.array(size),
         CYLINDER: np.array([size[0], size[0], size[1]]),
@@ -67,10 +75,12 @@ def primitive(kind: int, size: tuple[float, float, float]) -> Solid:
 
 
 def solid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """The solid of an object's shapes (as `CollisionObject.shapes`).
+    """Return the solid of an object's shapes, for distance computations.
 
+    Args:
+        shapes: (shape, T_object_shape) pairs, as in `CollisionObject.shapes`.
     Raises:
-        InputError: a shape without an end (plane) or of points.
+        InputError: a shape is infinite (plane) or consists of points.
     """
     return _solid_of(shapes)
 
@@ -106,7 +116,7 @@ def _part(shape: Shape) -> tuple[int, tuple[float, float, float]] | None:
 
 
 def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
-    """The triangles of an object's shapes in its frame."""
+    """Return the triangle mesh of an object's shapes, in the object's frame."""
     import trimesh
 
     from armcell.core import Capsule, Cone
@@ -145,8 +155,10 @@ def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
 
 
 def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """Distances at the nodes of a grid: to the plane of the nearest of many samples on the surface; inside
-    is what the outside does not reach, near the surface what is behind the sample's triangle.
+    """Return a solid with a grid of signed distances to an object's shapes.
+
+    A node's distance is that to the plane of the nearest of many samples on the surface. Near the surface, a
+    node is inside if it is behind the sample's triangle; elsewhere, if it is not connected to the outside.
     """
     import trimesh
     from scipy.ndimage import label
@@ -181,7 +193,7 @@ def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
 
 @njit(cache=True)
 def part_distance(kind, size, x, y, z, grid, origin, step):
-    """Signed distance of a point in a part's own frame."""
+    """Return the signed distance [m] of a point to a solid's part, in the part's frame."""
     if kind == SPHERE:
         return np.sqrt(x * x + y * y + z * z) - size[0]
     if kind == BOX:
@@ -196,7 +208,10 @@ def part_distance(kind, size, x, y, z, grid, origin, step):
 
 @njit(cache=True)
 def _interpolated(x, y, z, grid, origin, step):
-    """From a grid; beyond it the distance to the grid's edge is added."""
+    """Interpolate a signed distance [m] at a point in a grid of distances.
+
+    Beyond the grid, the distance to the grid's edge is added.
+    """
     f = np.empty(3)
     i = np.empty(3, np.int64)
     extra = 0.0
@@ -219,7 +234,7 @@ def _interpolated(x, y, z, grid, origin, step):
 
 @njit(cache=True)
 def solid_distance(x, y, z, kinds, sizes, poses, grid, origin, step):
-    """Signed distance of a point in a solid's frame."""
+    """Return the signed distance [m] of a point to a solid, in the solid's frame."""
     least = np.inf
     for k in range(len(kinds)):
         P = poses[k]

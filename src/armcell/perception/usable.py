@@ -1,4 +1,4 @@
-"""Checks whether an image is recent and has depth."""
+"""Checks whether a camera image is recent and has depth."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from armcell.core import CameraImage, ErrorCode, Outcome
 
 
 def stale(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if an image is older than `max_age` [s] at time `now`, else None."""
+    """Return an error outcome if a camera image is older than `max_age` [s], else None."""
     if now is None or now - image.time <= max_age:
         return None
     age = now - image.time
@@ -21,7 +21,7 @@ def stale(image: CameraImage, max_age: float, now: float | None) -> Outcome | No
 
 
 def unusable(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if an image's depth is not usable, else None."""
+    """Return an error outcome if a camera image is too old or lacks depth, else None."""
     old = stale(image, max_age, now)
     if old is not None:
         return old

@@ -1,4 +1,4 @@
-"""The planning scene: an immutable robot state, collision objects and allowed collisions."""
+"""The planning scene: robot state, collision objects and allowed collisions, all immutable."""
 
 from armcell.scene.changed import new_obstacles, scene_changes
 from armcell.scene.cloud_file import load_obstacle, load_points

@@ -1,4 +1,4 @@
-"""Allowed collisions of a whole body (a default) in addition to those of a pair of bodies."""
+"""Allowed collisions of a planning scene: per-body defaults in addition to body pairs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def expanded(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
-    """Return the allowed collision pairs of a scene, with per-body defaults expanded to pairs.
+    """Return a scene's allowed collision pairs, with per-body defaults expanded to pairs.
 
     An entry for a pair takes precedence over defaults. If the defaults of two bodies disagree, their contact
     is not allowed, as in MoveIt's AllowedCollisionMatrix.
@@ -29,7 +29,7 @@ def expanded(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
 
 
 def forgotten(scene: PlanningScene, name: str) -> PlanningScene:
-    """Return the scene without any allowed-collision entries for the body `name`."""
+    """Return the scene without any allowed-collision entries of a given body."""
     return replace(
         scene,
         allowed_pairs={pair: allow for pair, allow in scene.allowed_pairs.items() if name not in pair},

@@ -1,4 +1,4 @@
-"""Differences between two scenes of the same robot, for records and for replanning."""
+"""Differences between two scenes of one robot, for records and for replanning."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from armcell.scene.scene import PlanningScene
 
 
 def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]:
-    """Return the differences between the objects and allowed pairs of two scenes.
+    """Return the differences between two scenes in objects and allowed collision pairs.
 
     Joint positions and attached objects are not compared.
 

@@ -1,6 +1,7 @@
-"""Reading point clouds: .ply, .pcd (ascii, binary, binary_compressed), .xyz, .npy; octomaps besides.
+"""Readers for point cloud files (.ply, .pcd, .xyz, .npy) and octomaps (.bt, .ot, .npz).
 
-An .npz file with `centres` (n, 3) and `sizes` (n,) holds cells, as `core.Octree` has them.
+The data of a .pcd file are ascii, binary or binary_compressed. An .npz file with `centres` (n, 3) and
+`sizes` (n,) contains the cells of a `core.Octree`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ OCTREES = (".bt", ".ot", ".npz")
 
 
 def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud | Octree:
-    """A cloud of points with a radius [m], or an octomap (which has cells and needs none), by its suffix."""
+    """Load an obstacle from a file: a point cloud with a radius [m], or an octomap.
+
+    The suffix determines the format. Octomaps have cells and need no radius.
+    """
     file = Path(path)
     if file.suffix.lower() == ".npz":
         return _cells(file)
@@ -43,7 +47,9 @@ def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud |
 
 
 def load_points(path: str | Path) -> F64:
-    """The finite points (n, 3) [m] of a file; others (what a camera did not see) are left out and logged.
+    """Load the finite points (n, 3) [m] of a point cloud file.
+
+    Other points, which mark pixels without depth, are dropped and logged.
 
     Raises:
         InputError: unknown suffix, broken file (with line or byte where there is one), or no finite point.
@@ -73,7 +79,10 @@ def _text(data: bytes, file: Path) -> str:
 
 
 def _table(lines: list[str], columns: list[int], first: int, file: Path) -> F64:
-    """Some columns of lines of numbers, commas or spaces between; `first` is the first line's number."""
+    """Parse some columns of a text table with commas or white space between the numbers.
+
+    `first` is the line number of the first line, for error messages.
+    """
     rows = [line.partition("#")[0].replace(",", " ") for line in lines]
     if not any(row.strip() for row in rows):
         return np.zeros((0, len(columns)))
@@ -99,7 +108,7 @@ def _xyz(data: bytes, file: Path) -> F64:
 def _npy(data: bytes, file: Path) -> F64:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except Exception as error:  # a header can be wrong in many ways
+    except Exception as error:  # NumPy raises different errors for invalid headers
         raise InputError(f"cannot be read as a NumPy array: {error}", file=file) from None
     if not isinstance(array, np.ndarray) or array.ndim < 2 or array.shape[-1] < 3:
         raise InputError(f"holds an array of shape {np.shape(array)}, points need (n, 3)", file=file)
@@ -119,7 +128,7 @@ def _cells(file: Path) -> Octree:
             return Octree(arrays["centres"], arrays["sizes"])
     except InputError as error:
         raise error if error.file else InputError(error.reason, file=file) from None
-    except Exception as error:  # a header can be wrong in many ways
+    except Exception as error:  # NumPy raises different errors for invalid headers
         reason = f"cannot be read as cells (arrays 'centres' and 'sizes'): {error}"
         raise InputError(reason, file=file) from None
 
@@ -140,7 +149,7 @@ def _ply(data: bytes, file: Path) -> F64:
     try:
         loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
         points = np.asarray(loaded.vertices, dtype=float)  # pyright: ignore[reportAttributeAccessIssue]
-    except Exception as error:  # trimesh says in many ways that a file is broken
+    except Exception as error:  # trimesh raises different errors for invalid files
         raise InputError(f"cannot be read as PLY: {error}", file=file) from None
     if len(points) != count:
         raise InputError(f"PLY header announces {count} points, the file has {len(points)}", file=file)
@@ -151,7 +160,7 @@ _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
 def _pcd(data: bytes, file: Path) -> F64:
-    """The Point Cloud Library's format, version 0.7 and before."""
+    """Parse the points of a file in the Point Cloud Library's format PCD, up to version 0.7."""
     header: dict[str, list[str]] = {}
     at, line = 0, 0
     while "DATA" not in header:
@@ -192,7 +201,7 @@ def _pcd(data: bytes, file: Path) -> F64:
         if encoding == "binary":
             table = np.frombuffer(body, record, points)
             rows = np.column_stack([table[str(c)][:, 0] for c in columns]).astype(float)
-        else:  # field after field
+        else:  # one field after the other
             starts = np.cumsum([0, *(points * np.dtype(t).itemsize * c for _, t, c in layout)])
             rows = np.column_stack([
                 np.frombuffer(body, layout[c][1], points * counts[c], int(starts[c]))[:: counts[c]]
@@ -207,7 +216,7 @@ def _pcd(data: bytes, file: Path) -> F64:
 
 
 def _unpacked(body: bytes, size: int, file: Path) -> bytes:
-    """The data of a compressed PCD: two sizes (uint32) and LZF."""
+    """Decompress the data of a compressed PCD file: two sizes (uint32), then LZF data."""
     if len(body) < 8:
         raise InputError("PCD is cut off before its compressed data", file=file)
     packed, unpacked = (int(n) for n in np.frombuffer(body, "<u4", 2))
@@ -223,10 +232,11 @@ def _unpacked(body: bytes, size: int, file: Path) -> bytes:
 
 @njit(cache=True)
 def _unlzf(data, out):
-    """Unpack LZF (Marc Lehmann's liblzf): bytes written, or -1 where the data is broken.
+    """Decompress LZF data (Marc Lehmann's liblzf); return the number of written bytes.
 
-    A control byte below 32 is followed by so many literals and one; else its upper three bits are a length
-    (7: another byte is added) and the rest with the next byte how far back to copy from.
+    The result is -1 if the data are invalid. A control byte n below 32 precedes n + 1 literal bytes. The
+    upper three bits of any other control byte are the length of a copy (if 7, the next byte is added); the
+    lower five bits and the next byte are the distance back to the copied bytes.
     """
     i, n = 0, 0
     while i < len(data):

@@ -1,4 +1,4 @@
-"""Conversion of depth images into 3D points."""
+"""Conversion of a camera's depth images into 3D points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scene diffs: lists of scene changes, of which either all or none are applied.
+"""Scene diffs: lists of planning scene changes that are applied completely or not at all.
 
 The changes cover the content of MoveIt's PlanningScene diff message.
 """
@@ -19,7 +19,7 @@ OCTOMAP = "<octomap>"
 
 
 class Change(Protocol):
-    """One change in a scene diff; `applied_to` returns the changed scene."""
+    """One change in a scene diff; `applied_to` returns the changed planning scene."""
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene: ...
 
@@ -38,7 +38,7 @@ class SceneDiff:
         return SceneDiff((*self.changes, *other.changes))
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene with all changes applied; `scene` itself never changes.
+        """Return the scene with all changes of the diff applied; the argument never changes.
 
         Raises:
             InputError: a change cannot be applied; the message names the first such change.
@@ -68,7 +68,9 @@ class SceneDiff:
 def _placed_object(
     change: Change, placed: Mapping[str, CollisionObject], scene: PlanningScene
 ) -> CollisionObject | None:
-    """Return the world object that a change adds, moves in the world frame, or gives a color or a type.
+    """Return the world object that results from a scene change, or None.
+
+    The change may add the object, move it in the world frame, or set its color or type.
 
     Returns:
         None for all other changes, and if the change may be invalid.
@@ -109,7 +111,7 @@ class AddObject:
 
 @dataclass(frozen=True, eq=False)
 class AppendShapes:
-    """A scene change that adds shapes and subframes to a world object, in the object's frame."""
+    """A scene change that adds shapes and subframes to a world object, in its frame."""
 
     name: str
     shapes: tuple[tuple[Shape, SE3], ...] = ()  # (shape, T_object_shape)
@@ -237,7 +239,7 @@ class Allow:
 
 @dataclass(frozen=True)
 class AllowByDefault:
-    """A scene change that sets a body's default: whether it may touch other bodies.
+    """A scene change that sets whether a body may touch all other bodies by default.
 
     None removes the body's default.
     """
@@ -274,7 +276,7 @@ class SetPadding:
 # --- robot, octomap, frames ---
 @dataclass(frozen=True, eq=False)
 class SetState:
-    """A scene change that sets the positions of some or all joints."""
+    """A scene change that sets the positions of some or all robot joints."""
 
     state: JointState
 
@@ -306,7 +308,9 @@ class SetFixedFrame:
 def with_octomap(
     scene: PlanningScene, octree: Octree | None, T_world_octomap: SE3 = SE3.identity()
 ) -> PlanningScene:
-    """Return the scene with its octomap (the object `OCTOMAP`) replaced, or removed if None.
+    """Return the scene with its octomap replaced, or removed if `octree` is None.
+
+    The octomap is the object named `OCTOMAP`.
 
     Allowed-collision entries of the octomap stay, because a new octomap is an update of the same object.
 

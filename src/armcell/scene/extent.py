@@ -1,4 +1,4 @@
-"""Camera target and view radius for the first view of a scene."""
+"""Camera target and view radius from which a viewer first shows a scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LARGE = 2.0  # [m] an object that extends farther from its origin counts as surr
 
 
 def extent(scene: PlanningScene) -> tuple[NDArray[np.float64], float]:
-    """Return the center (3,) [m, world frame] and radius [m] of a scene's first view.
+    """Return the center (3,) [m, world frame] and radius [m] of a viewer's first view.
 
     The view covers the origins of all links and of all objects that extend less than 2 m from their origin;
     larger objects count as surroundings.

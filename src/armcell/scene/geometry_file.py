@@ -1,4 +1,6 @@
-"""MoveIt's .scene text files with a scene's objects (`saveGeometryToStream`, RViz).
+"""Reader and writer of MoveIt's .scene files, which contain a planning scene's objects.
+
+MoveIt's `saveGeometryToStream` and RViz write these files.
 
 The new format has a pose and subframes for each object; in the old format, objects are at the world origin.
 The reader detects the format at the first object, as MoveIt's `PlanningScene::loadGeometryFromStream` does. A
@@ -33,7 +35,7 @@ from armcell.scene.objects import CollisionObject, Color
 log = logging.getLogger(__name__)
 
 MAX_PARTS = 1_000_000
-"""Maximum number of shapes, vertices or triangles that a file may declare; a larger number is an error."""
+"""Maximum number of shapes, vertices or triangles of a file; a larger number is an error."""
 
 
 def save_scene_file(objects: Iterable[CollisionObject], path: str | Path, name: str = "armcell") -> list[str]:

@@ -1,4 +1,4 @@
-"""The object library: everyday objects made of simple solids, with adjustable sizes.
+"""A library of everyday objects made of simple solids, with adjustable sizes.
 
 The origin of each object's frame is at the center of its footprint, with z up, so the object's pose is the
 pose of the surface point below it. The solids of one object do not overlap, so volumes and inertias are
@@ -24,7 +24,7 @@ WALL_PIECES = 16  # number of flat segments of a mug's round wall
 @dataclass(frozen=True)
 @checked()
 class Kind:
-    """A kind of library object: its solids as a function of the sizes, density, friction, color."""
+    """A kind of library object: a function from sizes to solids, density, friction and color."""
 
     solids: Callable[..., Solids]
     density: float  # [kg/m^3] mean density of the solids, including the content of a full can
@@ -33,7 +33,7 @@ class Kind:
 
     @property
     def sizes(self) -> dict[str, float]:
-        """The adjustable sizes of a library object by name, with their default values [m]."""
+        """Return the adjustable sizes of a library object by name, with default values [m]."""
         return {p.name: float(p.default) for p in inspect.signature(self.solids).parameters.values()}
 
 
@@ -193,7 +193,7 @@ def _open_box(length: float, width: float, height: float, wall: float) -> Solids
 
 # --- convex meshes ---
 def prism(outline: np.ndarray, height: float) -> Mesh:
-    """Return a closed prism over a convex outline, from z = 0 to `height`.
+    """Return a closed prism mesh over a convex outline, from z = 0 to a height [m].
 
     Args:
         outline: corners (n, 2) [m], counterclockwise.
@@ -208,7 +208,10 @@ def prism(outline: np.ndarray, height: float) -> Mesh:
 
 
 def frustum(low: float, high: float, height: float, edges: int = 32) -> Mesh:
-    """Return a closed conical frustum with radius `low` [m] at z = 0 and `high` [m] at `height`."""
+    """Return a closed mesh of a conical frustum with radius `low` [m] at z = 0.
+
+    The radius at `height` [m] is `high` [m].
+    """
     t = 2 * np.pi * np.arange(edges) / edges
     circle = np.column_stack([np.cos(t), np.sin(t)])
     bottom = np.column_stack([low * circle, np.zeros(edges)])

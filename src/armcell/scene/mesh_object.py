@@ -1,4 +1,4 @@
-"""Objects from mesh files, with checks of their size (wrong units) and closed surface."""
+"""Collision objects from mesh files, with checks for wrong units and open surfaces."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SMALLEST = 5e-4  # [m] along the longest axis
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """Size, closedness, convexity and volume of a mesh."""
+    """Measurements of a mesh: size, closedness, convexity and volume."""
 
     size: tuple[float, float, float]  # [m] along its axes
     closed: bool  # every edge has two triangles with consistent orientation

@@ -47,7 +47,7 @@ class MovingObject:
 
     @property
     def reach(self) -> float:
-        """Upper bound of the distance [m] from the moving object's origin to its farthest point."""
+        """Return an upper bound of the distance [m] from a moving object's origin to its points."""
         found = 0.0
         for shape, T in self.object.shapes:
             centre, half = local_bounds(shape)
@@ -56,7 +56,7 @@ class MovingObject:
         return found
 
     def pose(self, t: float) -> SE3:
-        """Return the object's pose T_world_object at time `t` [s]."""
+        """Return the moving object's pose T_world_object at time `t` [s]."""
         i = int(np.searchsorted(self.times, t, side="right")) - 1
         if i < 0:
             return self.poses[0]
@@ -66,12 +66,15 @@ class MovingObject:
         return self.poses[i].interpolate(self.poses[i + 1], float(share))
 
     def travel(self, t0: float, t1: float) -> float:
-        """Return an upper bound of any object point's travel [m] between times t0 and t1 [s]."""
+        """Return an upper bound of a moving object's travel [m] between times t0 and t1 [s].
+
+        The bound holds for every point of the object.
+        """
         a, b = np.interp([t0, t1], self.times, self._travelled)  # pyright: ignore[reportAttributeAccessIssue]
         return float(b - a)
 
     def swept(self, t0: float, t1: float, step: float = 0.02, most: int = 200) -> CollisionObject:
-        """Return one fixed object made of copies of the moving object between times t0 and t1.
+        """Return one fixed object made of copies of a moving object between times t0 and t1.
 
         The result does not cover the space between the copies, so a motion planned around it must still be
         checked against the moving object at its times.

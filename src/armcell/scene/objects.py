@@ -28,7 +28,7 @@ from armcell.core.geometry import extent, local_bounds
 Color = tuple[float, float, float, float]
 
 DEFAULT_DENSITY = 600.0
-"""[kg/m^3] of objects without a mass: between the densities of softwood and plastic parts."""
+"""Density [kg/m^3] of objects without a mass, between softwood and plastic parts."""
 
 
 CLOUDS_STAND = "point clouds and octrees are obstacles that stand in the world; they cannot move or be held"
@@ -67,7 +67,10 @@ class Material:
 
     @property
     def sliding(self) -> float:
-        """Friction coefficient of a sliding contact: `dynamic_friction`, or `friction` if None."""
+        """Return the friction coefficient of a sliding contact.
+
+        The result is `dynamic_friction`, or `friction` if that is None.
+        """
         return self.friction if self.dynamic_friction is None else self.dynamic_friction
 
     def scaled(self, factor: float) -> Material:
@@ -87,7 +90,7 @@ class ObjectType:
 @dataclass(frozen=True)
 @checked()
 class Thread:
-    """A screw connection: the object can only turn about its own z axis while moving along it.
+    """A screw connection: the object turns only about its own z axis and moves along it.
 
     The thread is right-handed: turned clockwise, as seen from the tip of its z axis, the object moves along
     -z.
@@ -110,7 +113,7 @@ class Thread:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CollisionObject:
-    """A named rigid object made of one or more shapes.
+    """A named rigid object of a planning scene, made of one or more shapes.
 
     Attributes:
         name: unique name in the scene.
@@ -163,23 +166,23 @@ class CollisionObject:
 
     @staticmethod
     def single(name: str, shape: Shape, pose: SE3 | None = None, **properties) -> CollisionObject:
-        """Create an object with a single shape at the origin of the object's frame."""
+        """Create a collision object with a single shape at the origin of the object's frame."""
         return CollisionObject(name, ((shape, SE3.identity()),), pose or SE3.identity(), **properties)
 
     def at(self, T_world_object: SE3) -> CollisionObject:
-        """Return the object with another pose, without validating the other fields again."""
+        """Return the collision object at another pose, without validating other fields again."""
         other = object.__new__(CollisionObject)
         other.__dict__.update(self.__dict__, T_world_object=T_world_object)
         return other
 
     @property
     def has_cloud(self) -> bool:
-        """Whether one of the object's shapes is a point cloud or an octree."""
+        """Return whether one of the object's shapes is a point cloud or an octree."""
         return any(isinstance(shape, PointCloud | Octree) for shape, _ in self.shapes)
 
     @property
     def volume(self) -> float:
-        """Sum of the shapes' volumes [m^3]."""
+        """Return the sum of the volumes of the object's shapes [m^3]."""
         return sum(shape_volume(shape) for shape, _ in self.shapes)
 
     @property
@@ -196,7 +199,7 @@ class CollisionObject:
         return max(e[1] for e in ends) - min(e[0] for e in ends)
 
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lowest and highest corner (3,) [m] of the bounding box, in the object's frame."""
+        """Return the corners (3,), (3,) [m] of the object's bounding box, in the object's frame."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for shape, T in self.shapes:
             centre, half = local_bounds(shape)

@@ -1,8 +1,10 @@
-"""What a sensor has seen, as log-odds of voxels: points are hits, what their rays cross is free.
+"""An occupancy map from sensor data, which stores the log-odds of voxels like OctoMap.
 
-Hornung, Wurm, Bennewitz, Stachniss and Burgard, "OctoMap: an efficient probabilistic 3D mapping framework
-based on octrees", Autonomous Robots 34, 2013; numbers and rays as in its library. Voxels are kept sorted
-along a Z-order curve, so that eight that make a larger cube stand together.
+Voxels with a point count as hits, and voxels that a sensor's rays cross count as free. Voxels are sorted
+along a Z-order curve, so the eight voxels of a larger cube are adjacent.
+
+Source: Hornung, Wurm, Bennewitz, Stachniss and Burgard, "OctoMap: an efficient probabilistic 3D mapping
+framework based on octrees", Autonomous Robots 34, 2013; parameters and ray casting are those of its library.
 """
 
 from __future__ import annotations
@@ -21,22 +23,22 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 HALF = 1 << 15
-"""Voxels in each direction from the origin: a map is 2^16 voxels wide, as OctoMap's."""
+"""Number of voxels in each direction from the origin: a map is 2^16 voxels wide (OctoMap)."""
 
 MAX_CELLS = 1 << 28
-"""Voxels of the box around one cloud and its sensor; a byte each while they are counted."""
+"""Maximum number of voxels in the box around a cloud and its sensor; each takes one byte."""
 
 
 @dataclass(frozen=True)
 @checked()
 class SensorModel:
-    """Probabilities; the defaults are OctoMap's."""
+    """Probabilities with which sensor data update an occupancy map; OctoMap's by default."""
 
-    hit: float = 0.7  # of being occupied, in a voxel with a point
-    miss: float = 0.4  # in a voxel that a ray crosses
-    lowest: float = 0.1192  # a voxel's probability stays between these, so that it can change its mind
+    hit: float = 0.7  # probability that a voxel with a point is occupied
+    miss: float = 0.4  # probability that a voxel on a ray is occupied
+    lowest: float = 0.1192  # bounds of every voxel's probability, so that later data can still change it
     highest: float = 0.971
-    occupied: float = 0.5  # from here on a voxel is an obstacle
+    occupied: float = 0.5  # a voxel with at least this probability is an obstacle
 
     def __post_init__(self) -> None:
         if not 0 < self.lowest < self.miss < 0.5 < self.hit < self.highest < 1:
@@ -52,9 +54,10 @@ def log_odds(probability: float) -> np.float32:
 @dataclass(frozen=True, eq=False)
 @checked()
 class OccupancyMap:
-    """Voxels that were seen, free or occupied: an immutable value; `updated` gives another one.
+    """An immutable occupancy map of free and occupied voxels; unknown voxels are not stored.
 
-    `codes` (n,) sorted, bits of x, y, z in turn; `values` (n,) their log-odds.
+    `updated` returns a new map. `codes` (n,) are sorted and interleave the bits of x, y and z; `values` (n,)
+    are the log-odds of these voxels.
     """
 
     resolution: float  # [m] edge of a voxel
@@ -73,13 +76,15 @@ class OccupancyMap:
         max_range: float = np.inf,
         only_free: ArrayLike | None = None,
     ) -> OccupancyMap:
-        """The map after one more cloud. A voxel counts once per cloud, as occupied if any point is in it.
+        """Return the occupancy map after an update with one more point cloud.
+
+        A voxel counts once per cloud: as occupied if the voxel contains a point, otherwise as free.
 
         Args:
-            points: (n, 3) [m] in the map's frame; those that are not finite are left out.
-            origin: (3,) [m] of the sensor.
-            max_range: points farther off [m] only say what is free up to there.
-            only_free: (m, 3) points that do so too: what is seen there is no obstacle of this map.
+            points: (n, 3) [m] in the map's frame; points that are not finite are dropped.
+            origin: (3,) [m] position of the sensor.
+            max_range: rays to farther points [m] only mark free voxels up to this range.
+            only_free: (m, 3) points whose rays only mark free voxels, for example points on the robot.
         Raises:
             InputError: a point or the origin is outside the map, or the cloud's box has too many voxels.
         """
@@ -122,7 +127,7 @@ class OccupancyMap:
         return replace(self, codes=codes, values=values)
 
     def at(self, points: ArrayLike) -> F32:
-        """Log-odds (n,) at points (n, 3); NaN where nothing is known."""
+        """Return the log-odds (n,) of the voxels at points (n, 3) [m]; NaN for unknown voxels."""
         keys = np.floor(
             float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3) / self.resolution
         ).astype(np.int64)
@@ -136,7 +141,7 @@ class OccupancyMap:
         return out
 
     def octree(self) -> Octree:
-        """The occupied voxels as an obstacle; eight that make a cube are put together."""
+        """Return the occupied voxels of the map as an octree obstacle; merge eight full neighbors."""
         level = self.codes[self.values >= log_odds(self.sensor.occupied)]
         codes, sizes, edge = [], [], 1
         while len(level):
@@ -154,9 +159,11 @@ class OccupancyMap:
 
 @njit(cache=True)
 def _trace(grid, low, ends, far, eye, size):
-    """Mark in `grid` what the rays cross (1) and where they end (2).
+    """Mark in a voxel grid the voxels that sensor rays cross (bit 1) and end in (bit 2).
 
-    Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
+    A ray with `far` True only marks free voxels, so its end gets bit 1.
+
+    Source: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
     """
     start = np.empty(3, np.int64)
     for d in range(3):
@@ -167,7 +174,7 @@ def _trace(grid, low, ends, far, eye, size):
         ey = np.int64(np.floor(ends[k, 1] / size)) - low[1]
         ez = np.int64(np.floor(ends[k, 2] / size)) - low[2]
         dx, dy, dz = ends[k, 0] - eye[0], ends[k, 1] - eye[1], ends[k, 2] - eye[2]
-        # Of the ray's length: where it leaves the voxel along each axis, and what a voxel takes.
+        # As fractions of the ray: the exit from the voxel along each axis (t), and one voxel's length (w).
         sx, sy, sz = 1 if dx > 0 else -1, 1 if dy > 0 else -1, 1 if dz > 0 else -1
         tx = ((x + low[0] + (dx > 0)) * size - eye[0]) / dx if dx != 0 else np.inf
         ty = ((y + low[1] + (dy > 0)) * size - eye[1]) / dy if dy != 0 else np.inf
@@ -175,7 +182,7 @@ def _trace(grid, low, ends, far, eye, size):
         wx = size / abs(dx) if dx != 0 else np.inf
         wy = size / abs(dy) if dy != 0 else np.inf
         wz = size / abs(dz) if dz != 0 else np.inf
-        # As many steps as there are planes between the two voxels: rounding cannot lead past the end.
+        # One step per plane between the two voxels, so that rounding cannot lead beyond the end.
         for _ in range(abs(ex - x) + abs(ey - y) + abs(ez - z)):
             grid[x, y, z] |= 1
             if tx <= ty and tx <= tz:
@@ -191,7 +198,7 @@ def _trace(grid, low, ends, far, eye, size):
 
 @njit(cache=True)
 def _spread(v):
-    """The low 16 bits with two zeros between each."""
+    """Spread the low 16 bits of an integer: insert two zero bits after each bit."""
     v &= 0xFFFF
     v = (v | (v << 16)) & 0x0000FF0000FF
     v = (v | (v << 8)) & 0x00F00F00F00F
@@ -210,7 +217,7 @@ def _gather(v):
 
 @njit(cache=True)
 def voxel_codes(keys):
-    """Codes (n,) of voxels (n, 3) counted from the origin."""
+    """Return the Z-order codes (n,) of voxels (n, 3), which are counted from the map's origin."""
     out = np.empty(len(keys), np.int64)
     for i in range(len(keys)):
         out[i] = (
@@ -223,7 +230,7 @@ def voxel_codes(keys):
 
 @njit(cache=True)
 def _keys(codes):
-    """Voxels (n, 3) counted from the lowest corner of the map."""
+    """Return the voxels (n, 3) of Z-order codes (n,), counted from the map's lowest corner."""
     out = np.empty((len(codes), 3), np.int64)
     for i in range(len(codes)):
         for d in range(3):
@@ -233,7 +240,7 @@ def _keys(codes):
 
 @njit(cache=True)
 def _seen(grid, low):
-    """Codes of the marked voxels of a grid, and which of them were hit."""
+    """Return the Z-order codes of a grid's marked voxels, and whether each voxel was hit."""
     count = 0
     for value in grid.ravel():
         count += value != 0
@@ -253,7 +260,10 @@ def _seen(grid, low):
 
 @njit(cache=True)
 def _merged(codes, values, seen, hit, plus, minus, lowest, highest):
-    """Voxels of a map and of a cloud, both sorted, as one map; the cloud's changed."""
+    """Merge a map's voxels with a cloud's voxels, whose log-odds change by `plus` or `minus`.
+
+    The codes of both are sorted, and so is the result.
+    """
     out, odds = np.empty(len(codes) + len(seen), np.int64), np.empty(len(codes) + len(seen), np.float32)
     i, j, n = 0, 0, 0
     while i < len(codes) or j < len(seen):

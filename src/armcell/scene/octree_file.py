@@ -1,4 +1,4 @@
-"""OctoMap's files: `.bt` (binary: free, occupied, unknown) and `.ot` (full: log-odds, perhaps colours)."""
+"""Reader of OctoMap's files: `.bt` (binary occupancy) and `.ot` (log-odds, optional colors)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ MORE, TRUNCATED, TOO_DEEP = 0, 1, 2
 
 
 def load_octree(path: str | Path) -> Octree:
-    """The occupied leaves of an octomap.
+    """Load the occupied leaves of an OctoMap file (`.bt` or `.ot`) as an octree.
 
     Raises:
-        InputError: no octomap, of a kind that is not known, cut off, or with bytes left over.
+        InputError: the file is not an octomap, has an unknown kind, is truncated, or has extra bytes.
     """
     file = Path(path)
     data = read_bytes(file, MAX_BYTES)
@@ -56,10 +56,12 @@ def load_octree(path: str | Path) -> Octree:
 def octree_from_bytes(
     body: bytes, resolution: float, binary: bool, kind: str = "OcTree", file: Path | None = None
 ) -> Octree:
-    """The occupied leaves in an octomap's data, as a file or an octomap_msgs/Octomap carries it.
+    """Decode the occupied leaves of an octomap from the data of a file or a message.
+
+    The message is octomap_msgs/Octomap.
 
     Raises:
-        InputError: of a kind that is not known, cut off, too deep, or with bytes left over.
+        InputError: the octomap has an unknown kind, is truncated, is too deep, or has extra bytes.
     """
     if kind not in COLOUR_BYTES:
         raise InputError(f"octomap of kind {kind!r} is not read; known: {', '.join(COLOUR_BYTES)}", file=file)
@@ -82,7 +84,7 @@ def octree_from_bytes(
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """The bytes of a regular file of at most `limit` bytes."""
+    """Return the bytes of a regular file that has at most `limit` bytes."""
     try:
         if not path.is_file():
             raise InputError("file not found" if not path.exists() else "is no regular file", file=path)
@@ -98,9 +100,14 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 @njit(cache=True)
 def _read_binary(data):
-    """Bytes read, how it ended, keys (n, 3) and depths (n,) of the occupied leaves.
+    """Decode an octomap in OctoMap's binary format and return its occupied leaves.
 
-    A node is two bytes, two bits per child: 01 occupied, 10 free, 11 a node with children, which follow.
+    A node has two bytes with two bits per child: 01 is occupied, 10 is free, and 11 is a child with children
+    of its own, whose node follows.
+
+    Returns:
+        Number of bytes read; status (`MORE`, `TRUNCATED` or `TOO_DEEP`); keys (n, 3) and depths (n,) of the
+        leaves.
     """
     most = len(data) * 4 + 8
     keys, depths, n = np.empty((most, 3), np.int64), np.empty(most, np.int64), 0
@@ -115,10 +122,10 @@ def _read_binary(data):
             return at, TRUNCATED, keys[:n], depths[:n]
         bits = np.int64(data[at]) | (np.int64(data[at + 1]) << 8)
         at += 2
-        for child in range(7, -1, -1):  # the last one first: the stack turns them round
+        for child in range(7, -1, -1):  # last child first, because the stack reverses the order
             state = (bits >> (2 * child)) & 3
             cx, cy, cz = 2 * x + (child & 1), 2 * y + ((child >> 1) & 1), 2 * z + (child >> 2)
-            if state == 2:  # as numbers the two bits stand in reverse
+            if state == 2:  # 01 in OctoMap's order: the number has the bits reversed
                 keys[n, 0], keys[n, 1], keys[n, 2], depths[n] = cx, cy, cz, depth + 1
                 n += 1
             elif state == 3:
@@ -129,7 +136,11 @@ def _read_binary(data):
 
 @njit(cache=True)
 def _read_full(data, width):
-    """As `_read_binary`. A node is its log-odds (and colour), `width` bytes, and a byte of which children."""
+    """Decode an octomap in OctoMap's full format and return its occupied leaves.
+
+    A node has `width` bytes with its log-odds (and color), and one byte with a bit per child. The results
+    are those of `_read_binary`.
+    """
     most = len(data) // (width + 1) + 1
     keys, depths, n = np.empty((most, 3), np.int64), np.empty(most, np.int64), 0
     stack = np.zeros((8 * DEPTH + 16, 4), np.int64)

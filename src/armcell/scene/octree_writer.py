@@ -69,7 +69,7 @@ def save_octree(octree: Octree, path: str | Path) -> None:
 
 
 def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
-    """Return the octree's cells as codes of their first voxels (n,) and numbers of voxels (n,)."""
+    """Return the code of the first voxel (n,) and the voxel count (n,) of each octree cell."""
     edges = octree.sizes / resolution
     whole = 2.0 ** np.round(np.log2(edges))
     low = octree.centres / resolution - edges[:, None] / 2

@@ -1,4 +1,4 @@
-"""`PlanningScene`: an immutable robot state with objects and allowed collisions."""
+"""`PlanningScene`: an immutable robot state with collision objects and allowed collisions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WORLD = "world"
 
 @dataclass(frozen=True, eq=False)
 class AttachedBody:
-    """An object attached to a link; contact with the links in `touch_links` is allowed."""
+    """An object attached to a robot link; contact with the links in `touch_links` is allowed."""
 
     object: CollisionObject
     link: str
@@ -75,7 +75,7 @@ class PlanningScene:
         return JointState(self.model.joint_names, self.positions)
 
     def with_positions(self, positions: ArrayLike) -> PlanningScene:
-        """Return the scene with other joint positions (dof,) [rad or m].
+        """Return the planning scene with other joint positions (dof,) [rad or m].
 
         Raises:
             InputError: wrong length, a non-finite value, or a position outside the limits.
@@ -85,7 +85,7 @@ class PlanningScene:
         )
 
     def with_state(self, state: JointState) -> PlanningScene:
-        """Return the scene with the joints of `state` moved; other joints keep their positions.
+        """Return the planning scene with the positions of a joint state; other joints do not move.
 
         Mimic joints, as ROS's /joint_states names them, follow their own joints and are ignored here.
         """
@@ -109,7 +109,7 @@ class PlanningScene:
         raise UnknownNameError("object", name, [*self.objects, *self.attached])
 
     def with_object(self, item: CollisionObject) -> PlanningScene:
-        """Return the scene with an object added; an object of the same name is replaced.
+        """Return the planning scene with an object added; an object of the same name is replaced.
 
         Raises:
             InputError: a link, a fixed frame or an attached object has the same name.
@@ -117,7 +117,7 @@ class PlanningScene:
         return self.with_objects((item,))
 
     def with_objects(self, items: Iterable[CollisionObject]) -> PlanningScene:
-        """Return the scene with several objects added, as `with_object` adds one.
+        """Return the planning scene with several objects added or replaced by name.
 
         Raises:
             InputError: a link, a fixed frame or an attached object has the name of one of them.
@@ -128,7 +128,7 @@ class PlanningScene:
         return replace(self, objects={**self.objects, **added})
 
     def check_new_name(self, name: str) -> None:
-        """Raise an InputError if a link, a fixed frame or an attached object has a name."""
+        """Raise an InputError if a link, a fixed frame or an attached object has the given name."""
         if name in self.model.links or name == WORLD:
             raise InputError(f"object {name!r} has the name of a link", hint="give it another name")
         if name in self.fixed_frames:
@@ -192,7 +192,7 @@ class PlanningScene:
 
     # --- allowed collisions ---
     def with_allowed(self, a: str, b: str | Iterable[str], allow: bool = True) -> PlanningScene:
-        """Return the scene with contact between bodies allowed or forbidden.
+        """Return the planning scene with contact between given bodies allowed or forbidden.
 
         Args:
             a: a link, world object or attached object.
@@ -210,7 +210,7 @@ class PlanningScene:
         return replace(self, allowed_pairs={**self.allowed_pairs, **pairs})
 
     def with_default_allowed(self, name: str, allow: bool | None) -> PlanningScene:
-        """Return the scene with contact between a body and all others allowed or not by default.
+        """Return the planning scene with a default for whether a body may touch other bodies.
 
         The default applies to pairs without an entry of their own, including bodies added later. If the
         defaults of two bodies disagree, their contact is not allowed, as in MoveIt.
@@ -229,11 +229,14 @@ class PlanningScene:
 
     @cached_property
     def allowed(self) -> Mapping[frozenset[str], bool]:
-        """Allowed (True) and forbidden (False) collision pairs, with defaults expanded to pairs."""
+        """Return the allowed (True) and forbidden (False) collision pairs of the scene.
+
+        Per-body defaults are expanded to pairs.
+        """
         return expanded(self) if self.allowed_defaults else self.allowed_pairs
 
     def is_allowed(self, a: str, b: str) -> bool:
-        """Return whether collision checks ignore contact between two bodies."""
+        """Return whether collision checks ignore contact between two bodies of the scene."""
         pair = frozenset((a, b))
         if pair in self.allowed:
             return self.allowed[pair]
@@ -244,7 +247,7 @@ class PlanningScene:
 
     def with_padding(self, padding: float | None = None, link_padding: Mapping[str, float] | None = None,
                      link_scale: Mapping[str, float] | None = None) -> PlanningScene:  # fmt: skip
-        """Return the scene with links enlarged for collision checks against objects.
+        """Return the planning scene with links enlarged for collision checks against objects.
 
         Args:
             padding: padding of all links [m]; None keeps the current value.
@@ -270,7 +273,7 @@ class PlanningScene:
 
     # --- frames ---
     def with_fixed_frame(self, name: str, T_parent_frame: SE3, parent: str = WORLD) -> PlanningScene:
-        """Return the scene with a named frame that is fixed in the world.
+        """Return the planning scene with a named frame that is fixed in the world.
 
         Args:
             name: name of the frame.
@@ -287,7 +290,7 @@ class PlanningScene:
 
     @property
     def frame_names(self) -> list[str]:
-        """Names of all frames: world, links, fixed frames, objects and their subframes."""
+        """Return the names of all frames: world, links, fixed frames, objects and their subframes."""
         items = [*self.objects.values(), *(body.object for body in self.attached.values())]
         own = [name for item in items for name in (item.name, *(f"{item.name}/{s}" for s in item.subframes))]
         return [WORLD, *self.model.links, *self.fixed_frames, *own]
@@ -330,12 +333,12 @@ class PlanningScene:
         return kinematic_tree(self.model).link_pose(self.positions, link) @ T_link_frame
 
     def transform(self, target: str, source: str) -> SE3:
-        """Return T_target_source, like TF's `lookup_transform(target, source)`."""
+        """Return the transform T_target_source between two frames, like TF's `lookup_transform`."""
         return self.frame_pose(target).inv() @ self.frame_pose(source)
 
     # --- many changes at once ---
     def apply(self, diff: SceneDiff) -> PlanningScene:
-        """Return the scene with all changes of a scene diff applied.
+        """Return the planning scene with all changes of a scene diff applied.
 
         Raises:
             InputError: a change cannot be applied; the message says which change and why.

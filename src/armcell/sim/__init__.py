@@ -1,4 +1,4 @@
-"""MuJoCo physics for a planning scene: stepping, grippers, contacts, and cameras.
+"""Physics of a planning scene with MuJoCo: steps, grippers, contacts, and cameras.
 
 A `SimWorld` advances only when the caller steps it.
 """

@@ -1,4 +1,4 @@
-"""Motion bounds that let MuJoCo skip the collision test of body pairs known to be apart.
+"""Motion bounds with which MuJoCo skips collision tests of body pairs that are far apart.
 
 MuJoCo's broad phase compares bounding boxes and spheres at every step. `Apart` measures the distance of a
 pair once; MuJoCo skips the pair until the joints between its two bodies have moved far enough to use up this
@@ -27,7 +27,7 @@ BEYOND = 0.05  # [m] assumed largest overshoot of a slide joint beyond its limit
 
 
 class Apart:
-    """Body pairs with motion bounds, which let MuJoCo skip pairs that cannot be in contact.
+    """Body pairs with motion bounds; MuJoCo skips pairs that cannot be in contact yet.
 
     `stepping.take_steps` reads and updates the arrays.
 
@@ -98,7 +98,7 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    """Return the pairs of bodies that MuJoCo tests for contact."""
+    """Return the pairs of body ids that MuJoCo tests for contact."""
     excluded = {(s >> 16, s & 0xFFFF) for s in model.exclude_signature.tolist()}
     weld = model.body_weldid.tolist()
     above = [weld[parent] for parent in model.body_parentid[weld].tolist()]
@@ -113,14 +113,17 @@ def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
-    """Return True if a body has geoms, all with default masks and of types with known distances."""
+    """Return whether a body's geoms all have default masks and types with known distances.
+
+    A body without geoms yields False.
+    """
     geoms = _geoms(model, body)
     masks = (model.geom_contype[geoms] == 1).all() and (model.geom_conaffinity[geoms] == 1).all()
     return bool(geoms) and bool(masks) and UNKNOWN.isdisjoint(model.geom_type[geoms].tolist())
 
 
 def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
-    """Return motion bounds (p, nq) [m] of each body pair per unit of each qpos value.
+    """Return motion bounds (p, nq) [m] of body pairs per unit of each qpos value.
 
     Entry [i, j] bounds how far a point of one body of pair i can move against the other body when qpos[j]
     changes by one unit.
@@ -138,7 +141,7 @@ def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
 
 
 def _way_up(model: mujoco.MjModel, body: int) -> dict[int, list[tuple[int, tuple[float, ...]]]]:
-    """Return the joints of a body and of all its ancestors with their motion bounds.
+    """Return the joints of a body and its ancestors with their bounds on the body's motion.
 
     Returns:
         The joints by body id, from the given body up to the world. Each joint is a tuple: start index in

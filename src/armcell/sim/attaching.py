@@ -1,4 +1,4 @@
-"""Parts of a robot that come from MJCF, attached to the physics model with their own physical parameters."""
+"""Attachment of a robot's MJCF parts to the physics model, with their own parameters."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from armcell.model.robot import MjcfPart
 
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
-    """Return the MJCF part of each link that comes from one."""
+    """Return the MJCF part of each robot link that comes from an MJCF file."""
     return {link: part for part in model.mjcf for link in part.links if link in model.links}
 
 
 def attach_part(spec: Any, parent: Any, model: RobotModel, link: str, T_parent_link: SE3) -> dict[str, Any]:
-    """Attach the bodies of an MJCF part from a link down and return them by link.
+    """Attach an MJCF part's bodies, from a link down, to a MuJoCo spec; return them by link.
 
     The bodies keep their inertias, contact parameters, joint parameters, equalities, tendons and excludes;
     names get the part's prefix.

@@ -26,7 +26,7 @@ RENDER_CAMERA = "render"
 
 
 def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
-    """Return every object of a scene by name, at its current pose.
+    """Return all objects of a planning scene by name, each at its current pose.
 
     Attached objects are included, because they are free bodies in physics.
     """
@@ -34,7 +34,7 @@ def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
 
 
 def same_build(a: PlanningScene, b: PlanningScene) -> bool:
-    """Return True if two scenes compile to the same model.
+    """Return whether two planning scenes compile to the same MuJoCo model.
 
     Joint positions and poses of free bodies may differ.
     """

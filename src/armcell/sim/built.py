@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class GripperIndex:
-    """Indices and limits of one gripper's position servo.
+    """Indices and limits of one gripper's position servo in a MuJoCo model.
 
     The length of the servo's tendon is the driven joint's position, averaged over the fingers.
     """
@@ -38,7 +38,7 @@ class GripperIndex:
     tcp_body: int
 
     def length(self, qpos: Array) -> float:
-        """Return the tendon length [m] at a state `qpos`.
+        """Return a gripper's tendon length [m] at a state `qpos`.
 
         MuJoCo's own tendon length is one step old after a step.
         """
@@ -47,7 +47,10 @@ class GripperIndex:
 
 @dataclass(frozen=True, eq=False)
 class BuiltModel:
-    """A compiled MuJoCo model with indices by name; `owners` lists the links, then the objects."""
+    """A compiled MuJoCo model with index tables by name.
+
+    `owners` lists the links, then the objects.
+    """
 
     scene: PlanningScene
     spec: mujoco.MjSpec
@@ -73,7 +76,7 @@ class BuiltModel:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Names of the objects whose poses can change: free objects and screwed-in objects."""
+        """Return the names of the objects whose poses can change: free and screwed-in objects."""
         return (*self.object_qpos, *self.threaded)
 
 

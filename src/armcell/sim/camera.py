@@ -1,4 +1,4 @@
-"""The camera model: pose, intrinsics, frame rate, and depth noise."""
+"""Model of a simulated camera: pose, intrinsics, frame rate, and depth noise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from armcell.core.checks import checked, float_array
 @dataclass(frozen=True)
 @checked()
 class DepthNoise:
-    """Noise model of a depth camera; with all parameters zero, the camera is perfect.
+    """A noise model of a depth camera; with all parameters zero, the camera is perfect.
 
     Stereo and structured-light cameras measure disparity, so their noise and depth resolution grow with the
     square of the distance (Khoshelham and Elberink, Sensors 12(2), 2012). `for_stereo` approximates an Intel
@@ -49,7 +49,7 @@ class DepthNoise:
         return self == DepthNoise()
 
     def applied(self, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-        """Return the depth image (h, w) [m] with noise; pixels without a measurement are 0."""
+        """Return a depth image (h, w) [m] with added noise; pixels without a measurement are 0."""
         z = depth.astype(float)
         seen = (z > 0) & (z >= self.nearest) & (z <= self.farthest)
         noisy = z + rng.standard_normal(z.shape) * (self.floor + self.growth * z**2)
@@ -80,7 +80,7 @@ def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Camera:
-    """A pinhole camera with an optical frame: z forward, x right, y down.
+    """A simulated pinhole camera with an optical frame: z forward, x right, y down.
 
     Without `pinhole`, pixels are square and the principal point is the image center. For a camera on a link,
     `T_link_camera` is its pose in the link's frame, and `T_world_camera` is its pose at the start.
@@ -133,12 +133,12 @@ class Camera:
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
-        """Camera matrix K (3, 3) [px]; pixel centers have integer coordinates."""
+        """Return the camera matrix K (3, 3) [px]; pixel centers have integer coordinates."""
         return self.model.matrix
 
 
 def look_at(eye: ArrayLike, target: ArrayLike) -> SE3:
-    """Return the pose of the optical frame at `eye` (3,) that looks at `target` (3,).
+    """Return the pose of a camera's optical frame at `eye` (3,) that looks at `target` (3,).
 
     The z axis of the frame in which both points are given points up in the image.
 

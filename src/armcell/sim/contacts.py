@@ -16,13 +16,16 @@ from armcell.sim.built import BuiltModel
 Array = NDArray[np.float64]
 
 _FEW, _KEPT = 30, 10_000
-"""The monitor caches up to `_KEPT` contact lists of at most `_FEW` contacts: such lists recur often."""
+"""Limits of the monitor's cache: up to `_KEPT` contact lists of at most `_FEW` contacts.
+
+Such lists recur often.
+"""
 _NO_END = 1 << 20
 
 
 @dataclass(frozen=True)
 class PhysicsContact:
-    """One contact point of the last step; the bodies are link or object names."""
+    """One contact point of the last physics step; its bodies are links or objects, by name."""
 
     body_a: str
     body_b: str
@@ -33,7 +36,7 @@ class PhysicsContact:
 
 @dataclass(frozen=True)
 class UnwantedContact:
-    """A pair of bodies that touched although the monitor does not allow it."""
+    """A pair of bodies that touched although the contact monitor does not allow the contact."""
 
     body_a: str
     body_b: str
@@ -43,7 +46,7 @@ class UnwantedContact:
 
 
 def read_contacts(built: BuiltModel, data: mujoco.MjData) -> list[PhysicsContact]:
-    """Return all contacts of the last step, deepest first."""
+    """Return all contacts of the last physics step, deepest first."""
     found = []
     wrench = np.zeros(6)
     for i in range(data.ncon):
@@ -64,7 +67,7 @@ def read_contacts(built: BuiltModel, data: mujoco.MjData) -> list[PhysicsContact
 
 
 class ContactMonitor:
-    """Records unwanted contacts at every physics step.
+    """A monitor that records unwanted contacts at every physics step.
 
     A contact is unwanted if a robot link touches a body that it must not touch, or if a watched (held) object
     touches an object other than its supports. MuJoCo detects contacts at the beginning of a step, so the
@@ -96,7 +99,7 @@ class ContactMonitor:
 
     @property
     def unwanted(self) -> tuple[UnwantedContact, ...]:
-        """Unwanted contacts recorded so far, in order of first contact."""
+        """Return the unwanted contacts recorded so far, in order of first contact."""
         return tuple(self._found.values())
 
     @property
@@ -126,11 +129,11 @@ class ContactMonitor:
         self._rule()
 
     def clear(self) -> None:
-        """Delete the recorded contacts and keep the contact rules."""
+        """Delete the contacts that the monitor recorded, and keep its contact rules."""
         self._found = {}
 
     def update(self, data: mujoco.MjData) -> None:
-        """Check the contacts of the last step and record unwanted ones."""
+        """Check the contacts of the last physics step and record unwanted ones."""
         count = data.ncon
         if count == 0:
             return
@@ -149,7 +152,10 @@ class ContactMonitor:
             self._fine.add(seen)
 
     def _attach(self, data: mujoco.MjData) -> None:
-        """Map MuJoCo's contact list as a live view; it starts at the arena's base for any length."""
+        """Attach a live array view of MuJoCo's contact list to the monitor.
+
+        The list starts at the arena's base, whatever its length.
+        """
         self._data, geoms = data, data.contact.geom
         self.pairs = as_strided(geoms, (_NO_END, 2), geoms.strides, writeable=False)
         self.readable = _NO_END
@@ -168,7 +174,10 @@ class ContactMonitor:
         self._rule()
 
     def _rule(self) -> None:
-        """Rebuild the table of unwanted geom pairs (ngeom, ngeom), so that a step needs one lookup."""
+        """Rebuild the table (ngeom, ngeom) of geom pairs whose contact is unwanted.
+
+        With the table, a contact check needs one lookup.
+        """
         built = self._built
         n = len(built.owners)
         bad = np.zeros((n, n), dtype=bool)

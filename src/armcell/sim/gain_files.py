@@ -27,7 +27,7 @@ KEYS = (
 
 
 def gains_names() -> list[str]:
-    """Return the names of the gain sets that armcell ships."""
+    """Return the names of the joint gain sets that armcell ships."""
     return sorted(p.stem for p in SETS.glob("*.yaml"))
 
 
@@ -75,7 +75,7 @@ def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> 
 def with_gains(
     settings: PhysicsSettings, gains: str | Path, model: RobotModel, folder: Path = Path()
 ) -> PhysicsSettings:
-    """Return settings with the arm control and gains of a gain set or file.
+    """Return physics settings with the arm control and gains of a gain set or file.
 
     See `gain_values`. The result does not keep any `joint_gains` of `settings`.
     """
@@ -85,7 +85,7 @@ def with_gains(
 
 
 def with_gains_file(physics: Mapping[str, Any], model: RobotModel, folder: Path) -> dict[str, Any]:
-    """Return a cell's `physics` block with the file named by its key `gains` merged in.
+    """Return a cell's `physics` block, with the gain file that its key `gains` names merged in.
 
     Other keys of the block override the file, and `joint_gains` are merged joint by joint.
 

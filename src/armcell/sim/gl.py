@@ -1,4 +1,4 @@
-"""Offscreen OpenGL rendering of MuJoCo models without a display, where OpenGL works.
+"""Offscreen OpenGL rendering of MuJoCo models on machines without a display.
 
 MuJoCo's own renderer fixes its OpenGL backend when `mujoco` is first imported. `GLRenderer` creates the
 OpenGL context directly, so no environment variable must be set beforehand. Run as a script, this module tests
@@ -55,7 +55,7 @@ def gl_backend() -> str | None:
 
 
 class GLRenderer:
-    """Offscreen renderer of one MuJoCo model at a fixed image size (height, width, 3).
+    """An offscreen renderer of one MuJoCo model at a fixed image size (height, width, 3).
 
     Shadows and reflections are off: without a graphics card they take ten times as long as the rest.
 
@@ -97,7 +97,7 @@ class GLRenderer:
         return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
 
     def depth(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.float32]:
-        """Render a depth image (height, width) [m] along the camera's optical axis.
+        """Render a depth image (height, width) [m] along a camera's optical axis.
 
         Pixels beyond the far plane are 0.
         """
@@ -122,14 +122,14 @@ class GLRenderer:
         mujoco.mjr_render(mujoco.MjrRect(0, 0, *self.size), self._scene, self._context)
 
     def _metres(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert the depth buffer (1 at the near plane, 0 at the far plane) to meters."""
+        """Convert OpenGL's depth buffer (1 at the near plane, 0 at the far plane) to meters."""
         extent, clip = self._model.stat.extent, self._model.vis.map
         near, far = clip.znear * extent, clip.zfar * extent
         b = buffer.astype(np.float64)
         return np.where(b > 0, near * far / (near + b * (far - near)), 0.0).astype(np.float32)
 
     def close(self) -> None:
-        """Free the OpenGL context and buffers.
+        """Free the renderer's OpenGL context and buffers.
 
         The renderer makes its context current first: buffer ids are numbers, so freeing them in another
         context would free the buffers of another renderer.

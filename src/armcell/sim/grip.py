@@ -35,7 +35,7 @@ _WIDTH_TOLERANCE = 1e-4  # [m]
 
 @dataclass(frozen=True)
 class GripperState:
-    """Width, finger force, and held object of a gripper.
+    """A gripper's width [m], finger force [N], and held object.
 
     `force_per_finger` [N] acts along the closing axis. `held` is the object that both fingers touch, or None.
     """
@@ -47,7 +47,7 @@ class GripperState:
 
 @dataclass(frozen=True)
 class WeldEvent:
-    """Record of a weld that fixed an object to a gripper.
+    """A record of a weld that fixed an object to a gripper.
 
     A weld replaces friction, so every report must list it.
     """
@@ -61,14 +61,14 @@ class WeldEvent:
 
 
 class GripperDrive:
-    """Position servo of one gripper with limited finger speed and limited force per finger.
+    """A position servo of one gripper with limited finger speed and limited force per finger.
 
     The set point leads the fingers by at most the distance that yields the commanded force. Blocked fingers
     therefore press with exactly this force, and free fingers move at `max_speed`.
     """
 
     def __init__(self, index: GripperIndex, settings: PhysicsSettings, law: Array):
-        """Write the servo's constants into `law` (7,), the row that `stepping.drive_fingers` reads."""
+        """Write the gripper servo's constants into `law` (7,), which `stepping.drive_fingers` reads."""
         self.index, self._law = index, law
         self._kp = settings.gripper_kp
         self._ratio = abs(index.gripper.width_per_joint)
@@ -84,13 +84,13 @@ class GripperDrive:
         return min(force, self.index.max_force) * self._ratio / self._kp
 
     def hold(self, data: mujoco.MjData, joint_position: float) -> None:
-        """Hold the gripper's driven joint at a position [m] with full force."""
+        """Hold the gripper's driven joint at a position [m] with the gripper's full force."""
         self._law[[SET_POINT, TARGET]] = joint_position
         data.ctrl[self.index.ctrl] = joint_position
         self._law[LEAD] = self._force_lead(self.index.max_force)
 
     def command(self, width: float, force_per_finger: float) -> None:
-        """Drive the gripper to a width [m].
+        """Drive the gripper to a width [m] with a limited finger force.
 
         At the closed end, the fingers press on the object between them with `force_per_finger` [N].
         """
@@ -104,7 +104,7 @@ class GripperDrive:
         self._law[TARGET], self._law[LEAD] = target, lead
 
     def closing(self, data: mujoco.MjData) -> bool:
-        """Return True if the gripper's target width is smaller than its current width."""
+        """Return whether the gripper's target width is smaller than its current width."""
         width = self.index.gripper.width
         return width(self._law.item(TARGET)) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
 
@@ -116,7 +116,7 @@ class GripperDrive:
 
 
 class Fingers:
-    """Servos of all grippers, with the arrays that the compiled stepper uses.
+    """The servos of all grippers, with the arrays that the compiled stepper uses.
 
     Attributes:
         law: (g, 7) one row per gripper for `stepping.drive_fingers`.
@@ -141,7 +141,9 @@ class Fingers:
 
 
 def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
-    """Return the force on each finger [N] along the closing axis (the tcp's y axis).
+    """Return the contact force on each finger [N] along the gripper's closing axis.
+
+    The closing axis is the tcp's y axis.
 
     Returns:
         Forces (fingers,) by the owner index of the body that the fingers touch.
@@ -181,7 +183,7 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperS
 
 
 def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """Return the pose T_a_b of body b in the frame of body a, as of the last step.
+    """Return the pose T_a_b between two MuJoCo bodies, as of the last step.
 
     Both poses come from the same instant.
     """
@@ -195,7 +197,7 @@ def body_pose(data: mujoco.MjData, body: int) -> SE3:
 
 @dataclass(frozen=True)
 class _Grip:
-    """State of the weld modes for one gripper."""
+    """The state of one gripper in the weld modes: held object, slip reference, active weld."""
 
     item: str | None = None
     since: float = 0.0  # [s] simulation time since which both fingers press the object
@@ -204,7 +206,7 @@ class _Grip:
 
 
 class Welder:
-    """Grip modes "weld" and "hybrid", which fix held objects by weld constraints.
+    """The grip modes "weld" and "hybrid", which fix held objects by weld constraints.
 
     `events` records every weld and its release.
     """
@@ -218,7 +220,7 @@ class Welder:
         self.events: list[WeldEvent] = []
 
     def update(self, data: mujoco.MjData) -> None:
-        """Weld held objects to their grippers after a step, where the grip mode requires it."""
+        """Weld held objects to their grippers after a physics step if the grip mode requires it."""
         self._steps += 1
         if self._steps % _CHECK_EVERY:
             return

@@ -58,7 +58,7 @@ class TrialSettings:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Trial:
-    """One grasp to test: hand pose, opening, force, and object properties."""
+    """One grasp to test in physics: hand pose, opening, force, and object properties."""
 
     T_object_tcp: SE3
     opening: float  # [m] gripper width at the start
@@ -71,7 +71,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """Motion of the object in the hand during a grasp trial."""
+    """The result of a grasp trial: motion of the object in the hand, and whether it fell."""
 
     closing: float  # [m] displacement of the center of mass while the hand closed
     slip: float  # [m] displacement of the object's point between the pads, from the closed hand to the end
@@ -87,7 +87,7 @@ def run_trials(
     settings: TrialSettings = TrialSettings(),
     threads: int | None = None,
 ) -> list[TrialResult]:
-    """Run grasp trials in parallel and return one result per trial.
+    """Run grasp trials of one object in parallel and return one result per trial.
 
     Args:
         threads: largest number of threads; by default one per processor.
@@ -144,7 +144,7 @@ class _World:
         return _World(built, mj, gripper, settings, T_root_tcp, centre, item.shapes, mj.body(OBJECT).id)
 
     def variant(self, trial: Trial) -> mujoco.MjModel:
-        """Return a copy of the model with a trial's friction, mass, and finger force."""
+        """Return a copy of the MuJoCo model with a trial's friction, mass, and finger force."""
         mj = copy.copy(self.mj)
         scale = trial.mass / float(self.mj.body_mass[self.body])
         mj.body_mass[self.body] *= scale

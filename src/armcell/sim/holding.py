@@ -1,4 +1,4 @@
-"""Objects in a hand: friction without creep at rest, and without drift while the hand moves.
+"""Corrections of MuJoCo's friction for held objects: no creep at rest, no drift in motion.
 
 Two properties of MuJoCo's friction displace an object that a hand holds firmly:
 
@@ -39,7 +39,9 @@ HOLDING = (_F8, _F8, _I8, _I8, _I8, _I8, _I8, _B, _F8, _I8, _F8, _F8, _F8, _F8)
 
 
 class Holding:
-    """Keeps held objects in the hands of one `MjData`; call `carry` after each step.
+    """A correction of the creep and drift of held objects in one `MjData`.
+
+    Call `carry` after each step.
 
     Attributes:
         arrays: the arrays that `carry` reads and writes, of the types `HOLDING`: `impratio` in MuJoCo's
@@ -80,11 +82,11 @@ class Holding:
         self._qpos = data.qpos
 
     def forget(self) -> None:
-        """Forget the last step; call this after the state was changed without a step."""
+        """Forget the last hand poses; call this after the state changed without a physics step."""
         self._past[:, 0] = 0.0
 
     def update(self, count: int, pairs: NDArray[np.int32]) -> None:
-        """Do what the compiled steps do after each step, from Python.
+        """Correct the creep and drift of held objects after a physics step taken from Python.
 
         Args:
             count: number of contacts.
@@ -100,7 +102,9 @@ class Holding:
 
 
 def lag(settings: PhysicsSettings) -> float:
-    """Return the lag per step as a multiple of the distance between arc and tangent, dt^2/2 dJ/dt v.
+    """Return a held object's lag behind the hand per step, as a multiple of dt^2/2 dJ/dt v.
+
+    This product is the distance between the hand's arc and its tangent.
 
     MuJoCo's damping of a contact is b = 2 / (dmax max(timeconst, 2 dt)) [1/s] (`solref`, `solimp`). The
     integrator "discrete" applies it to the velocity after the step, the others to that before the step.
@@ -113,7 +117,10 @@ def lag(settings: PhysicsSettings) -> float:
 
 
 def _impratio(mj: mujoco.MjModel) -> Array:
-    """Return a live view (1,) of the option `impratio`; a private array if the memory layout is unknown."""
+    """Return a live view (1,) of MuJoCo's option `impratio`.
+
+    The result is a private array if the memory layout is unknown.
+    """
     address = mj.opt.gravity.__array_interface__["data"][0] + 8 * _offset()
     return np.zeros(1) if _offset() == 0 else _view(address)
 
@@ -124,7 +131,9 @@ def _view(address: int) -> Array:
 
 @cache
 def _offset() -> int:
-    """Return the position of `impratio` relative to the option `gravity`, in doubles; 0 if unknown.
+    """Return the offset of `impratio` from `gravity` in MuJoCo's options, in doubles.
+
+    The result is 0 if the memory layout is unknown.
 
     The search writes two values to a test model and looks for them among the numbers before `gravity`.
     """
@@ -138,7 +147,7 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """`Holding.arrays` from row k of a table of addresses on."""
+    """Return `Holding.arrays` from a table of addresses, starting at row k."""
     return (
         vector(fixed, k, _F8), vector(fixed, k + 1, _F8), matrix(fixed, k + 2, _I8),
         matrix(fixed, k + 3, _I8), vector(fixed, k + 4, _I8), matrix(fixed, k + 5, _I8),
@@ -150,7 +159,7 @@ def holding(fixed, k):
 
 @njit(cache=True)
 def _partner(owner, pairs, i, finger):
-    """The owner that touches a finger in contact i, or -1."""
+    """Return the link or object that touches a finger in contact i, as owner index, or -1."""
     a, b = owner[pairs[i, 0]], owner[pairs[i, 1]]
     if a == finger:
         return b
@@ -167,7 +176,7 @@ def _touches(count, pairs, owner, finger, item):
 
 @njit(cache=True)
 def _in_hand(count, pairs, owner, free, fingers):
-    """The movable object (owner) that all fingers (f,) of a hand touch, or -1."""
+    """Return the movable object that all fingers (f,) of a hand touch, as owner index, or -1."""
     for i in range(count):
         item = _partner(owner, pairs, i, fingers[0])
         if item < 0 or free[item, 1] < 0:
@@ -205,12 +214,18 @@ def _move(qpos, start, R, shift, turn):
 
 @njit(cache=True)
 def _lags(x, R, v, w, point, past, dt, scale):
-    """Lag of a body behind the hand in the last step: shift of a point [m] and rotation vector [rad].
+    """Compute a held body's lag behind the hand in the last step: shift [m] and rotation [rad].
+
+    The shift (3,) is that of a point of the body; the rotation is a rotation vector (3,).
 
     With the same joint velocities before and after the step, dt v - (distance moved) is dt^2/2 dJ/dt v.
 
     Args:
-        x, R, v, w: pose and velocities of the hand; past (13,) its last pose; point (3,) of the body.
+        x, R, v, w: pose and velocities of the hand.
+        point: (3,) point of the body.
+        past: (13,) pose of the hand before the step.
+        dt: time step [s].
+        scale: result of `lag`.
     """
     shift, turn, turned = np.empty(3), np.empty(3), np.empty((3, 3))
     for r in range(3):
@@ -231,12 +246,13 @@ def _lags(x, R, v, w, point, past, dt, scale):
 
 @njit(cache=True)
 def carry(count, pairs, qpos, arrays):
-    """Choose `impratio` for the next step, and move each held object by its lag in the last step.
+    """Correct held objects after a step: choose `impratio`, and move each object by its lag.
 
     Args:
-        count: number of contacts; pairs (n, 2) their geoms.
-        qpos: MuJoCo's positions, after the step; the poses in `arrays` are those before it.
-        arrays: `Holding.arrays`; impratio and past are written.
+        count: number of contacts.
+        pairs: (n, 2) geoms of each contact.
+        qpos: MuJoCo's positions after the step; the poses in `arrays` are those before the step.
+        arrays: `Holding.arrays`; `impratio`, `past` and `held` are changed in place.
     """
     impratio, law, hands, fingers, owner, free, welds, welded, past, held, xpos, xmat, cvel, com = arrays
     still, moving = False, False

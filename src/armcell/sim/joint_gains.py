@@ -1,4 +1,4 @@
-"""PID gains of the arm joints: individual gains where given, else scaled default gains."""
+"""PID gains of the arm joints: individual gains if given, else scaled default gains."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class GainTable(Mapping[str, JointGains]):
 
     @classmethod
     def from_setting(cls, value: Any, what: str) -> GainTable:
-        """Parse gains from a mapping such as {JOINT: {p: 80, i: 0.5, d: 1.5, i_clamp: 10}}.
+        """Parse joint gains from a mapping such as {JOINT: {p: 80, i: 0.5, d: 1.5, i_clamp: 10}}.
 
         Args:
             value: mapping from joint names to gains, or a `GainTable`.
@@ -89,7 +89,10 @@ class GainTable(Mapping[str, JointGains]):
         return cls({str(joint): gains_of(entry, f"{what}/{joint}") for joint, entry in value.items()})
 
     def plain(self) -> dict[str, dict[str, Any]]:
-        """Return the table as a plain mapping without default values; `from_setting` reads it."""
+        """Return the joint gains as a plain mapping without default values.
+
+        `from_setting` reads this mapping.
+        """
         return {
             joint: {f.name: v for f in fields(g) if (v := getattr(g, f.name)) != f.default}
             for joint, g in self._gains.items()
@@ -115,7 +118,7 @@ def gains_of(entry: Any, what: str) -> JointGains:
 
 
 class Drive(NamedTuple):
-    """Effective gains of one joint after scaling, with the limits of the integral's effort."""
+    """The effective gains of one joint after scaling, with the limits of the integral's effort."""
 
     kp: float
     ki: float
@@ -127,7 +130,7 @@ class Drive(NamedTuple):
 
 
 def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
-    """Return the effective gains that physics uses for an arm joint."""
+    """Return the effective PID gains that physics uses for an arm joint."""
     effort = joint.limits.effort
     most = INTEGRAL_SHARE * effort if np.isfinite(effort) else np.inf
     own = settings.joint_gains.get(joint.name)
@@ -147,13 +150,13 @@ def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
 
 
 def arm_joints(model: RobotModel) -> list[str]:
-    """Return the actuated joints that belong to no gripper, in the model's order."""
+    """Return the robot's actuated joints that belong to no gripper, in the model's order."""
     fingers = {gripper.joint_name for gripper in model.grippers.values()}
     return [name for name in model.joint_names if name not in fingers]
 
 
 def check_joint_gains(settings: PhysicsSettings, model: RobotModel, **where: Any) -> None:
-    """Check that `joint_gains` names arm joints only.
+    """Raise an error if `joint_gains` names a joint that is not an arm joint.
 
     Raises:
         UnknownNameError: the robot's arms do not have a joint; the message lists the arm joints and suggests

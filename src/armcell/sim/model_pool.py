@@ -30,7 +30,7 @@ _copy_model.argtypes, _copy_model.restype = (ctypes.c_void_p, ctypes.c_void_p), 
 
 
 class ModelLease:
-    """The exclusive use of a compiled model and its data, until `release`.
+    """The exclusive use of a compiled MuJoCo model and its data, until `release`.
 
     Attributes:
         built: the model of a scene.
@@ -42,9 +42,9 @@ class ModelLease:
         self.released = False
 
     def release(self) -> None:
-        """Give the model back to the pool; a second call has no effect.
+        """Give a leased MuJoCo model back to the model pool; a second call has no effect.
 
-        From now on nobody may read or write the model, its data or views of their arrays: the pool leases
+        From now on the caller must not access the model, its data or views of their arrays: the pool leases
         them to another world. A lease that is dropped without `release` is safe: the pool then replaces the
         model by a new copy.
         """
@@ -69,7 +69,7 @@ class _PooledModel:
         self, scene: PlanningScene, objects: dict[str, CollisionObject], loose: list[CollisionObject],
         settings: PhysicsSettings,
     ) -> ModelLease | None:  # fmt: skip
-        """Lease the copy, reset to the original model and adapted to a scene; None while it is leased."""
+        """Lease the copy of a pooled MuJoCo model for a scene, or return None while it is leased."""
         if self._lease() is not None:
             return None
         mj, data = self._free or self._copied()
@@ -94,12 +94,15 @@ class _PooledModel:
 
 
 _models: LruCache[_PooledModel] = LruCache(4)
-"""Pool of models; the key holds all inputs of `build` except the values that `_put_in` writes."""
-_lock = threading.Lock()  # makes the test whether a model is free and its lease atomic
+"""Pool of compiled models, by all inputs of `build` that `_put_in` does not write."""
+_lock = threading.Lock()  # makes checking and leasing a model atomic
 
 
 def lease_model(scene: PlanningScene, settings: PhysicsSettings) -> ModelLease:
-    """Lease the model of `build(scene, settings)` with data, from the model pool if possible."""
+    """Lease a compiled MuJoCo model of a scene with data, from the model pool if possible.
+
+    The model equals that of `build(scene, settings)`.
+    """
     objects = scene_objects(scene)
     loose = [o for n, o in objects.items() if o.thread is None and (o.movable or n in scene.attached)]
     if any(item.thread is not None for item in objects.values()):
@@ -135,7 +138,7 @@ def _seen(item: CollisionObject, loose: bool) -> Hashable:
 def _put_in(
     built: BuiltModel, loose: list[CollisionObject], settings: PhysicsSettings, scratch: mujoco.MjData
 ) -> None:
-    """Write the poses, inertias, and friction of free objects into a model.
+    """Write the poses, inertias, and friction of free objects into a compiled MuJoCo model.
 
     The function also updates the quantities that MuJoCo derives from them at compilation.
     """

@@ -10,7 +10,7 @@ from armcell.core import InputError
 
 
 class Pacer:
-    """Paces a simulation in lock-step or at a multiple of real time.
+    """A pacer that runs a simulation in lock-step or at a multiple of real time.
 
     With `time_scale` None the simulation runs in lock-step and never waits; a scale of 2.0 is twice real
     time. The clock starts at the first `wait_until`. If the simulation falls more than `MAX_LAG_S` behind,
@@ -28,7 +28,7 @@ class Pacer:
         self._zero: float | None = None  # wall time of simulation time 0
 
     def reset(self) -> None:
-        """Restart the wall clock of the pacer at the next `wait_until`."""
+        """Restart the wall clock of a paced simulation at the next `wait_until`."""
         self._zero = None
 
     def wait_until(self, sim_time: float) -> float:

@@ -10,17 +10,17 @@ from armcell.core import SE3
 
 Array = NDArray[np.float64]
 Poses = tuple[Array, Array]
-"""Poses of all bodies in their parents' frames: positions (body, 3) [m] and quaternions (body, 4), wxyz."""
+"""Positions (body, 3) [m] and quaternions (body, 4), wxyz, of all bodies in parent frames."""
 
 
 def write_free(data: mujoco.MjData, start: int, T_world_object: SE3) -> None:
-    """Write the pose of a free object whose joint starts at index `start` of qpos."""
+    """Write a free object's pose into qpos, where its joint starts at index `start`."""
     data.qpos[start : start + 3] = T_world_object.translation
     data.qpos[start + 3 : start + 7] = T_world_object.quat_wxyz
 
 
 class FixedPlaces:
-    """Poses of the fixed bodies of a compiled model, which may be changed until a reset."""
+    """The poses of the fixed bodies of a compiled MuJoCo model, which may change until a reset."""
 
     def __init__(self, model: mujoco.MjModel):
         self._model = model
@@ -31,7 +31,7 @@ class FixedPlaces:
         self._model.body_quat[body] = T_world_body.quat_wxyz
 
     def elsewhere(self, body: int) -> bool:
-        """Return True if a body's pose differs from its pose at compilation."""
+        """Return whether a fixed body's pose differs from its pose at compilation."""
         position, quaternion = self._first
         moved = (self._model.body_pos[body] != position[body]).any()
         return bool(moved or (self._model.body_quat[body] != quaternion[body]).any())

@@ -31,12 +31,15 @@ _CHECKER = 0.5  # [m] edge length of the checkerboard squares on an infinite pla
 
 
 def has_gl() -> bool:
-    """Return True if OpenGL rendering works on this machine without a display (cached)."""
+    """Return whether OpenGL rendering works on this machine without a display.
+
+    The result is cached.
+    """
     return gl_backend() is not None
 
 
 def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
-    """Render a depth image (height, width) [m] along the optical axis by ray casting.
+    """Render a depth image (height, width) [m] along a camera's optical axis by ray casting.
 
     Pixels where the rays hit nothing are 0. Links appear as their collision shapes, which enclose the visual
     meshes. The function never needs OpenGL.
@@ -50,7 +53,7 @@ def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
 def take_image(
     world: SimWorld, camera: Camera, gl: bool | None = None, rgb: bool = True, depth: bool | None = None
 ) -> CameraImage:
-    """Render the image that a camera takes at its current pose: RGB, depth, and depth noise.
+    """Render the image of a simulated camera at its current pose: color, depth, depth noise.
 
     The image shows the visual meshes. The noise depends only on the world's seed, the camera's name, and the
     time, so two images of the same instant are identical.
@@ -80,7 +83,7 @@ def _mount(camera: Camera) -> SE3:
 
 
 def render_rgb(world: SimWorld, camera: Camera, gl: bool | None = None) -> NDArray[np.uint8]:
-    """Render an RGB image (height, width, 3).
+    """Render an RGB image (height, width, 3) of a simulated camera.
 
     Args:
         gl: True uses OpenGL, False casts rays; by default OpenGL if it works on this machine.
@@ -97,7 +100,7 @@ Drawing = tuple[NDArray[np.uint8], NDArray[np.float32]]
 
 # --- copy of a world for rendering ---
 class _DrawnScene:
-    """Copy of a world with visual meshes for rendering.
+    """A copy of a simulated world with visual meshes, for rendering.
 
     The copy is separate from the physics, so rendering has no effect on the simulation.
     """
@@ -213,7 +216,7 @@ def _drawn(world: SimWorld) -> _DrawnScene:
 
 # --- rays ---
 def _rays(camera: Camera) -> NDArray[np.float64]:
-    """Return unit directions (height * width, 3) through the pixel centers, camera frame."""
+    """Return unit directions (height * width, 3) through the pixel centers, in the camera frame."""
     m = camera.model
     x = (np.arange(camera.width) - m.cx) / m.fx
     y = (np.arange(camera.height) - m.cy) / m.fy
@@ -225,7 +228,7 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _tiles(width: int, height: int) -> tuple[NDArray[np.int64], ...]:
-    """Return the pixel indices of each image tile.
+    """Return the pixel indices of each rectangular tile of an image.
 
     Casting rays tile by tile takes half the time of one big cast, because most geoms are outside a tile's
     view.
@@ -245,7 +248,7 @@ def _cast(
     rays: NDArray[np.float64],
     groups: tuple[int, ...],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    """Cast rays from a camera at the geoms of some geom groups.
+    """Cast rays from a camera at the geoms of some MuJoCo geom groups.
 
     Returns:
         Distance (n,) [m] along each ray, -1 where a ray hits nothing; geom id (n,), or -1; surface normal (n,

@@ -51,7 +51,7 @@ class PhysicsState:
             return PhysicsState(data.time, data.qpos.copy(), (model.body_pos.copy(), model.body_quat.copy()))
 
     def put_into(self, world: SimWorld) -> None:
-        """Set a world of the same scene and settings to this state, for rendering only."""
+        """Set a simulated world of the same scene and settings to this state, only for rendering."""
         model, data = world.mj_model, world.mj_data
         data.time, data.qpos[:] = self.time, self.qpos
         model.body_pos[:], model.body_quat[:] = self.bodies
@@ -76,7 +76,7 @@ State = PhysicsState | MeasuredState
 
 
 class Setup:
-    """Inputs from which a render process builds its copy of a world.
+    """The inputs from which a render process builds its copy of a world.
 
     The constructor pickles them at once, so later changes of the scene have no effect.
     """
@@ -94,7 +94,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """A request to render one image."""
+    """A request to a render process for one image."""
 
     setup: Setup
     state: State
@@ -118,11 +118,11 @@ class RenderProcess:
 
     @property
     def pid(self) -> int | None:
-        """Process id of the running render process, or None."""
+        """Return the process id of the running render process, or None."""
         return None if self._process is None else self._process.pid
 
     def begin(self, order: Order) -> None:
-        """Request an image and return immediately; `finish` raises any error."""
+        """Request an image from the render process and return immediately; `finish` raises errors."""
         try:
             link = self._link or self._start()
             if order.setup is not self._setup:
@@ -133,7 +133,7 @@ class RenderProcess:
             self._trouble = error.strerror or str(error)
 
     def finish(self) -> CameraImage:
-        """Wait for the requested image and return it.
+        """Wait for the image requested from the render process and return it.
 
         Raises:
             ArmcellError: rendering failed, or the process has died.
@@ -150,12 +150,12 @@ class RenderProcess:
         raise ArmcellError(str(answer))
 
     def kill(self) -> None:
-        """Kill the process at once, from any thread; a waiting `finish` raises an error."""
+        """Kill the render process at once, from any thread; a waiting `finish` raises an error."""
         if self._process is not None:
             self._process.kill()
 
     def close(self) -> None:
-        """End the process and return when it has exited."""
+        """End the render process and return when it has exited."""
         link, self._link, self._setup = self._link, None, None
         if link is not None:
             link.close()

@@ -55,7 +55,7 @@ def _obey(link: Connection) -> None:
 
 
 def main(descriptor: int) -> None:
-    """Serve render requests until the parent closes the socket.
+    """Serve render requests on a socket until the parent process closes the socket.
 
     The process ignores Ctrl-C and SIGTERM, which are meant for the parent.
     """

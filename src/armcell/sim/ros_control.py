@@ -32,7 +32,7 @@ PASSED_OVER = {
 }  # fmt: skip
 DEEPEST = 12  # largest number of names in a parameter's path
 EFFORT, GAZEBO, POSITION = 2, 1, 0
-"""Rank of a joint's gains if a file has several sets; the highest rank wins.
+"""Ranks of a joint's gain sets in a file; the gains with the highest rank apply.
 
 `EFFORT`: a controller that commands efforts. `GAZEBO`: the Gazebo plugin. `POSITION`: a controller that
 commands positions, whose gains ros_control ignores.
@@ -41,7 +41,7 @@ commands positions, whose gains ros_control ignores.
 
 @dataclass(frozen=True)
 class _Entry:
-    """Gains of one joint with their path in the file and their rank."""
+    """The gains of one joint with their path in the controller file and their rank."""
 
     place: str
     gains: JointGains
@@ -61,7 +61,7 @@ class _Reader:
             self.notes.append(text)
 
     def find_types(self, node: Mapping, name: str = "") -> None:
-        """Collect the controllers' types, which ROS 2 keeps in the controller manager's parameters."""
+        """Collect the controllers' types from the parameters of ROS 2's controller manager."""
         if isinstance(node.get("type"), str):
             self.types.setdefault(name, node["type"])
         for key, value in node.items():
@@ -90,7 +90,7 @@ class _Reader:
                 self.walk(value, (*path, str(key)))
 
     def joint_entries(self, node: Mapping) -> dict[str, Any]:
-        """Return the gains by joint of a controller that has them under `pid`."""
+        """Return the gains by joint of a controller that stores the gains under `pid`."""
         if isinstance(node.get("joint"), str) and "pid" in node:
             return {node["joint"]: node["pid"]}
         names = node.get("joints")
@@ -100,7 +100,7 @@ class _Reader:
         return {n: entry["pid"] for n, entry in own.items() if isinstance(entry, Mapping) and "pid" in entry}
 
     def rank(self, place: str, kind: str, node: Mapping) -> int | None:
-        """Return the rank of a controller's gains, or None if they are not gains of an effort."""
+        """Return the rank of a controller's gains, or None for a velocity controller."""
         interfaces = node.get("command_interfaces") or node.get("command_interface") or []
         interfaces = [interfaces] if isinstance(interfaces, str) else interfaces
         package = kind.partition("/")[0]

@@ -13,11 +13,14 @@ from armcell.sim.settings import PhysicsSettings
 
 Array = NDArray[np.float64]
 Controls = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-"""Indices (n,) of joints in `ArmServo.target`, and of their position and velocity inputs in MuJoCo's ctrl."""
+"""Indices (n,) of joints in `ArmServo.target` and of their inputs in MuJoCo's ctrl.
+
+The inputs are the position inputs, then the velocity inputs.
+"""
 
 
 class ArmServo:
-    """Holds the targets of the arm joints and writes them to MuJoCo's controls.
+    """A controller that holds the targets of the arm joints and writes MuJoCo's controls.
 
     With arm control "torque", the controls are torques [Nm or N], which `update` computes before every step.
     """
@@ -43,7 +46,7 @@ class ArmServo:
         self._feedforward = np.array([drive.feedforward for drive in drives])
 
     def controls(self, columns: list[int]) -> Controls:
-        """Return the control indices of arm joints, given by columns of the model's joint order."""
+        """Return MuJoCo's control indices of arm joints, given their indices in the model's order."""
         at = np.array([self._at[c] for c in columns], dtype=int)
         return at, self._pos[at], self._vel[at]
 
@@ -75,7 +78,7 @@ class ArmServo:
         self._torque[controls[0]] = torque
 
     def hold(self, data: mujoco.MjData, q: Array) -> None:
-        """Hold all arm joints at positions q (dof,) in the model's joint order; reset the integral."""
+        """Hold all arm joints at positions q (dof,) in the model's order; reset the PID integral."""
         columns = list(self._at)
         self.integral[:] = 0.0
         self.command(data, self.controls(columns), q[columns], np.zeros(len(columns)))

@@ -20,7 +20,7 @@ Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 _CONE_EDGES = 48
 
 OBJECT_GROUP, VISUAL_GROUP, COLLISION_GROUP = 0, 2, 3
-"""MuJoCo geom groups; viewers show groups 0 to 2 by default."""
+"""MuJoCo geom groups of objects, visuals and collision shapes; viewers show groups 0 to 2."""
 
 _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
     Box: (GEOM.mjGEOM_BOX, lambda s: [s.x / 2, s.y / 2, s.z / 2]),
@@ -32,7 +32,7 @@ _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
 
 
 class GeomAdder:
-    """Adds shapes as geoms to the bodies of one MuJoCo spec; each mesh becomes one shared asset."""
+    """A builder that adds shapes as geoms to a MuJoCo spec; each mesh becomes one shared asset."""
 
     def __init__(self, spec: mujoco.MjSpec):
         self.spec = spec
@@ -48,7 +48,7 @@ class GeomAdder:
         split: Splitter = convex_pieces,
         **values: Any,
     ) -> list[Any]:
-        """Add the colliding geoms of one shape to a body and return them.
+        """Add the colliding geoms of one shape to a MuJoCo body and return the geoms.
 
         A primitive becomes one geom; `split` divides a mesh into convex pieces. Point clouds and octrees get
         no geoms, because physics ignores them.
@@ -69,7 +69,7 @@ class GeomAdder:
     def add_mesh(
         self, body: Any, mesh: Mesh, T_body_mesh: SE3, name: str, convex: bool = False, **values: Any
     ) -> Any:
-        """Add one mesh geom to a body; a mesh that is not `convex` is for rendering only."""
+        """Add one mesh geom to a MuJoCo body; a mesh that is not `convex` is only for rendering."""
         asset = self._assets.get(id(mesh))
         if asset is None:
             asset = self._assets[id(mesh)] = f"mesh{len(self._assets)}"
@@ -90,7 +90,7 @@ class GeomAdder:
 
 
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
-    """Return a cone as a closed convex mesh; the base's vertices are on the cone's base circle."""
+    """Return a cone as a closed convex mesh; its base vertices are on the cone's base circle."""
     angle = 2 * np.pi * np.arange(edges) / edges
     base = np.stack(
         [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1
@@ -103,5 +103,8 @@ def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
 
 
 def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
-    """Return the elements xx, yy, zz, xy, xz, yz of a symmetric matrix (3, 3), MuJoCo's order."""
+    """Return the elements of a symmetric matrix (3, 3) in MuJoCo's order.
+
+    The order is xx, yy, zz, xy, xz, yz.
+    """
     return [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]

@@ -1,4 +1,4 @@
-"""Static and dynamic friction of objects, selected by their slip speed.
+"""Selection between static and dynamic friction of objects by their slip speed.
 
 MuJoCo has one Coulomb coefficient per contact. A sticking contact needs the static coefficient and a sliding
 contact the dynamic one, so an object's coefficient must change with its slip speed. All contacts of an object
@@ -22,7 +22,7 @@ RESTS = 0.005  # [m/s] it rests when one contact is slower; a firm grasp creeps 
 
 
 class SlidingFriction:
-    """Switches objects that have two friction coefficients between static and dynamic friction.
+    """A switch between static and dynamic friction for objects with two coefficients.
 
     Attributes:
         owners: (k,) indices of these objects in `BuiltModel.owners`.
@@ -46,7 +46,7 @@ class SlidingFriction:
         self.set_state((False,) * len(self.owners))
 
     def get_state(self) -> tuple[bool, ...]:
-        """Return for each object whether it slides."""
+        """Return for each object with two friction coefficients whether it slides."""
         return tuple(self._slides)
 
     def set_state(self, slides: tuple[bool, ...]) -> None:
@@ -58,7 +58,10 @@ class SlidingFriction:
         self._mj.geom_friction[self._geoms[k], 0] = self._dynamic[k] if slides else self._static[k]
 
     def update(self, data: mujoco.MjData) -> None:
-        """Choose the friction for the next step from the last step's contacts; call after each step."""
+        """Choose the objects' friction for the next step from the last step's contacts.
+
+        Call this after each step.
+        """
         owners, speeds = self._slips(data)
         for k, owner in enumerate(self.owners):
             mine = speeds[(owners == owner).any(axis=1)]

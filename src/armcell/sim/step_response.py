@@ -19,7 +19,7 @@ BAND = 0.02  # tolerance as a fraction of the step size within which the joint c
 
 @dataclass(frozen=True, eq=False)
 class StepResponse:
-    """Response of one joint to a step of its target at time 0, from rest.
+    """The response of one joint to a step of its target at time 0, from rest.
 
     Times are in s, positions in rad or m.
     """
@@ -35,7 +35,7 @@ class StepResponse:
 
 
 def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) -> dict[str, float]:
-    """Return the largest deviation [rad or m] of each actuated joint that holds its position.
+    """Return the largest deviation [rad or m] of each joint that holds its position.
 
     The joints hold the scene's positions under gravity for `duration` [s].
     """
@@ -51,7 +51,9 @@ def step_responses(
     scene: PlanningScene, joints: tuple[str, ...], settings: PhysicsSettings, size: float = 0.1,
     duration: float = 2.0,
 ) -> list[StepResponse]:  # fmt: skip
-    """Measure the step response of each joint, one at a time, from the scene's state at rest.
+    """Measure the step response of each joint in physics, one joint at a time.
+
+    Each response starts from the scene's state at rest.
 
     Args:
         size: step size [rad or m]; the step is negative for a joint too close to its upper limit.

@@ -1,7 +1,7 @@
-"""Physics steps in compiled code: fingers, step and contacts without Python in between.
+"""Compiled physics steps: gripper control, MuJoCo's step and contact checks without Python.
 
-A step of a small cell takes 20 us, and what Python did around it nearly half as much again. Here the same is
-done in the same order, so the bits are the same.
+A step of a small cell takes 20 us, and the same work in Python takes nearly half as much in addition. The
+compiled code computes in the same order, so its results have the same bits.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from armcell.sim.holding import HOLDING, carry, holding
 
 SET_POINT, TARGET, LEAD, STEP, PUSH_STEP, BLOCKED_LEAD, CONTROL = range(7)
 LAW_SIZE = 7
-"""Columns of the fingers' law, of which there is one row per gripper; see `grip.GripperDrive`."""
+"""Number of columns of a gripper's row in `law`; see `grip.GripperDrive`."""
 
 LIBRARY = next(Path(mujoco.__file__).parent.glob("*mujoco*.[sd]*"))  # .so.4.0.0, .4.0.0.dylib, .dll
 llvmlite.binding.load_library_permanently(str(LIBRARY))
@@ -39,21 +39,23 @@ FIXED = (
 )  # fmt: skip
 """Types of the arrays that `take_steps` takes by address."""
 
-FAR = 0.5  # [m] how far distances are looked for
-WORTH = 0.005  # [m] bodies nearer than this are left to the engine
-AGAIN = 0.05  # [m] and looked at again when they moved so far
-ERROR = 0.001  # [m] of a distance, at most
-ALL = 0x7FFFFFFF  # of the engine's masks
+FAR = 0.5  # [m] largest distance that is measured
+WORTH = 0.005  # [m] MuJoCo tests pairs of bodies nearer than this
+AGAIN = 0.05  # [m] motion after which the distance of such a pair is measured again
+ERROR = 0.001  # [m] largest error of a measured distance
+ALL = 0x7FFFFFFF  # all bits of MuJoCo's contact masks
 
 
 @njit(cache=True)
 def drive_fingers(law, joints, weights, qpos, ctrl):
-    """Set the grippers' servos for the next step.
+    """Compute the set points of all gripper servos for the next physics step.
 
     Args:
-        law: (g, 7), changed in place.
-        joints: (g, k) index in qpos; weights (g, k): a servo's length is their weighted sum.
-        qpos, ctrl: MuJoCo's; ctrl is written.
+        law: (g, 7) one row per gripper, changed in place.
+        joints: (g, k) indices of the finger joints in qpos.
+        weights: (g, k) weights of the finger joints; a servo's length is their weighted sum.
+        qpos: MuJoCo's positions.
+        ctrl: MuJoCo's controls, changed in place.
     """
     for g in range(len(law)):
         length, before = 0.0, law[g, SET_POINT]
@@ -74,7 +76,7 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 
 @njit(cache=True)
 def _before(qpos, apart):
-    """Let the engine look at pairs of bodies no longer known to be apart; returns whether there are such."""
+    """Let MuJoCo test the body pairs that may no longer be apart; return whether any exist."""
     columns, reach, reference, begins, limit, left, shut, old, most, last = apart[:10]
     bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, _ = apart[10:]
     step = 0.0
@@ -111,7 +113,10 @@ def _before(qpos, apart):
 
 @njit(cache=True)
 def _after(model, data, places, apart):
-    """Of those pairs: how far the joints may move until they might touch."""
+    """Measure the distances of the body pairs that used up their motion bounds.
+
+    MuJoCo skips a pair again if the bodies are far enough apart.
+    """
     _, _, _, _, limit, left, shut, old, _, _ = apart[:10]
     bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, radius = apart[10:]
     for p in range(len(left)):
@@ -145,7 +150,7 @@ def _after(model, data, places, apart):
 
 @njit(cache=True)
 def _apart(fixed, k):
-    """`Apart.arrays` from row k of a table of addresses on."""
+    """Return `Apart.arrays` from a table of addresses, starting at row k."""
     return (
         vector(fixed, k, _I8), vector(fixed, k + 1, _F8), vector(fixed, k + 2, _F8),
         vector(fixed, k + 3, _I8),
@@ -162,21 +167,24 @@ def take_steps(
     model, data, begin, end, fixed, pairs, readable, unwanted, period, targets, controls, columns, limit,
     worst,
 ):  # fmt: skip
-    """Steps number begin to end - 1, until after one with an unwanted contact or with a joint off its target.
+    """Take physics steps until the end, an unwanted contact, or a joint off its target.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
-        fixed: `addresses_of` the number of contacts (1,), read in place; MuJoCo's qpos and ctrl; the geoms'
-            middles (geom, 3); law, joints and weights of `drive_fingers`; `Apart.arrays`; `Holding.arrays`.
-        pairs: (c, 2) geoms of each contact, read in place, of which the first `readable` can be.
-        unwanted: (geom, geom) whether they are not to touch.
-        period: steps between new targets, which come before steps 0, period, 2 period and so on.
-        targets: (n / period, m) of which the first k columns are for the controls (k,).
-        columns: (j,) of qpos, where the first j columns of `targets` shall be after `period` steps.
-        limit: [rad or m] how far off they may be.
-        worst: (j,) how far they were at most, written.
+        begin, end: number of the first step, and number after the last step.
+        fixed: `addresses_of` the number of contacts (1,), a live view; MuJoCo's qpos and ctrl; the geoms'
+            centers (geom, 3); law, joints and weights of `drive_fingers`; `Apart.arrays`; `Holding.arrays`.
+        pairs: (c, 2) geoms of each contact, a live view; only the first `readable` rows may be read.
+        readable: number of readable rows of `pairs`.
+        unwanted: (geom, geom) True where two geoms must not touch.
+        period: steps between new targets, which apply from steps 0, period, 2 period and so on.
+        targets: (n / period, m) targets; the first k columns are written to the controls.
+        controls: (k,) control indices.
+        columns: (j,) indices in qpos of the joints that must follow the first j columns of `targets`.
+        limit: largest deviation [rad or m] of a joint from its target after `period` steps.
+        worst: (j,) largest deviation of each joint, changed in place.
     Returns:
-        The number of the next step; whether there is a contact to be looked at; whether a joint is off.
+        The number of the next step; whether a contact must be checked; whether a joint is off its target.
     """
     count, qpos, ctrl = vector(fixed, 0, _I4), vector(fixed, 1, _F8), vector(fixed, 2, _F8)
     places, law = matrix(fixed, 3, _F8), matrix(fixed, 4, _F8)
@@ -216,13 +224,17 @@ def take_steps(
     cache=True,
 )  # fmt: skip
 def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
-    """Add up the forces along an axis that others than fingers have on fingers.
+    """Add up the contact forces on each finger along an axis, by touching link or object.
+
+    Contacts between two fingers do not count.
 
     Args:
-        geoms, frames: (c, 2) and (c, 9) of each contact.
-        owner: (geom,) index of its link or object; fingers (f,) those of the fingers.
-        axis: (3,) in the world.
-        forces: (owner, f) [N], added to.
+        model, data: addresses of MuJoCo's mjModel and mjData.
+        geoms, frames: (c, 2) geoms and (c, 9) frame of each contact.
+        owner: (geom,) index of the geom's link or object.
+        fingers: (f,) index of each finger in the same numbering.
+        axis: (3,) direction in the world frame.
+        forces: (owner, f) [N], changed in place.
     """
     wrench = np.empty(6)
     for i in range(len(geoms)):
@@ -251,11 +263,14 @@ def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
     cache=True,
 )  # fmt: skip
 def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first_object):
-    """Sum of the forces [N] along an axis on all fingers, and the object that all of them press, or -1.
+    """Return the sum of the forces [N] on all fingers along an axis, and the gripped object.
+
+    The object is the one that all fingers press, or -1.
 
     Args:
-        geoms, frames, owner, fingers, axis: see `add_finger_forces`.
-        owners: how many links and objects there are; the objects come last, from `first_object` on.
+        model, data, geoms, frames, owner, fingers, axis: see `add_finger_forces`.
+        owners: number of links and objects.
+        first_object: index of the first object; the objects come after the links.
     """
     forces = np.zeros((owners, len(fingers)))
     add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces)
@@ -279,15 +294,18 @@ def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first
     cache=True,
 )  # fmt: skip
 def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
-    """Contacts between a hand and something else.
+    """Collect the contacts between a hand and other bodies, with their wrenches.
 
     Args:
-        geoms: (c, 2) of each contact.
-        owner: (geom,) index of its link or object, -1 for none; hand (owner,) which of them are the hand's.
-        which: (c,) and signs (c,), written: number of each found; 1 where the hand is second, else -1.
-        wrenches: (c, 6) of each found, written: force over torque in the contact's frame.
+        model, data: addresses of MuJoCo's mjModel and mjData.
+        geoms: (c, 2) geoms of each contact.
+        owner: (geom,) index of the geom's link or object, or -1.
+        hand: (owner,) True for the links of the hand.
+        which: (c,) number of each collected contact, changed in place.
+        signs: (c,) 1 if the contact's second geom is the hand's, else -1, changed in place.
+        wrenches: (c, 6) force and torque in the frame of each collected contact, changed in place.
     Returns:
-        How many there are.
+        The number of collected contacts.
     """
     found = 0
     for i in range(len(geoms)):
@@ -307,12 +325,14 @@ def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
     cache=True,
 )
 def add_about(which, places, origin, wrenches, total):
-    """Add up wrenches about a point.
+    """Add up the wrenches of contacts about one point.
 
     Args:
-        which: (k,) numbers of contacts; places (c, 3) of all of them; origin (3,) the point.
-        wrenches: (k, 2, 3) force and torque of each, about its place.
-        total: (6,) force over torque, added to.
+        which: (k,) numbers of the contacts.
+        places: (c, 3) positions of all contacts.
+        origin: (3,) the point.
+        wrenches: (k, 2, 3) force and torque of each contact about its position.
+        total: (6,) force, then torque, changed in place.
     """
     for i in range(len(which)):
         force, torque = wrenches[i, 0], wrenches[i, 1]

@@ -55,7 +55,7 @@ _DIVERGED = tuple(
 
 @dataclass(frozen=True, eq=False)
 class WorldSnapshot:
-    """Full state and records of a `SimWorld`; only the same world can restore it.
+    """The full state and records of a `SimWorld`; only the same world can restore it.
 
     It contains all data that the next step depends on, and all that the world has recorded.
     """
@@ -74,7 +74,7 @@ class WorldSnapshot:
 
 
 class _Closed:
-    """Stands for everything of a closed world that belongs to the model pool again."""
+    """A placeholder for the model and data of a closed world; any access raises an error."""
 
     def __getattr__(self, name: str) -> Any:
         raise ArmcellError(CLOSED)
@@ -115,7 +115,7 @@ class SimWorld:
 
     def _build(self, scene: PlanningScene) -> None:
         log_mujoco_warnings()
-        self._lease = lease_model(scene, self.settings)  # of an earlier scene: dropped, for its snapshots
+        self._lease = lease_model(scene, self.settings)  # drops an earlier lease, which snapshots may need
         self.built, self._data = self._lease.built, self._lease.data
         self.robot: RobotModel = scene.model
         self._mj: mujoco.MjModel | None = self.built.mj
@@ -137,9 +137,9 @@ class SimWorld:
         self.render_cache: Any = None  # used by render.py: copy of the scene with visual meshes
 
     def close(self) -> None:
-        """Give the compiled model back to the model pool; afterwards the world cannot be used.
+        """Close the simulated world and give its compiled model back to the model pool.
 
-        Optional, but the next world of such a scene needs no new memory.
+        Closing is optional, but lets the next world of such a scene reuse the memory.
         """
         with self.lock:
             self._steps = None
@@ -157,7 +157,7 @@ class SimWorld:
         self.close()
 
     def reset(self, scene: PlanningScene | None = None) -> None:
-        """Reset the simulation to a scene: time 0, at rest, records cleared.
+        """Reset the simulation to a planning scene: time 0, at rest, records cleared.
 
         A scene that differs from the last one only in joint positions and poses of movable objects is not
         recompiled.
@@ -199,7 +199,7 @@ class SimWorld:
     # --- time ---
     @property
     def time(self) -> float:
-        """Simulation time since the last reset [s]."""
+        """Return the simulation time since the last reset [s]."""
         return self._data.time
 
     @property
@@ -236,7 +236,7 @@ class SimWorld:
         self.check()
 
     def _look_at_all(self, forget: bool = True) -> None:
-        """Make MuJoCo test all body pairs again, before it runs without compiled steps.
+        """Make MuJoCo test all body pairs again, before physics runs without compiled steps.
 
         Args:
             forget: also forget the last poses of hands that hold objects, because the state changes.
@@ -247,7 +247,7 @@ class SimWorld:
             self._steps.forget()
 
     def _before(self) -> list[Callable[[mujoco.MjData], None]]:
-        """Return the functions to call before each step."""
+        """Return the functions to call before each physics step."""
         before = [self._fingers.update]
         if self._servo.computed:
             before.append(self._servo.update)
@@ -256,7 +256,7 @@ class SimWorld:
         return before
 
     def check(self) -> None:
-        """Raise an ArmcellError if the simulation diverged (the state is not finite)."""
+        """Raise an ArmcellError if the simulation diverged (its state is not finite)."""
         position, velocity, acceleration = _DIVERGED
         if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
@@ -264,7 +264,7 @@ class SimWorld:
     def follow(
         self, joint_names: Sequence[str], targets: Targets, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Track joint targets until a time or until a joint leaves the tolerance.
+        """Track joint targets in physics until a time or until a joint leaves the tolerance.
 
         Equivalent to calling `set_arm_target` and `step` alternately, with less overhead. The world advances
         by at least one tick.
@@ -299,13 +299,13 @@ class SimWorld:
         return errors.item(worst), worst
 
     def _run_belts(self, data: mujoco.MjData) -> None:
-        """Set the belts' joints to position zero and to their belt speed."""
+        """Set the joints of all conveyor belts to position zero and to the belt speed."""
         for position, velocity, speed in self.built.belts:
             data.qpos[position], data.qvel[velocity] = 0.0, speed
 
     # --- robot ---
     def joint_state(self) -> JointState:
-        """Return the state of the actuated joints in the model's order.
+        """Return the state of the simulated robot's actuated joints, in the model's order.
 
         Efforts include the gravity compensation of the arm.
         """
@@ -321,7 +321,7 @@ class SimWorld:
     def set_arm_target(
         self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
     ) -> None:
-        """Set target positions [rad or m] and velocities [rad/s or m/s] of some joints.
+        """Set target positions [rad or m] and velocities [rad/s or m/s] of some robot joints.
 
         A gripper's driven joint moves to its target at the gripper's full force.
 
@@ -345,7 +345,9 @@ class SimWorld:
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
 
     def set_arm_torque(self, joint_names: Sequence[str], torques: ArrayLike) -> None:
-        """Apply torques [Nm or N] to arm joints until their next target, on top of gravity compensation.
+        """Apply torques [Nm or N] to arm joints until their next target.
+
+        The torques are added to the gravity compensation.
 
         Raises:
             UnknownNameError: a name is not an actuated joint.
@@ -413,12 +415,14 @@ class SimWorld:
         return self.built.grippers[name]
 
     def link_pose(self, link: str) -> SE3:
-        """Return the pose T_world_link of a link."""
+        """Return the pose T_world_link of a simulated robot link."""
         self.robot.link(link)
         return body_pose(self.mj_data, self.built.body[link])
 
     def set_positions(self, q: ArrayLike) -> None:
-        """Place the robot at positions q (dof,), at rest, with the joint targets there.
+        """Place the simulated robot at positions q (dof,), at rest, without simulating the motion.
+
+        The joint targets are set to the positions, too.
 
         For setup only: the physics does not simulate this motion.
         """
@@ -438,12 +442,12 @@ class SimWorld:
 
     # --- objects ---
     def object_pose(self, name: str) -> SE3:
-        """Return the pose T_world_object of an object."""
+        """Return the pose T_world_object of a simulated object."""
         self._object(name)
         return body_pose(self.mj_data, self.built.body[name])
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return the pose T_world_object of every movable object by name."""
+        """Return the poses T_world_object of all movable objects by name."""
         return {name: self.object_pose(name) for name in self.built.moving}
 
     def object_twist(self, name: str) -> Array:
@@ -456,11 +460,11 @@ class SimWorld:
         if start is None:
             return np.zeros(6)
         velocity = self.mj_data.qvel[start : start + 6].copy()
-        velocity[3:] = self.object_pose(name).rotation.matrix @ velocity[3:]  # MuJoCo's is in the body frame
+        velocity[3:] = self.object_pose(name).rotation.matrix @ velocity[3:]  # qvel has the body frame here
         return velocity
 
     def set_object_pose(self, name: str, T_world_object: SE3) -> None:
-        """Place an object at a pose, at rest; a fixed object stays there until a reset.
+        """Place a simulated object at a pose, at rest; a fixed object stays there until a reset.
 
         For setup only: the physics does not simulate this motion.
 
@@ -486,7 +490,7 @@ class SimWorld:
 
     # --- the whole ---
     def scene(self) -> PlanningScene:
-        """Return the current state as a planning scene.
+        """Return the current state of the simulation as a planning scene.
 
         The scene's positions are clipped to the joint limits, which physics treats as soft. Objects that were
         attached in the initial scene are ordinary objects in the returned scene.
@@ -500,7 +504,7 @@ class SimWorld:
         return replace(scene, positions=q, objects=objects, attached={})
 
     def sample(self) -> StateSample:
-        """Return the current state of joints, objects, and grippers for observers."""
+        """Return the current state of the simulated joints, objects, and grippers for observers."""
         grippers = {name: self.gripper_state(name) for name in self.built.grippers}
         return StateSample(
             time=self.time,
@@ -511,12 +515,12 @@ class SimWorld:
         )
 
     def contacts(self) -> list[PhysicsContact]:
-        """Return the contacts of the last step with body names, deepest first."""
+        """Return the contacts of the last physics step with body names, deepest first."""
         return read_contacts(self.built, self.mj_data)
 
     # --- faults, and the state of a real robot ---
     def add_load(self, link: str, mass: float) -> None:
-        """Add a mass [kg] at a link's center of mass without gravity compensation.
+        """Add a mass [kg] at a link's center of mass, without gravity compensation.
 
         The mass stays after a reset to the same scene.
         """
@@ -528,7 +532,7 @@ class SimWorld:
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def block(self, joint: str) -> None:
-        """Block a joint by strong damping, so that it hardly moves at any motor torque.
+        """Block a simulated joint by strong damping, so that it hardly moves at any motor torque.
 
         The joint stays blocked after a reset to the same scene.
         """
@@ -550,20 +554,20 @@ class SimWorld:
     # --- grip ---
     @property
     def welds(self) -> tuple[WeldEvent, ...]:
-        """All welds since the last reset.
+        """Return all welds of objects to grippers since the last reset.
 
         In grip mode "friction", only `fix_in_hand` adds welds.
         """
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Store an object's current pose in a gripper's tcp frame as the reference for `slip`."""
+        """Store an object's pose in a gripper's tcp frame as the reference for measuring its slip."""
         self._object(item)
         index = self._gripper(gripper)
         self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
 
     def slip(self, gripper: str | None = None) -> tuple[float, float]:
-        """Return how far the watched object has moved [m] and rotated [rad] in the gripper.
+        """Return how far an object has slipped [m] and rotated [rad] in a gripper.
 
         Args:
             gripper: name of the gripper; required only if more than one gripper is watched.
@@ -580,7 +584,7 @@ class SimWorld:
 
     # --- time travel ---
     def snapshot(self) -> WorldSnapshot:
-        """Return the full state of the world, including targets and records."""
+        """Return the full state of the simulated world, including targets and records."""
         physics = np.empty(mujoco.mj_stateSize(self.mj_model, _STATE))
         mujoco.mj_getState(self.mj_model, self.mj_data, physics, _STATE)
         return WorldSnapshot(
@@ -598,7 +602,9 @@ class SimWorld:
         )
 
     def restore(self, snapshot: WorldSnapshot) -> None:
-        """Restore a snapshot of this world; afterwards the same calls give the same bits.
+        """Restore a snapshot of this simulated world.
+
+        Afterwards the same calls give the same bits.
 
         Raises:
             InputError: the snapshot belongs to another world, or was taken before a reset that compiled

@@ -1,4 +1,4 @@
-"""Contact wrench on a gripper, as measured by a six-axis force-torque sensor at its tcp."""
+"""Contact wrench on a gripper, as a six-axis force-torque sensor at its tcp measures it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TCP poses from approach and closing directions."""
+"""Construction of tcp poses from approach and closing directions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ Array = NDArray[np.float64]
 
 
 def tcp_pose(closing: Array, approach: Array, at: Array) -> Array:
-    """Return T_object_tcp (4, 4) from orthogonal unit directions (3,) and a point (3,) [m]."""
+    """Return the pose T_object_tcp (4, 4) of a hand from its closing and approach directions.
+
+    Both are orthogonal unit vectors (3,); the tcp is at a point (3,) [m].
+    """
     T = np.eye(4)
     T[:3, 0] = np.cross(closing, approach)
     T[:3, 1], T[:3, 2], T[:3, 3] = closing, approach, at
@@ -17,7 +20,7 @@ def tcp_pose(closing: Array, approach: Array, at: Array) -> Array:
 
 
 def around(axis: Array, count: int, first: Array) -> Array:
-    """Return unit directions (count, 3) evenly around `axis` and perpendicular to it.
+    """Return unit directions (count, 3) perpendicular to an axis, evenly distributed around it.
 
     The first direction is the one nearest to `first` (3,).
     """

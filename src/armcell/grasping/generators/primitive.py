@@ -46,12 +46,18 @@ def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _depth(half: float, hand: Hand) -> float:
-    """Return the TCP's depth below the near face [m]: the center, limited by the finger length."""
+    """Return the depth [m] of the tcp below an object's near face, limited by the finger length.
+
+    Without the limit, the tcp is at the object's center.
+    """
     return max(min(half, hand.gripper.finger_depth), TIP_INSIDE)
 
 
 def _along(half: float) -> list[tuple[float, str]]:
-    """Return offsets [m] along a side, with their name suffixes; several for a long side."""
+    """Return offsets [m] of grasps along an object's side, with suffixes for the grasps' names.
+
+    A long side has several offsets.
+    """
     if 2 * half <= LONG:
         return [(0.0, "")]
     reach = half - STEP / 2
@@ -79,7 +85,7 @@ def _box(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
 
 
 def _round(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
-    """Add grasps of a body of revolution about z.
+    """Propose grasps of a body of revolution about z, such as a cylinder.
 
     Args:
         half: half extents (radius, radius, half length) [m].
@@ -121,7 +127,7 @@ def _sphere(found: Proposals, radius: float, hand: Hand, up: Array) -> None:
 
 
 def _where(approach: Array, up: Array) -> str:
-    """Describe the approach direction in words, e.g. "top" or "from below"."""
+    """Describe a grasp's approach direction in words, for example "top" or "from below"."""
     down = float(-approach @ up)
     if down > 0.95:
         return "top"

@@ -1,4 +1,4 @@
-"""MuJoCo models (MJCF) as robot models: links, joints, couplings, and the source text for physics."""
+"""Conversion of MuJoCo models (MJCF) to robot models, with the MJCF text for physics."""
 
 from armcell.model.mjcf.reader import load_mjcf
 

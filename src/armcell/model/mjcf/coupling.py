@@ -1,4 +1,4 @@
-"""Couplings of MJCF joints as mimic rules: joint equalities, tendons, and closed linkages.
+"""Couplings of MJCF joints as mimic rules, from equalities, tendons and closed linkages.
 
 A planner needs each passive joint as a function of a driven joint. Physics keeps the model's own equalities
 and tendons.
@@ -31,7 +31,7 @@ LINEAR = 0.05  # largest deviation from a line that is not reported, as a fracti
 
 @dataclass
 class Couplings:
-    """Linear rules q[joint] = multiplier * q[driver] + offset between joints, by joint id.
+    """Linear rules between MJCF joints, by joint id: q[joint] = multiplier * q[driver] + offset.
 
     Attributes:
         actuated: joints that an actuator drives, directly or by a tendon.
@@ -42,7 +42,7 @@ class Couplings:
     rules: dict[int, tuple[int, float, float]] = field(default_factory=dict)
 
     def add(self, joint: int, other: int, multiplier: float, offset: float) -> None:
-        """Add the rule q[joint] = multiplier * q[other] + offset, without forming a loop.
+        """Add the joint coupling q[joint] = multiplier * q[other] + offset, without forming a loop.
 
         Of two joints without a rule, the one with an own actuator drives; else the first in the tree.
         """
@@ -67,7 +67,7 @@ class Couplings:
 
 
 def couplings(model: Any, name: str) -> Couplings:
-    """Return the couplings between the joints of a compiled MuJoCo model.
+    """Return the couplings between the joints of a compiled MuJoCo model, as linear rules.
 
     Args:
         name: the robot's name, for messages.
@@ -95,7 +95,7 @@ def couplings(model: Any, name: str) -> Couplings:
 
 
 def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
-    """Return the joints of a fixed tendon with their coefficients; other tendons have none."""
+    """Return the joints and coefficients of a fixed MuJoCo tendon; empty for other tendons."""
     first = int(model.tendon_adr[tendon])
     parts = range(first, first + int(model.tendon_num[tendon]))
     return [
@@ -115,7 +115,10 @@ def _joint_equality(model: Any, i: int, found: Couplings) -> None:
 
 
 def _tendon_equality(model: Any, i: int, found: Couplings) -> None:
-    """Couple the two joints of a fixed tendon whose length is constant, as between opposed fingers."""
+    """Couple the two joints of a fixed tendon that an equality keeps at a constant length.
+
+    MJCF models couple opposed fingers like this.
+    """
     if model.eq_type[i] != mujoco.mjtEq.mjEQ_TENDON or model.eq_obj2id[i] >= 0:
         return
     tendon = int(model.eq_obj1id[i])
@@ -128,7 +131,10 @@ def _tendon_equality(model: Any, i: int, found: Couplings) -> None:
 
 
 def _driven_tendon(model: Any, tendon: int, found: Couplings) -> None:
-    """Couple the joints that one actuator drives by a fixed tendon: all run through their ranges together."""
+    """Couple the joints that one actuator drives by a fixed tendon.
+
+    All joints move through their ranges together.
+    """
     parts = tendon_joints(model, tendon)
     for joint, coefficient in parts[1:]:
         first, other = parts[0]
@@ -150,7 +156,7 @@ def _range(model: Any, joint: int) -> tuple[float, float]:
 
 
 def _close_linkages(model: Any, found: Couplings, name: str) -> None:
-    """Fit a linear rule to each passive joint of a closed linkage, for each driver that moves the linkage."""
+    """Fit a linear rule to each passive joint of a closed linkage, for each driving joint."""
     from scipy.optimize import least_squares  # imported late: few models have linkages
 
     model = copy.copy(model)
@@ -198,7 +204,7 @@ def _close_linkages(model: Any, found: Couplings, name: str) -> None:
 
 
 def _rest(model: Any, joints: list[int]) -> tuple[Array, Array]:
-    """Return the rest positions of joints and the weights with which springs pull them there, (n,) each."""
+    """Return the rest positions of joints and the weights of their springs, (n,) each."""
     stiffness = np.array([float(np.ravel(model.jnt_stiffness[j])[0]) for j in joints])
     strongest = max(float(stiffness.max()), 1e-12)
     weight = REST_WEIGHT + SPRING_WEIGHT * np.sqrt(stiffness / strongest)
@@ -229,7 +235,7 @@ def _middle(model: Any, joint: int) -> float:
 
 
 def _equality_rows(model: Any, data: Any) -> Any:
-    """Return a function that computes the residuals [m] of the model's connect and weld equalities."""
+    """Return a function for the residuals [m] of a model's connect and weld equalities."""
 
     def rows() -> Array:
         mujoco.mj_fwdPosition(model, data)

@@ -1,4 +1,7 @@
-"""MJCF text of a model file: includes expanded, asset paths absolute, every element's line known."""
+"""Reading of MJCF files as one text, with includes expanded and asset paths made absolute.
+
+The file and line of every element are recorded.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ _NAME = re.compile(r"(?:name|Object name)[ =]+'?([^\s',]+)'?")
 
 @dataclass
 class MjcfText:
-    """The expanded text of an MJCF file.
+    """The text of an MJCF file with expanded includes, and the file and line of each element.
 
     Attributes:
         file: the main file.
@@ -59,9 +62,9 @@ class MjcfText:
 
 
 def read_mjcf(file: Path) -> MjcfText:
-    """Read an MJCF file with all files that it includes.
+    """Read an MJCF file with all files that it includes, without textures.
 
-    Textures are left out: armcell draws links in plain colors, and a missing image must not stop a robot.
+    armcell needs no textures, because it draws links in plain colors; a missing image would be an error.
 
     Raises:
         InputError: a file is missing, too large or not valid XML, includes are nested too deeply, or the root
@@ -86,7 +89,7 @@ def read_mjcf(file: Path) -> MjcfText:
 
 
 _FILE, _LINE_KEY = "armcell_file", "armcell_line"
-"""Attributes that mark an included element's file and line until the text is written."""
+"""Temporary XML attributes that record the file and line of an included MJCF element."""
 
 
 class _Expansion:
@@ -138,7 +141,9 @@ def _without_textures(root: etree._Element) -> None:
 
 
 def _with_full_paths(root: etree._Element, folder: Path) -> None:
-    """Replace the file paths of assets by absolute paths, as the compiler's folders say.
+    """Replace the relative paths of MJCF assets by absolute paths.
+
+    The compiler's folder attributes determine the paths.
 
     Raises:
         InputError: a file does not exist or is too large.

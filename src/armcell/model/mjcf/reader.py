@@ -1,4 +1,4 @@
-"""MJCF files as robot models: links, joints, shapes, couplings, servos and keyframes."""
+"""Conversion of MJCF files to robot models with links, joints, shapes, servos and keyframes."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class _Reader:
         )
 
     def disabled(self) -> dict[frozenset[str], str]:
-        """Return the link pairs that need no collision check: parent and child bodies, and MJCF's excludes.
+        """Return the link pairs that need no collision check: adjacent bodies and MJCF's excludes.
 
         Contact masks do not count: a model whose links never touch each other in MuJoCo may still collide.
         """
@@ -106,7 +106,7 @@ class _Reader:
         return {frozenset((m.body(a).name, m.body(b).name)): why for why, a, b in pairs if a and b and a != b}
 
     def root(self) -> str:
-        """Return the root link's name: the only base body if it is the world frame, else a new name."""
+        """Return the root link's name: that of a fixed base body at the origin, or a new name."""
         m = self.m
         bases = [b for b in range(1, m.nbody) if m.body_parentid[b] == 0]
         if len(bases) == 1 and not m.body_jntnum[bases[0]]:
@@ -124,7 +124,7 @@ class _Reader:
         return SE3(SO3.from_quat_wxyz(quats[i]), np.array(positions[i], dtype=float))
 
     def below(self, body: int, link: str, links: dict[str, Link], joints: dict[str, Joint]) -> None:
-        """Add the bodies below a body, depth first, with their joints."""
+        """Convert the MJCF bodies below a body to links and joints, depth first."""
         m = self.m
         for child in range(body + 1, m.nbody):
             if m.body_parentid[child] != body:
@@ -149,7 +149,7 @@ class _Reader:
         joints[joint] = Joint(joint, "fixed", parent, child, T)
 
     def chain(self, body: int, parent: str, links: dict[str, Link], joints: dict[str, Joint]) -> None:
-        """Add a body's joints, each with a link at its frame, and the body's own link at the end.
+        """Convert an MJCF body's joints to a chain of joints and links that ends at the body's link.
 
         MuJoCo applies the joints in order, each about its anchor in the frame that the joints before it
         moved.
@@ -195,7 +195,7 @@ class _Reader:
         )
 
     def servo(self, joint: int) -> tuple[Servo | None, float]:
-        """Return the position servo of a joint's actuator, if it has one, and the joint's largest effort.
+        """Return the position servo of a joint's actuator, or None, and the joint's largest effort.
 
         An actuator with gear g and gain k on the length g q acts on the joint as a servo of gain g^2 k.
         """
@@ -219,7 +219,7 @@ class _Reader:
         return found, min((v for v in limits if v > 0), default=np.inf)
 
     def gear(self, actuator: int, joint: int) -> float:
-        """Return the change of an actuator's length per unit of a joint; 0 if it does not drive the joint."""
+        """Return an actuator's change of length per unit of a joint; 0 if it drives another joint."""
         m = self.m
         kind, target = int(m.actuator_trntype[actuator]), int(m.actuator_trnid[actuator, 0])
         gear = float(m.actuator_gear[actuator, 0])
@@ -267,7 +267,10 @@ class _Reader:
         return Inertial(float(m.body_mass[body]), T, np.diag(m.body_inertia[body]))
 
     def collision(self, geom: int) -> Collision | None:
-        """Return a geom's collision shape; a mesh is its convex hull, as in MuJoCo."""
+        """Return the collision shape of an MJCF geom; a mesh is replaced by its convex hull.
+
+        MuJoCo uses the hull as well.
+        """
         shape = self.primitive(geom)
         if shape is None and (mesh := self.mesh(geom)) is not None:
             import trimesh  # imported late: the import takes 0.5 s, which only meshes need
@@ -314,7 +317,7 @@ class _Reader:
         return None
 
     def mesh(self, geom: int) -> tuple[NDArray[np.float64], NDArray[np.int32]] | None:
-        """Return vertices (v, 3) [m, geom frame] and faces (f, 3) of a mesh or ellipsoid."""
+        """Return vertices (v, 3) [m, geom frame] and faces (f, 3) of an MJCF mesh or ellipsoid geom."""
         m = self.m
         if m.geom_type[geom] == GEOM.mjGEOM_ELLIPSOID:
             import trimesh

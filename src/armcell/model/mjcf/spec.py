@@ -1,4 +1,4 @@
-"""MuJoCo specs of robots: names, joints and bodies normalized so that links and bodies correspond.
+"""MuJoCo specs of robots, normalized so that every link of the robot model has a body.
 
 This file and `reader.py` are the only ones below `sim` that import MuJoCo: its compiler is the only complete
 reader of its own format (defaults, angle units, frames, replicated bodies, inertia from geoms).
@@ -25,11 +25,11 @@ _POSITIONS = {_FREE: 7, _BALL: 4}
 
 
 UNSAVED = "Attaching a spec with an empty prefix may prevent the model from being saved"
-"""MuJoCo's warning about models that are saved as XML, which armcell's physics models never are."""
+"""Part of a MuJoCo warning about models saved as XML, which does not concern armcell."""
 
 
 def log_mujoco_warnings() -> None:
-    """Log MuJoCo's warnings; by default MuJoCo prints them and writes a file into the current folder."""
+    """Log MuJoCo's warnings instead of printing them and writing a file MUJOCO_LOG.TXT."""
     mujoco.set_mju_user_warning(_log_warning)
 
 
@@ -40,7 +40,7 @@ def _log_warning(message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class RobotSpec:
-    """A normalized MuJoCo spec with its compiled model, and what normalizing it removed.
+    """A normalized MuJoCo spec of a robot, its compiled model, and the removed elements.
 
     All bodies and joints have names. Every link of the robot model has a body: each named site, and each
     joint frame that is not its body's frame, gets an empty body that moves with the body.
@@ -63,7 +63,7 @@ class RobotSpec:
 
 
 def robot_spec(text: str) -> RobotSpec:
-    """Return the normalized spec of a robot's MJCF text.
+    """Return a robot's normalized MuJoCo spec from its MJCF text.
 
     Lights, cameras, sensors, keyframes, the floor and other fixed geoms of the world, and free objects are
     removed. A free base becomes a fixed base.
@@ -95,12 +95,12 @@ def robot_spec(text: str) -> RobotSpec:
 
 
 def _tree(body: Any) -> list[Any]:
-    """Return a body and all bodies below it, depth first."""
+    """Return a MuJoCo body and all bodies below it, depth first."""
     return [body, *(inner for child in body.bodies for inner in _tree(child))]
 
 
 def _keyframes(spec: Any) -> dict[str, dict[str, float]]:
-    """Return the positions of the named hinges and slides in each named keyframe, by joint name."""
+    """Return the hinge and slide positions of each named MuJoCo keyframe, by joint name."""
     at, addresses = 0, {}
     for body in _tree(spec.worldbody):
         for joint in body.joints:
@@ -116,7 +116,7 @@ def _keyframes(spec: Any) -> dict[str, dict[str, float]]:
 
 
 def _remove_objects(spec: Any) -> tuple[str, ...]:
-    """Delete mocap bodies and bodies that move freely without joints below them; fix free bases."""
+    """Delete mocap bodies and free objects from a MuJoCo spec, and fix a robot's free base."""
     found = []
     for body in list(spec.worldbody.bodies):
         joints = [joint for inner in _tree(body) for joint in inner.joints]
@@ -158,13 +158,13 @@ def _unused(name: str, taken: set[str]) -> str:
 
 
 def joints_of(model: Any, body: int) -> range:
-    """Return the ids of a body's joints, in the order in which MuJoCo applies them."""
+    """Return the ids of a MuJoCo body's joints, in the order in which MuJoCo applies them."""
     first = int(model.body_jntadr[body])
     return range(first, first + int(model.body_jntnum[body])) if first >= 0 else range(0)
 
 
 def _add_joint_frames(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
-    """Add an empty body at each joint whose frame is not that of a body of its own.
+    """Add an empty body for each MJCF joint that needs a link of its own.
 
     MuJoCo's bodies may have several joints, and joints with an anchor off the body's origin; a link of a
     robot model has one joint at its origin.
@@ -196,7 +196,7 @@ def _add_sites(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
 
 @lru_cache(maxsize=16)
 def physics_spec(text: str) -> Any:
-    """Return the normalized spec of a robot as physics attaches it.
+    """Return the normalized MuJoCo spec of a robot that physics attaches to its model.
 
     Geoms that collide with nothing are removed, because armcell adds its own visuals; inertias are those of
     the compiled model, which may come from geoms. Actuators are removed, because armcell's servos take over

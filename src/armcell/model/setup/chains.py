@@ -16,7 +16,7 @@ HAND_AFTER = 3  # minimum number of serial joints before a branch counts as fing
 
 @dataclass(frozen=True)
 class Chain:
-    """One detected arm: base link, tip link, actuated joints, and the palm of its gripper.
+    """One detected robot arm: base link, tip link, actuated joints, and palm of its gripper.
 
     `palm` is None if the arm carries no gripper.
     """
@@ -28,7 +28,7 @@ class Chain:
 
 
 def find_chains(model: RobotModel) -> list[Chain]:
-    """Return the arms of a robot: serial chains that end at a leaf link or before the fingers.
+    """Return a robot's arms: serial chains of joints that end at a leaf link or at the fingers.
 
     Joints before a branch that leads to longer chains belong to a torso, not to an arm. Chains with fewer
     than half as many joints as the longest chain (a head, a wheel) are left out.
@@ -119,7 +119,7 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
-    """Return the serial movable joints from `first` on, and the joints after the next branch."""
+    """Return a serial chain of movable joints, and the joints after the chain's next branch."""
     row = [first]
     while len(ends := _next_movable(model, row[-1].child)) == 1:
         row.append(ends[0])
@@ -140,7 +140,7 @@ def _next_movable(model: RobotModel, link: str) -> list[Joint]:
 
 
 def _depth(model: RobotModel, joint: Joint) -> int:
-    """Return the number of movable joints on the longest branch from `joint` down, inclusive."""
+    """Return the number of movable joints on the longest branch below a joint, inclusive."""
     return 1 + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
 
 
@@ -195,7 +195,9 @@ def _tip(model: RobotModel, last: str, palm: str | None) -> str:
 
 # --- names ---
 def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the group names (arm, gripper) of each chain; several chains get unique prefixes.
+    """Return the planning group names (arm, gripper) of each arm chain, with unique prefixes.
+
+    A single chain needs no prefix.
 
     The prefix is the common beginning of the chain's joint names. If two prefixes are equal, numbers replace
     them.

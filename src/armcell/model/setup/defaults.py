@@ -108,7 +108,10 @@ def moveit_controllers(model: RobotModel) -> dict[str, Any]:
 
 
 def _own(model: RobotModel, group: Group) -> bool:
-    """Return whether no other planning group consists of only some of this group's joints."""
+    """Return whether a planning group contains no smaller planning group.
+
+    Such groups get a controller of their own.
+    """
     return not any(
         g.joint_names and set(g.joint_names) < set(group.joint_names) for g in model.groups.values()
     )

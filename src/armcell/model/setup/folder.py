@@ -81,6 +81,6 @@ class _Dumper(yaml.SafeDumper):
 
 
 def yaml_text(data: Any, *comments: str) -> str:
-    """Return data as YAML text, with comment lines at the top."""
+    """Return data as YAML text that begins with comment lines."""
     head = "".join(f"# {line}\n" for line in comments)
     return head + yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)

@@ -53,7 +53,7 @@ def _parallel(model: RobotModel, end: EndEffector) -> Gripper | None:
 
 
 def _frames(model: RobotModel, palm: str) -> list[str]:
-    """Return the links without collision geometry that are fixed below the palm: tcp candidates."""
+    """Return a palm's fixed links without collision geometry, which may be the tcp."""
     rigid = next(links for links in model.rigid_groups if palm in links)
     return [n for n in model.subtree(palm) if n in rigid and n != palm and not model.links[n].collisions]
 

@@ -77,7 +77,9 @@ Without MoveIt, armcell offers the same interfaces of move_group and the control
 def launch_files(
     package: str, robot: str, names: Mapping[str, str], controllers: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, str]:
-    """Return launch files for ROS 1 and ROS 2 and a guide, by path relative to the package.
+    """Return ROS 1 and ROS 2 launch files and a guide for a MoveIt configuration package.
+
+    The result maps paths in the package to texts.
 
     Args:
         package: name of the ROS package.

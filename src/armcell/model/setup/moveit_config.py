@@ -1,4 +1,4 @@
-"""MoveIt configuration packages: reads and writes the SRDF and the YAML files under config/."""
+"""MoveIt configuration packages: reader and writer of the SRDF and of config/*.yaml."""
 
 from __future__ import annotations
 
@@ -115,13 +115,16 @@ class MoveItConfig:
     # --- settings for planners and controllers ---
     @property
     def planner_configs(self) -> dict[str, dict[str, Any]]:
-        """OMPL planner configurations by name: `type` and parameters, numeric strings as numbers."""
+        """Return OMPL planner configurations by name: `type` and parameters.
+
+        Numeric strings are converted to numbers.
+        """
         found = self._ompl().get("planner_configs") or {}
         return {name: {k: _number(v) for k, v in entry.items()} for name, entry in found.items()}
 
     @property
     def group_planning(self) -> dict[str, dict[str, Any]]:
-        """OMPL settings by planning group, such as `planner_configs` (a list of names)."""
+        """Return OMPL settings by planning group, such as the list `planner_configs`."""
         return {
             group: {k: _number(v) for k, v in entry.items()}
             for group, entry in self._ompl().items()
@@ -130,17 +133,20 @@ class MoveItConfig:
 
     @property
     def controllers(self) -> dict[str, dict[str, Any]]:
-        """MoveIt controllers by name, each with `type`, `action_ns`, `default` and `joints`."""
+        """Return MoveIt controllers by name, with `type`, `action_ns`, `default` and `joints`."""
         return _controllers(_unwrapped(self.files.get("controllers", {})))
 
     @property
     def kinematics(self) -> Data:
-        """Inverse kinematics solver settings from kinematics.yaml, by planning group."""
+        """Return the inverse kinematics settings from kinematics.yaml, by planning group."""
         return _unwrapped(self.files.get("kinematics", {}), "robot_description_kinematics")
 
     @property
     def cartesian_limits(self) -> dict[str, float]:
-        """Cartesian limits of the Pilz planners LIN and CIRC, by key of pilz_cartesian_limits.yaml."""
+        """Return the Cartesian limits of the Pilz planners LIN and CIRC.
+
+        The keys are those of pilz_cartesian_limits.yaml.
+        """
         data = _unwrapped(self.files.get("pilz_cartesian_limits", {}), "robot_description_planning")
         return {key: float(value) for key, value in data.get("cartesian_limits", {}).items()}
 
@@ -345,7 +351,10 @@ class _Reader:
         return urdf_text(file, self.allow_env, self.folder, xacro_args)
 
     def own_xacro_args(self, setup: Data) -> dict[str, str]:
-        """Return the URDF's xacro arguments that MoveIt's setup assistant has stored, as `a:=1 b:=2`."""
+        """Return the URDF's xacro arguments that MoveIt's Setup Assistant has stored.
+
+        The text has the form `a:=1 b:=2`.
+        """
         entry = setup.get("urdf", setup.get("URDF"))
         words = entry.get("xacro_args") if isinstance(entry, dict) else None
         if not words:

@@ -17,7 +17,7 @@ Attributes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class Element:
-    """One XML element: tag, attributes in file order, child elements and text."""
+    """One XML element as a value: tag, attributes in file order, child elements and text."""
 
     tag: str
     attributes: Attributes = ()
@@ -68,7 +68,7 @@ def _node(value: Element) -> etree._Element:
 
 
 def described(model: RobotModel) -> Element:
-    """Return the SRDF of a robot: its groups, end effectors, named states and disabled pairs.
+    """Return the SRDF of a robot model: groups, end effectors, named states, disabled pairs.
 
     - A group with a base and a tip link becomes a chain.
     - A group such as "both_arms" becomes a list of subgroups if the subgroups have the same joints.

@@ -19,7 +19,7 @@ from armcell.model.files import parse_xml
 from armcell.model.urdf import urdf_text
 
 NOWHERE = Path("/")
-"""A search folder with no robot description above it, so only installed packages resolve from it."""
+"""A search folder without robot descriptions, so that only installed packages are found."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class UrdfPart:
 def merged_urdf(
     parts: Sequence[UrdfPart], name: str | None = None, allow_env: bool | None = None
 ) -> tuple[str, str]:
-    """Merge URDF or xacro files into one URDF and return its (robot name, text).
+    """Merge URDF or xacro files into one URDF; return the robot's name and the text.
 
     A fixed joint connects each robot to the link "world". A single robot without a pose stays unmounted.
 
@@ -102,7 +102,7 @@ def _names(root: etree._Element) -> set[str]:
 
 
 def _prefix(root: etree._Element, prefix: str) -> None:
-    """Put a prefix before every name in a URDF; remove simulator and driver elements.
+    """Put a prefix before every name in a URDF, and remove simulator and driver elements.
 
     The removed elements are `gazebo`, `transmission` and `ros2_control`.
     """
@@ -119,7 +119,7 @@ def _prefix(root: etree._Element, prefix: str) -> None:
 
 
 def find_meshes(root: etree._Element, folder: Path) -> None:
-    """Replace mesh paths that only `folder` can resolve by absolute paths.
+    """Replace URDF mesh paths that only one folder can resolve by absolute paths.
 
     A merged URDF is stored in another folder, where relative paths would not work. `package://` URIs of
     installed packages stay unchanged.

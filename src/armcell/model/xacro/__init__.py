@@ -1,4 +1,4 @@
-"""Safe xacro expansion: macros, properties and expressions, without running code."""
+"""Safe expansion of xacro files: macros, properties and expressions, without running code."""
 
 from armcell.model.xacro.expand import ALLOW_ENV, expand_xacro
 

@@ -46,7 +46,7 @@ class Function:
 
 
 class Budget:
-    """A limit on the number of operations for the expansion of one xacro robot file."""
+    """A limit on the number of operations for expanding one xacro robot file."""
 
     def __init__(self, steps: int = MAX_STEPS):
         self.left = steps
@@ -62,7 +62,7 @@ class Budget:
             raise XacroError(f"it takes more than {MAX_STEPS:,} operations", "simplify the file")
 
     def made(self, value: Any) -> Any:
-        """Return a value that a xacro expression created, after charging the budget for its size.
+        """Charge the budget for a value that a xacro expression created, and return the value.
 
         Raises:
             XacroError: the budget is exhausted, the value is too large, or xacro does not support its type.

@@ -3,7 +3,7 @@
 armcell has its own processor because the library `xacro` cannot be made safe from outside. The library calls
 Python's `eval` in three places (expressions, `$(eval)`, units in YAML) behind a filter that a lambda
 bypasses; it keeps state in module variables, reads any file, parses entities and expands without limit.
-Replacing those functions at run time would replace most of the library, and after a renaming in the library
+Replacing these functions at run time would replace most of the library, and after a renaming in the library
 `eval` would silently be active again. Tests compare the results of both processors on the same files, element
 by element.
 
@@ -46,7 +46,7 @@ MAX_REASON = 600  # characters in an error message
 ELEMENT_STEPS = 5
 MACRO_STEPS = 25
 ALLOW_ENV = "ARMCELL_ALLOW_ENV"
-"""Environment variable that passes `armcell --allow-env` on to the processes that a command starts."""
+"""Environment variable that passes `armcell --allow-env` on to child processes."""
 
 
 def expand_xacro(
@@ -92,7 +92,7 @@ def expand_xacro(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """Return the arguments of a file that have no value: `name`, and all that the file uses undeclared."""
+    """Return a xacro file's arguments without a value: `name`, and all used but undeclared ones."""
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
     return list(dict.fromkeys([name, *(n for n in ARGUMENT.findall(text) if n not in known)]))
@@ -204,14 +204,14 @@ class _Expansion:
         return text_of(evaluate_text(str(value), scope))
 
     def _children(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append the content of a xacro element to `out`, with macros and properties expanded."""
+        """Append a xacro element's content to a URDF element, with macros and properties expanded."""
         self._words(source.text, out, scope)
         for child in source:
             self._child(child, out, macros, scope)
             self._words(child.tail, out, scope)
 
     def _words(self, text: str | None, out: Element, scope: Scope) -> None:
-        """Append text to a URDF element, with xacro expanded; skip text of only white space."""
+        """Append text to a URDF element with xacro expanded; skip text of only white space."""
         if text and not text.isspace():
             before = out[-1].tail if len(out) else out.text
             self.budget.charge(len(before or "") // CHARACTERS)  # appending copies the existing text
@@ -235,7 +235,7 @@ class _Expansion:
             self._call(name, source, out, macros, scope)
 
     def _copy(self, tag: str, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append a URDF element to `out`, with its attributes and content expanded by xacro."""
+        """Append a URDF element with its attributes and content expanded by xacro."""
         try:
             made = etree.SubElement(out, tag, nsmap=_spaces(source))
         except ValueError:
@@ -244,7 +244,7 @@ class _Expansion:
         self._children(source, made, macros, scope)
 
     def _inside(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append the expanded content of a xacro element to `out`, but not to `out`'s attributes.
+        """Append the expanded content of a xacro element to a URDF element, without its attributes.
 
         As in plain xacro, an <xacro:attribute> directly inside `source` has no effect on `out`.
         """
@@ -420,7 +420,7 @@ def _pushed(stack: list[Any], item: Any) -> Iterator[None]:
 
 
 def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Macro]:
-    """Find a macro by its name, which may contain namespaces, as in `ns.macro`.
+    """Find a xacro macro by its name, which may contain namespaces, as in `ns.macro`.
 
     Returns:
         The macro scope and the property scope in which the macro must be expanded, and the macro.
@@ -443,7 +443,7 @@ def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Mac
 
 
 def _parent_of(scope: Scope) -> Scope:
-    """Return the scope that `scope="parent"` sets: the scope of a macro's caller.
+    """Return the scope to which xacro's `scope="parent"` refers: the scope of a macro's caller.
 
     For an included file with a namespace, the caller is the file that includes it.
     """

@@ -39,7 +39,7 @@ SHOWN = 20  # entries of a folder in an error message
 
 
 class MissingFile(XacroError):
-    """A file that a xacro file includes or loads does not exist."""
+    """Error for a missing file that a xacro file includes or loads."""
 
 
 class RobotFiles:
@@ -95,7 +95,9 @@ class RobotFiles:
         return real
 
     def existing(self, path: Path) -> Path:
-        """Return `checked(path)` if the file exists.
+        """Return the resolved path of an existing file in the robot's packages.
+
+        See `checked`.
 
         Raises:
             MissingFile: the file does not exist; the hint lists what the nearest existing folder contains.
@@ -143,7 +145,7 @@ class RobotFiles:
 
     def _loaded(self, text: str, path: Path, evaluate: Any) -> Any:
         class Loader(SafeLoader):
-            """A YAML 1.1 loader like ROS's (`yes` is true) that understands xacro's units."""
+            """A YAML 1.1 loader like ROS's (`yes` is true) that supports xacro's units."""
 
         def with_unit(loader: Any, tag: str, node: yaml.Node) -> float:
             if not isinstance(node, yaml.ScalarNode):
@@ -176,7 +178,7 @@ class RobotFiles:
         return value
 
     def matching(self, pattern: Path) -> list[Path]:
-        """Return the sorted files that a path with wildcards (`*`, `?` or `[...]`) matches.
+        """Return the sorted files that match a path with wildcards (`*`, `?` or `[...]`).
 
         Raises:
             XacroError: `..` follows a wildcard, or a match is outside the robot's packages.

@@ -36,7 +36,7 @@ def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function
 
 
 def text_of(value: Any) -> str:
-    """Return a xacro value as text, in the form in which xacro writes it into the URDF.
+    """Return a xacro value as the text that xacro writes into the URDF.
 
     Raises:
         XacroError: the value is a function or a namespace, which have no text.
@@ -257,7 +257,7 @@ def _format(text: str, /, *arguments: Any, **keywords: Any) -> str:
 
 
 def percent(text: str, values: Any) -> str:
-    """Return `text % values`, after checking the field widths and the result's size.
+    """Return Python's `text % values`, after checking the field widths and the result's size.
 
     Raises:
         XacroError: a field is too wide, a key contains parentheses, or the result would be too long.
@@ -329,7 +329,7 @@ METHODS: dict[type, dict[str, Callable[..., Any]]] = {
 
 
 def method_of(value: Any, name: str) -> Function | None:
-    """Return a method of a value for use in xacro expressions, or None if it is not allowed."""
+    """Return a method of a value for a xacro expression, or None if it is not allowed."""
     found = next((methods for kind, methods in METHODS.items() if isinstance(value, kind)), {}).get(name)
     return None if found is None else plain(name, functools.partial(found, value))
 

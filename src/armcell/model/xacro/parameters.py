@@ -21,7 +21,7 @@ _NAME = re.compile(r"\s*(?P<name>\S+)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a xacro macro.
+    """A parameter of a xacro macro, with its default value.
 
     Attributes:
         name: name of the parameter; a block parameter's name starts with `*`.

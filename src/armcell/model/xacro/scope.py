@@ -47,7 +47,7 @@ class Scope:
 
     @property
     def outermost(self) -> Scope:
-        """The scope of the xacro file itself, outside all macros."""
+        """Return the scope of the xacro file itself, outside all macros."""
         scope = self
         while scope.around is not None and scope.around.around is not None:
             scope = scope.around

@@ -23,7 +23,7 @@ ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
 
 
 class MissingArgument(XacroError):
-    """An argument of a xacro file has neither a default nor a given value."""
+    """Error for an argument of a xacro file that has neither a default nor a given value."""
 
     def __init__(self, name: str):
         super().__init__(f"argument {name!r} has no value", missing_hint([name]))
@@ -31,7 +31,7 @@ class MissingArgument(XacroError):
 
 
 def missing_hint(names: list[str]) -> str:
-    """Return how to pass xacro arguments, on the command line and in a cell file."""
+    """Return a hint on how to pass xacro arguments on the command line and in a cell file."""
     options = " ".join(f"--xacro-arg {name}:=VALUE" for name in names)
     entries = ", ".join(f"{name}: VALUE" for name in names)
     return f"pass {options}, or write 'xacro_args: {{{entries}}}' in the cell file"

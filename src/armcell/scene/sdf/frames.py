@@ -20,7 +20,7 @@ class _Frame:
 
 @dataclass
 class Scope:
-    """The named frames of one SDF world or model; the root is its own frame."""
+    """The named frames of one SDF world or model, each posed relative to another frame."""
 
     frames: dict[str, _Frame] = field(default_factory=dict)
     inner: dict[str, Scope] = field(default_factory=dict)  # nested models
@@ -51,7 +51,7 @@ class Scope:
         )
 
     def pose(self, name: str, asked_by: Element, depth: int = 0) -> SE3:
-        """Return the pose of an SDF frame relative to its world or model, also for `model::link`.
+        """Return the pose of an SDF frame, such as `model::link`, relative to its world or model.
 
         Args:
             name: name of the frame.

@@ -32,7 +32,10 @@ LINK = {
 }  # fmt: skip
 MODEL = {"pose", "static", "link", "model", "include", "joint", "frame", "self_collide", "allow_auto_disable"}
 INCLUDE = {"uri", "name", "pose", "static", "placement_frame"}
-"""Elements that are converted or irrelevant for objects; all other elements are recorded as skipped."""
+"""Child elements of SDF links, models and includes that armcell converts or ignores.
+
+All other elements are recorded as skipped.
+"""
 GROUND_PLANE = """<sdf version="1.6"><model name="ground_plane"><static>true</static><link name="link">
 <collision name="collision"><geometry><plane><normal>0 0 1</normal></plane></geometry></collision>
 </link></model></sdf>"""
@@ -149,7 +152,7 @@ class Tree:
         return self.root(file)
 
     def _placed(self, element: Element, placed_by: Element, name: str, scope: Scope, depth: int) -> Model:
-        """Return an SDF model at the pose given by `placed_by`, which is the model or its <include>."""
+        """Return an SDF model at the pose of an element: the model itself or its <include>."""
         model = self._model(element, name, depth + 1)
         pose = child(placed_by, "pose")
         pose = child(element, "pose") if pose is None else pose

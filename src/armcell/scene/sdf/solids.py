@@ -1,4 +1,4 @@
-"""Conversion of SDF collisions, visuals, surfaces and inertials.
+"""Conversion of SDF collisions, visuals, surfaces and inertials to shapes and materials.
 
 The results are shapes, materials, colors and masses.
 """
@@ -112,7 +112,10 @@ def _mesh(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
 
 
 def collada_unit(file: Path) -> float:
-    """Return the length unit [m] of a COLLADA file, by which Gazebo scales meshes; else 1."""
+    """Return the length unit [m] of a COLLADA file, or 1 for any other file.
+
+    Gazebo scales meshes by this unit.
+    """
     if file.suffix.lower() != ".dae":
         return 1.0
     with file.open("rb") as stream:
@@ -140,7 +143,7 @@ _READERS: dict[str, Callable[[Element, Library], tuple[Shape, SE3] | Skipped]] =
 
 
 def friction_of(collision: Element) -> tuple[tuple[float, float] | None, Skipped | None]:
-    """Return the static and dynamic friction of an SDF collision's surface, and a note.
+    """Return the static and dynamic friction of an SDF collision, and a note on approximations.
 
     SDF has one coefficient per direction (ODE's mu and mu2, or Bullet's); armcell uses the smaller one.
     Drake's extension has a static and a dynamic coefficient.
@@ -176,7 +179,7 @@ def _coefficient(element: Element) -> float:
 
 
 def material_of(solids: list[Solid]) -> tuple[Material, bool]:
-    """Return the material of an object's SDF collisions, and whether they have different ones.
+    """Return the common material of an object's SDF collisions, and whether they differ.
 
     If they differ, the smallest static and dynamic friction apply.
     """

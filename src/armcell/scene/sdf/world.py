@@ -1,4 +1,4 @@
-"""Conversion of an SDF world or model into fixed and movable objects."""
+"""Conversion of an SDF world or model into fixed and movable objects of a planning scene."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _note_gravity(world: Element, tree: Tree) -> None:
 
 @dataclass
 class _Body:
-    """One link of an SDF model, with its pose in the world."""
+    """One link of an SDF model, with its pose in the world frame."""
 
     path: str  # "LINK" in the top-level model, "MODEL::LINK" in a nested model
     element: Element
@@ -175,7 +175,7 @@ class _Flat:
         self._group[self._root(b)] = self._root(a)
 
     def _groups(self) -> Iterator[tuple[list[_Body], bool]]:
-        """Yield, for each object of an SDF model, its list of links and whether it is fixed."""
+        """Yield the links of each object that an SDF model becomes, and whether the object is fixed."""
         for path, body in self.bodies.items():
             if body.static:
                 self._join("world", path)
@@ -238,7 +238,7 @@ class _Flat:
             raise fail(first.element, error.reason, error.hint) from None
 
     def _fits(self, body: _Body, solid: Solid, fixed: bool) -> bool:
-        """Return whether an SDF mesh has a plausible size for an object; record a note if not."""
+        """Return whether an SDF mesh has a plausible size for an object, and record a note if not."""
         if isinstance(solid.shape, Mesh) and solid.shape.file is not None:
             try:
                 check_mesh(solid.shape, not fixed)
@@ -261,7 +261,7 @@ def _is_fixed(joint: Element) -> bool:
 
 
 def _free_name(name: str, objects: Sequence[CollisionObject]) -> str:
-    """Return an unused object name based on `name`, without special characters."""
+    """Return an unused object name based on a given name, without special characters."""
     plain = re.sub(r"[^\w.\-]+", "_", name).strip("_") or "object"
     taken, number = {item.name for item in objects}, 2
     found = plain
