@@ -40,7 +40,7 @@ class Naming:
 
     @property
     def words(self) -> list[str]:
-        """The command line options with the same effect, for the record of a run."""
+        """Return the namespace and remappings as command line options, for the record of a run."""
         space = ["--ns", self.namespace] if self.namespace else []
         return space + [word for pair in self.remap for word in ("--remap", pair)]
 

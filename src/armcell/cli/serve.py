@@ -168,7 +168,7 @@ class _Wires:
 
 
 def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
-    """Reserve the port and return a function that serves Unity until the stack closes."""
+    """Reserve the port; return a function that serves Unity until the exit stack closes."""
     from armcell.ros.transports import TcpTransport
 
     connect = reserved(stack, TcpTransport(bus, f"{bind}:{port}", protocol))
@@ -254,7 +254,7 @@ def sim(
     client: RosTcpClient | None = None
 
     def joined(inside: Any) -> None:
-        """Connect to the endpoint once the cell publishes, because only then are its topics known."""
+        """Connect to the endpoint once the cell publishes, because the topics are unknown before."""
         nonlocal client
         kept = ("/clock", "/joint_states", "/tf", STATUS)
         topics = inside.topics()

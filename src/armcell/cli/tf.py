@@ -65,7 +65,7 @@ def _clock_of(bus: Any) -> Any:
 def _joined(
     stack: ExitStack, loaded: Any, connect: str | None, ros1: bool, ros2: bool, domain: int | None
 ) -> Any:
-    """Return a bus that receives /tf until the stack closes.
+    """Return a bus that receives /tf until the exit stack closes.
 
     The source is an endpoint, a ROS 1 graph, a ROS 2 domain, or the cell itself in mode fake.
 

@@ -1,4 +1,4 @@
-"""Runs a user's script unchanged in this process, with the shims in place of ROS."""
+"""Execution of a user's unchanged ROS script in this process, with shims in place of ROS."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def run_script(
 
 
 def _forget(folder: Path, names: set[str]) -> None:
-    """Unload modules from the script's folder: the next script may use the same module names."""
+    """Unload modules from the script's folder, because the next script may use the same names."""
 
     def beside(name: str) -> bool:
         file = getattr(sys.modules[name.partition(".")[0]], "__file__", None)

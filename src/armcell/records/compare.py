@@ -66,7 +66,7 @@ class Comparison:
 
     @property
     def same_course(self) -> bool:
-        """True if all recorded states, events and plans are identical."""
+        """Return whether all recorded states, events and plans of both runs are identical."""
         return self.state is None and self.event is None and self.plan is None
 
     @property
@@ -217,7 +217,7 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
 
 # --- events, plans, outcome ---
 def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """Return the first difference in two events' data.
+    """Return the first difference between the data of two events.
 
     Returns:
         Path of the value ("stages[0].passed") and both values, or None.

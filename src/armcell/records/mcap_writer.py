@@ -204,7 +204,7 @@ class McapWriter:
         )
 
     def close(self) -> None:
-        """Finish the file and give it its final name; repeated calls have no effect."""
+        """Finish the MCAP file and give it its final name; repeated calls have no effect."""
         if self._closed:
             return
         self._closed = True

@@ -55,7 +55,7 @@ class RecordedState:
 
     @property
     def time(self) -> float:
-        """Time of the state [s]."""
+        """Return the time [s] of the recorded state."""
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
@@ -74,7 +74,7 @@ class RecordedState:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Recorded run.
+    """Recorded run, as read from its file.
 
     Attributes:
         metadata: run metadata, see `run_metadata`; empty if the record is not of a cell's task.
@@ -93,7 +93,7 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """Duration [s] of the cell's clock between the first and the last state."""
+        """Return the duration [s, cell's clock] from the first to the last recorded state."""
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
@@ -157,7 +157,7 @@ class _Reading:
         self._poses: dict[str, Array] = {}
 
     def read(self) -> str:
-        """Read the file; return the cause if it ends too early, else an empty string."""
+        """Read the record file; return the cause if the file is cut off, else an empty string."""
         from mcap.exceptions import InvalidMagic, McapError
         from mcap.stream_reader import StreamReader
         from rosbags.serde.errors import SerdeError

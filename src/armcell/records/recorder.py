@@ -55,7 +55,7 @@ class Series:
 
     @property
     def object_heights(self) -> dict[str, Array]:
-        """World z of each object's origin (n,) [m], by object name."""
+        """Return the world z of each object's origin (n,) [m], by object name."""
         return {name: xyz[:, 2] for name, xyz in self.object_positions.items()}
 
 
@@ -137,7 +137,7 @@ class RunRecorder:
 
     @property
     def mcap_file(self) -> Path:
-        """Path of the record after `close`."""
+        """Return the path that the MCAP file has after `close`."""
         return self._mcap.file
 
     # --- Observer ---
@@ -188,7 +188,7 @@ class RunRecorder:
         self.close()
 
     def series(self) -> Series:
-        """Return all samples so far; a run with more than `MOST_SAMPLES` samples is evenly thinned."""
+        """Return the recorded samples; runs with more than `MOST_SAMPLES` samples are evenly thinned."""
         with self._lock:
             samples, newest = list(self._samples), self._skipped or self._last
         if newest is not None and newest is not samples[-1]:

@@ -102,7 +102,7 @@ Execute = Callable[[Goal], Done]
 
 
 class ActionServer:
-    """An action server on the bus.
+    """Server of one ROS 1 action on the message bus.
 
     Args:
         bus: the message bus.
@@ -185,9 +185,9 @@ class ActionServer:
         threading.Thread(target=self._work, args=(goal,), name=f"goal {self.name}", daemon=True).start()
 
     def _on_cancel(self, message: Any) -> None:
-        """Cancel goals by id, by time stamp (all goals up to the stamp), by both, or all goals.
+        """Cancel the goals that a cancel message selects by goal id, by time stamp or by both.
 
-        A cancel message without id and stamp cancels all goals.
+        A stamp selects all goals up to this time. A message without id and stamp cancels all goals.
         """
         stamp = message.stamp.to_nsec()
         with self._lock:
@@ -295,7 +295,7 @@ class ActionServer:
 
 
 def _explained(done: Done, why_stopped: str) -> Done:
-    """Return the outcome of a goal with its failure reason also written into the result message."""
+    """Return a goal's outcome, with its failure reason copied into the result message."""
     if done.state is State.SUCCEEDED:
         return done
     stopped = done.state in (State.PREEMPTED, State.RECALLED)
@@ -315,7 +315,7 @@ class SentGoal:
         self._over = threading.Event()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for the result; return True if it has arrived."""
+        """Wait up to `timeout` [s] for the action's result; return False on timeout."""
         return self._over.wait(timeout)
 
     def cancel(self) -> None:
@@ -387,7 +387,7 @@ class ActionClient:
 
     @property
     def unfinished(self) -> list[SentGoal]:
-        """Goals that this client sent and that have no result yet."""
+        """Return the goals that this action client has sent and that have no result yet."""
         with self._lock:
             return list(self._goals.values())
 

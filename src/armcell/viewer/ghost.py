@@ -87,7 +87,7 @@ class Ghost:
             self._draw(name, [(shape_part(shape, self._color), T) for shape, T in solid])
 
     def paint(self, color: Color, marked: Iterable[str] = (), mark: Color = RED) -> None:
-        """Set the color of all bodies, and a second color for the `marked` bodies."""
+        """Set the color of all bodies of the ghost, and a second color for the `marked` bodies."""
         self._color, marked = color, set(marked)
         for name, parts in self._parts.items():
             r, g, b, alpha = mark if name in marked else color

@@ -86,7 +86,7 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Serve the page from now on.
+        """Start to serve the web page.
 
         Before this call, requests with the token get a "starting" page.
         """

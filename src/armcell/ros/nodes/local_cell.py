@@ -38,7 +38,7 @@ class LocalCell:
         return self._node.conductor.call(self.now)
 
     def now(self) -> PlanningScene:
-        """Return the same scene as `scene()`; call it only in the driver's thread."""
+        """Return the measured scene, like `scene()`; call this only in the driver's thread."""
         ctx = self._node.live.ctx
         self._look_at_grippers(ctx)
         return ctx.scene()

@@ -28,7 +28,7 @@ class Closable(Protocol):
 
 
 Attach = Callable[[Callable[[Any], None]], Closable]
-"""Calls a function with every message of a topic from now on; latched messages arrive at once."""
+"""Subscribes a function to every message of a topic; latched messages arrive immediately."""
 
 
 class Publication:
@@ -170,12 +170,15 @@ class SubscriberLink:
 
     @property
     def waiting(self) -> bool:
-        """Whether the connection still has unsent bytes."""
+        """Return whether the connection to the subscriber still has unsent bytes."""
         with self._lock:
             return bool(self._rest or self._waiting)
 
     def put(self, frame: bytes) -> bool:
-        """Send or queue a message, from any thread; return whether the reactor must send the rest."""
+        """Send or queue a message; return True if the reactor must send the rest.
+
+        Any thread may call this method.
+        """
         with self._lock:
             if self.closed:
                 return False
@@ -194,7 +197,7 @@ class SubscriberLink:
             return False
 
     def _send(self) -> bool:
-        """Send as many queued bytes as the kernel accepts; return whether some remain."""
+        """Send as many queued bytes as the kernel accepts; return True if bytes remain."""
         while self._rest or self._waiting:
             if not self._rest:
                 frame = self._waiting.popleft()
@@ -211,7 +214,7 @@ class SubscriberLink:
         return False
 
     def readable(self) -> None:
-        """Detect a closed connection; subscribers send nothing else after their header."""
+        """Detect the end of a subscriber's connection; after their header, subscribers send no data."""
         with contextlib.suppress(BlockingIOError):
             if not self.sock.recv(4096):
                 raise ConnectionError("the subscriber closed the connection")

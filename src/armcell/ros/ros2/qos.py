@@ -129,7 +129,7 @@ def profile_of(qos: Any) -> Profile:
 
 
 def user_values(qos: Any) -> dict[str, str]:
-    """Return the `key=value;` pairs that ROS stores in an endpoint's user data."""
+    """Parse the `key=value;` pairs that ROS 2 stores in an endpoint's user data."""
     policy = _policy(qos, "Userdata")
     text: str = policy.data.decode("latin-1") if policy is not None else ""
     pairs = [part.partition("=") for part in text.split(";")]

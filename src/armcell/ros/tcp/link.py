@@ -69,7 +69,7 @@ class Link:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the ROS-TCP connection is over; return whether it is.
+        """Wait until the ROS-TCP connection is over; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -136,7 +136,7 @@ class Link:
         self._leave()
 
     def put(self, *parts: Part) -> None:
-        """Send a command or service answer, from any thread and without blocking."""
+        """Send a ROS-TCP command or service answer, from any thread and without blocking."""
         if not self._send_at_once(parts):
             self.outbox.put(*parts)
 
