@@ -89,7 +89,7 @@ class Workers(ABC, Generic[W]):
 
 
 class Pool(Generic[W]):
-    """Scheduler of trials over `workers`, whose `with` block must have been entered."""
+    """Scheduler of trials over `workers`; use it inside the `with` block of `workers`."""
 
     def __init__(self, spec: CampaignSpec, workers: Workers[W]):
         self.spec, self._workers = spec, workers

@@ -74,7 +74,7 @@ class CampaignSpec:
         distributions(self)  # raises errors of the distributions early
 
     def _check_places(self) -> None:
-        """Reject two paths that set the same value of the cell, or a value and a part of it.
+        """Reject parameter paths that set the same value of the cell, or a value and a part of it.
 
         A parameter may vary a part of a fixed value, e.g. the force of a push.
         """

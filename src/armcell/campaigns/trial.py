@@ -1,4 +1,4 @@
-"""One trial: the cell with drawn values, its task run in physics, and the result as a row."""
+"""Execution of one trial: the cell with drawn values, its task in physics, a result row."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Naming:
 
 
 def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None, ros1: bool) -> Naming:
-    """Parse the options and arguments for names; with ROS 1, ROS_NAMESPACE is the default.
+    """Parse the options for ROS names; with ROS 1, the default namespace is ROS_NAMESPACE.
 
     Raises:
         InputError: the namespace is invalid, an argument is not a remapping, or an argument applies to ROS 1
@@ -80,7 +80,7 @@ def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None,
 
 
 def unused(bus: Any) -> str:
-    """Return a warning about remappings whose names the cell does not have; empty if none."""
+    """Return a warning about remappings of names that the cell does not have, or empty text."""
     if bus.names is None:
         return ""
     have = {t.name for t in bus.topics()} | set(bus.services())

@@ -53,7 +53,7 @@ def join(
     """Find the ROS 1 master; return a function that joins the graph until the exit stack closes.
 
     Args:
-        own_master: start an own master (True), never (False), or only if there is none (None).
+        own_master: True starts a built-in master, False never does, None does if no master is reachable.
         bind: address to listen on.
     Raises:
         InputError: there is no master, or the address cannot be used.
@@ -72,7 +72,7 @@ def join(
 
 
 def reserved(stack: ExitStack, transport: Transport) -> Join:
-    """Reserve a transport's port until the exit stack closes; return a function to open it.
+    """Reserve a transport's port for an exit stack; return a function that opens the transport.
 
     Raises:
         InputError: the port is in use.

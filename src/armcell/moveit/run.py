@@ -23,7 +23,7 @@ def run_script(
     ended: Callable[[int, Session], None] = lambda status, session: None,
     began: Callable[[Session], None] = lambda session: None, bus: Bus | None = None,
 ) -> tuple[int, Session]:  # fmt: skip
-    """Run a script to its end, wait for the motions that it started, and close everything.
+    """Run a script to its end, wait for the motions that it started, and close its session.
 
     Args:
         live: a cell that is not connected yet, or a cell whose robot is another program on the bus (see

@@ -74,7 +74,7 @@ class Comparison:
         return self.same_course and self.outcome is None and not self.input_differences
 
     def words(self) -> list[str]:
-        """Return the comparison as lines of text."""
+        """Return the comparison of two runs as lines of text."""
         lines = [*self.cut, *(f"asked: {part}" for part in self.input_differences)]
         if self.state is None:
             lines.append(f"states: all {self.states} identical to the bit")
@@ -132,7 +132,7 @@ def _input_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[s
 def _pairs(
     a: tuple[RecordedState, ...], b: tuple[RecordedState, ...]
 ) -> Iterator[tuple[RecordedState, RecordedState]]:
-    """Yield pairs of states of the same time.
+    """Yield pairs of states of two runs at the same time.
 
     Paced and real runs have irregular sampling times: each state is paired with the nearest state of the
     other run that is within half a sampling period.

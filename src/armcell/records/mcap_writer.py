@@ -48,7 +48,7 @@ _MAX_URDF_BYTES = 4_000_000
 
 @cache
 def typestore() -> Any:
-    """Return the ROS message definitions in use."""
+    """Return the ROS message definitions that the MCAP writer uses."""
     return get_typestore(STORE)
 
 
@@ -153,7 +153,7 @@ class McapWriter:
         )  # fmt: skip
 
     def write_image(self, camera: str, time: float, png: bytes) -> None:
-        """Write a camera image, given as PNG data."""
+        """Write a camera image, given as PNG data, into the record."""
         header = self._header(self._stamp(time), camera)
         data = np.frombuffer(png, dtype=np.uint8)
         topic, kind = f"/camera/{ros_name(camera)}/compressed", "sensor_msgs/msg/CompressedImage"

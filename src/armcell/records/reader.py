@@ -59,7 +59,7 @@ class RecordedState:
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
-        """Return the state as the `StateSample` that observers receive."""
+        """Return the recorded state as the `StateSample` that observers receive."""
         t, g = self.time, self.grippers
         return StateSample(
             t,
@@ -97,7 +97,7 @@ class Record:
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
-        """Return the index of the last state at or before a time [s]."""
+        """Return the index of the last recorded state at or before a time [s]."""
         return max(bisect.bisect_right(self.states, round(time * NANO), key=lambda s: s.nanoseconds) - 1, 0)
 
 
@@ -265,7 +265,7 @@ def _trajectory(message: Any) -> JointTrajectory:
 
 
 def scenes_of(record: Record, start: PlanningScene) -> list[tuple[float, PlanningScene]]:
-    """Return the scene at the start and after each change, with times [s].
+    """Return a recorded run's scene at its start and after each change, with times [s].
 
     The robot and the movable objects keep their initial poses; the recorded states contain their motion.
     """

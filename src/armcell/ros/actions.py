@@ -147,7 +147,7 @@ class ActionServer:
         threading.Thread(target=self._tell, name=f"status {self.name}", daemon=True).start()
 
     def close(self) -> None:
-        """Cancel all goals and remove the server from the bus."""
+        """Cancel all goals and remove the action server from the bus."""
         self._stop.set()
         with self._lock:
             goals = list(self._goals.values())
@@ -392,7 +392,7 @@ class ActionClient:
             return list(self._goals.values())
 
     def cancel_all(self) -> None:
-        """Cancel every goal of the server, including goals of other clients."""
+        """Cancel every goal of the action server, including goals of other clients."""
         self._cancel.publish(self.bus.schema.new("actionlib_msgs/GoalID"))
 
     def _receive(self, message: Any) -> None:

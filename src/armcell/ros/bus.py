@@ -394,7 +394,7 @@ class _Member:
 
 
 class Publisher(_Member):
-    """Publisher of messages on one topic."""
+    """Publisher of messages on one topic of the message bus."""
 
     def __init__(self, bus: Bus, topic: _Topic, latch: bool, owner: object = None):
         super().__init__(bus, topic, owner)
@@ -421,7 +421,7 @@ class Publisher(_Member):
 
 
 class Attachment(_Member):
-    """A transport's receiver function on a topic."""
+    """Attachment of a transport's receiver function to a topic."""
 
     def __init__(self, bus: Bus, topic: _Topic, put: Put, owner: object = None):
         super().__init__(bus, topic, owner)
@@ -429,7 +429,7 @@ class Attachment(_Member):
 
 
 class Subscription(Attachment):
-    """Bounded message queue on a topic.
+    """Subscription to a topic: a bounded queue of unread messages.
 
     Attributes:
         dropped: number of unread messages that the full queue has dropped.

@@ -49,7 +49,7 @@ class Parameters:
         raise UnknownNameError("parameter", name, self.names())
 
     def delete(self, name: str) -> None:
-        """Delete a parameter or a namespace.
+        """Delete a parameter, or a namespace with all of its parameters.
 
         Raises:
             UnknownNameError: the parameter is not set.

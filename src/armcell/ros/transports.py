@@ -121,7 +121,8 @@ class Ros1Transport:
     """Transport to ROS 1: a node in a ROS 1 graph; starts a master if none is reachable.
 
     Args:
-        address: address to listen on; default: the address in ROS_IP or ROS_HOSTNAME.
+        address: address to listen on; default: loopback, or all interfaces if ROS_IP or ROS_HOSTNAME name a
+            network address.
         settings: replaces the settings from the environment and the address.
         keep: topics that keep their last message for new subscribers.
     """

@@ -53,7 +53,7 @@ class Ghost:
         ]
 
     def of_group(self, group: str) -> None:
-        """Show only the links that the planning group moves."""
+        """Show only the ghost's links that the planning group moves."""
         columns = set(self._model.columns(self._model.group(group).joint_names))
         tree = self._tree
         self._moved = frozenset(

@@ -14,7 +14,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class Job:
-    """Work that runs in its own thread and can be canceled."""
+    """Background job that runs in its own thread and can be canceled."""
 
     kind: str  # "planning", "explaining", "executing"
     cancel: threading.Event = field(default_factory=threading.Event)

@@ -351,7 +351,7 @@ class PlanningSession:
         self._publish(job, explanation=result.explain(EXPLAIN_S))
 
     def _publish(self, job: Job, *, planned_with: int | None = None, **fields) -> None:
-        """Set attributes of the session, unless the job has been abandoned."""
+        """Set attributes of the planning session, unless its background job was abandoned."""
         with self._lock:
             if self._jobs.current is not job:
                 return
@@ -425,7 +425,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def _connected(self, job: Job) -> LiveCell:
-        """Return the live cell; reconnect if the user has edited the world since connecting."""
+        """Return the live cell; reconnect if the user has edited the world in the meantime."""
         if self._live is not None and self._live_with != self._edits:
             self._disconnect()
         if self._live is None:
@@ -450,7 +450,7 @@ class PlanningSession:
         self.message = message
 
     def stop(self) -> None:
-        """Cancel planning or explaining, or stop the robot."""
+        """Cancel the running planning or explanation, or stop the robot."""
         if self._jobs.stop():
             self._tell("result")
 

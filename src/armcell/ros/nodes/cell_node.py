@@ -103,7 +103,7 @@ class CellNode:
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step the cell and execute commands until `close`; then leave the bus."""
+        """Step the cell and execute commands until `close`; then remove the node from the bus."""
         try:
             with self.live:
                 self._states.publish(self.live.driver)
@@ -242,7 +242,7 @@ class CellNode:
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """Describe a motion's conflict with running motions if it disappears once they have ended.
+        """Describe a motion's conflict with running motions if the conflict ends with them.
 
         Returns an empty string if there is no such conflict.
         """

@@ -161,7 +161,7 @@ class Controllers:
         self, using: Sequence[str], running: dict[str, Any], results: dict[str, ExecutionResult],
         cancel: threading.Event,
     ) -> ExecutionResult:  # fmt: skip
-        """Cancel the remaining motions, wait for their ends, and return the cause of the stop.
+        """Cancel the remaining motions, wait until they end, and return the cause of the stop.
 
         Returns:
             The first failure of a controller, or PREEMPTED if the caller canceled the motion.

@@ -447,7 +447,7 @@ class MoveGroupNode:
 
     @contextmanager
     def stoppable(self, cancel: threading.Event) -> Iterator[None]:
-        """Register a goal for a `with` block, so that a "stop" event cancels it.
+        """Register a goal for a `with` block, so that a "stop" event cancels the goal.
 
         The event also cancels the goal before its motion has started.
         """

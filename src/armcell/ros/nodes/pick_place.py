@@ -445,7 +445,7 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
 
 
 def _posture(message: Any, gripper: Gripper) -> float | None:
-    """Return the gripper width [m] at the last point of a posture; None if it omits the gripper."""
+    """Return a posture's gripper width [m] at its last point; None if it omits the gripper."""
     if not message.points or gripper.joint_name not in list(message.joint_names):
         return None
     value = float(message.points[-1].positions[list(message.joint_names).index(gripper.joint_name)])

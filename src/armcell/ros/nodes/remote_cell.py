@@ -51,7 +51,7 @@ BEGINS = "executing"  # prefix on /trajectory_status that reports the start of a
 
 
 class RemoteCell:
-    """`CellAccess` to a simulator or robot that is connected to the bus.
+    """Implementation of `CellAccess` for a simulator or robot that is connected to the bus.
 
     Only one motion runs at a time, even with several arms: this class does not check motions against each
     other, and the simulator's status messages do not identify their motion.
@@ -461,7 +461,7 @@ class RemoteCell:
     def _follow_fingers(
         self, work: Work, gripper: Gripper, wanted: float, ended: Callable[[], ExecutionResult | None]
     ) -> ExecutionResult:
-        """Wait until the fingers arrive or stand still, or their controller reports a failure."""
+        """Wait until the fingers reach their target or stop, or their controller reports a failure."""
         began = still = time.monotonic()
         last = np.inf
         while time.monotonic() - began < GRIP_TIMEOUT and not self._closed.is_set():
@@ -505,7 +505,7 @@ class RemoteCell:
 
 
 def _told(said: list[str], begun: bool) -> ExecutionResult | None:
-    """Return the result of a motion from the /trajectory_status messages since it was sent.
+    """Derive a motion's result from the /trajectory_status messages since the motion was sent.
 
     Args:
         said: the status messages.

@@ -1,4 +1,4 @@
-"""The planning scene on the bus: queries and edits by clients, and updates to them."""
+"""Planning scene on the bus: clients query and edit the scene and receive its updates."""
 
 from __future__ import annotations
 

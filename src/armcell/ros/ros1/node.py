@@ -71,7 +71,7 @@ class Ros1Node:
 
     # --- start and close ---
     def start(self) -> None:
-        """Start the node's servers and its registration with the master.
+        """Start the ROS 1 node's servers and its registration with the master.
 
         Raises:
             InputError: no master answers, or the address cannot be listened on.

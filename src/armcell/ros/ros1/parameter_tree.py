@@ -61,7 +61,7 @@ class ParameterTree:
         node[last] = value
 
     def delete(self, key: str) -> None:
-        """Delete a parameter or a namespace.
+        """Delete a parameter, or a namespace with all of its parameters.
 
         Raises:
             KeyError: the parameter is not set.

@@ -20,7 +20,7 @@ from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)
 ANY = "*"  # type and MD5 sum of a subscriber that accepts every type
-UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; the rest waits in our queue, which can drop
+UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further messages wait in the send queue
 
 
 class Closable(Protocol):
@@ -81,7 +81,7 @@ class Publication:
         )
 
     def accept(self, sock: socket.socket, header: Fields, peer: str) -> None:
-        """Serve a subscriber whose connection header `refusal` has accepted."""
+        """Start to serve a subscriber; `refusal` must have accepted its connection header."""
         fields = {
             "callerid": self._caller, "topic": self.topic, "type": self.type, "md5sum": self.md5,
             "message_definition": self._text, "latching": "1" if self._latching() else "0",
@@ -175,7 +175,7 @@ class SubscriberLink:
             return bool(self._rest or self._waiting)
 
     def put(self, frame: bytes) -> bool:
-        """Send or queue a message; return True if the reactor must send the rest.
+        """Send or queue a message; return True if the reactor must send the remaining bytes.
 
         Any thread may call this method.
         """

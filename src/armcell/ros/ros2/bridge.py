@@ -195,7 +195,7 @@ class Ros2Bridge:
 
     # --- services in the domain ---
     def _find(self, name: str) -> Handler | None:
-        """Return a handler that calls a service in the domain, or None if no node serves it."""
+        """Return a handler for a service in the ROS 2 domain, or None if no node serves the service."""
         context = self._joined()
         type_name = context.graph.services().get(name)
         if type_name is None or type_name not in self.bus.schema.services or self._stop.is_set():

@@ -1,8 +1,9 @@
 """Cyclone DDS for serialized samples: participant, writers and readers.
 
-Our codec encodes the messages, and the library transports them. The `cyclonedds` Python package needs type
-descriptions, which `idl.py` generates from our definitions; the package's own, slower encoder is not used.
-Writing calls the C library directly through ctypes, which releases the GIL (the package's own calls do not).
+armcell's codec encodes the messages, and the library transports them. The `cyclonedds` Python package needs
+type descriptions, which `idl.py` generates from armcell's definitions; the package's own, slower encoder is
+not used. Writing calls the C library directly through ctypes, which releases the GIL (the package's own calls
+do not).
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def library() -> SimpleNamespace:
 
 
 def check(result: int, what: str) -> int:
-    """Return a result of the DDS library, or raise if it is an error code.
+    """Check a result of the DDS library: return valid results, raise for error codes.
 
     Raises:
         DdsError: the result is an error code.

@@ -33,7 +33,7 @@ MAX_KNOWN = 1000  # clients whose readiness is cached
 class Asked(NamedTuple):
     """Identity of a received service call, which the reply must contain.
 
-    `client` and `seq` come from the request's header; `writer` is our handle of the client's writer.
+    `client` and `seq` come from the request's header; `writer` is the local handle of the client's writer.
     """
 
     client: int

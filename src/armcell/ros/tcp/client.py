@@ -89,7 +89,7 @@ class RosTcpClient:
         self.close()
 
     def wait_connected(self, timeout: float | None = None) -> bool:
-        """Wait until all topics and services are registered at the endpoint.
+        """Wait until all topics and services are registered at the ROS-TCP endpoint.
 
         Args:
             timeout: limit [s]; None waits without limit.

@@ -112,7 +112,7 @@ class Outbox:
             return not self.is_empty
 
     def take(self, max_bytes: int) -> list[Part]:
-        """Remove the next parts to send from the queues and return them in order.
+        """Return the next parts of queued frames to send, in order, and remove them from the queue.
 
         Args:
             max_bytes: approximate size [bytes]; at least one frame is returned if any waits.

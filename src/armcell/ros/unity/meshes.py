@@ -32,7 +32,7 @@ def write_stl(mesh: Mesh, file: Path) -> None:
 
 
 def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
-    """Return a convex hull of at most `points` corners of a mesh, and its error.
+    """Return a convex hull of at most `points` corners of a mesh, and the approximation error.
 
     The error is the largest distance [m] of an unused corner outside the planes of the hull's faces. The hull
     grows by the corner that is farthest outside, so it is inside the convex hull of the mesh.

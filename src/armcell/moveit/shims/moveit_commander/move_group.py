@@ -239,7 +239,7 @@ class MoveGroupCommander(GroupSettings):
         return bool(finished(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
-        """Return why a plan does not lead to its goal, or an empty string if it may."""
+        """Return why a plan does not lead to its goal, or an empty string for a complete plan."""
         fraction = next((f for p, f in self._partial if p is plan), 1.0)
         if fraction <= 0:
             return "the straight line could not begin, its fraction is 0; the reason is in the line above"
