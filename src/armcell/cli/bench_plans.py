@@ -218,7 +218,7 @@ def _timing_us(waypoints: Array, names: tuple[str, ...]) -> float:
 def finish(
     found: Iterable[tuple[Row, Array | None]], json_file: Path | None, paths_file: Path | None = None
 ) -> int:
-    """Print a benchmark's rows and write its files; return 0 if every solvable problem passed."""
+    """Print and write a benchmark's rows; return 0 if all solvable problems are solved, else 1."""
     rows: list[Row] = []
     paths: dict[str, dict[int, list]] = {}
     for row, waypoints in found:
