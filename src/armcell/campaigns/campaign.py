@@ -147,7 +147,7 @@ def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
 def trial(
     spec: CampaignSpec, ranges: dict[str, Distribution], number: int, failed: Sequence[Array] = ()
 ) -> Trial:
-    """Return the trial with this number; sampling depends only on the seed, number and failures.
+    """Return the trial with a given number; sampling depends on seed, number and failures only.
 
     Args:
         failed: draws of failed trials of earlier rounds, for adaptive sampling.

@@ -69,7 +69,7 @@ class Choice:
 
 
 def ends(found: Distribution) -> list[Any]:
-    """Return values for testing a cell before a campaign: minimum, maximum and two between.
+    """Return test values of a distribution: its minimum, maximum and two values between them.
 
     For a choice, return all values. One of the two inner values is not a round fraction of the range: of the
     range 1 to 3, the other values are all integers.

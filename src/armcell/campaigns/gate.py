@@ -2,7 +2,7 @@
 
 The record is signed with a keyed hash (HMAC-SHA256). The key belongs to the user and is created at first
 use. The signature shows that `armcell gate` issued the record under this user's account and that the record
-is unchanged: nobody has edited the success rate, and a campaign from another machine does not count unless
+is unchanged: the success rate is not edited, and a campaign from another machine does not count unless
 its key was copied, too. The signature does not protect against a person who can read the key.
 """
 
@@ -143,7 +143,7 @@ def check_draws(cell: Cell) -> None:
 def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the paths of parameters and drawn values that differ between a campaign's trials.
 
-    "drop" stands for objects that physics drops into a bin, different for each seed. Sensor noise does not
+    "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
     count, because it leaves the task unchanged.
     """
     seen: dict[str, set[str]] = {}

@@ -70,7 +70,7 @@ class Workers(ABC, Generic[W]):
 
     @abstractmethod
     def start(self) -> W:
-        """Start one more worker."""
+        """Start one more worker for trials."""
 
     def endpoints(self) -> tuple[Endpoint, ...]:
         """Return the sockets on which the workers and their runtime listen now."""
@@ -89,7 +89,7 @@ class Workers(ABC, Generic[W]):
 
 
 class Pool(Generic[W]):
-    """Scheduler of trials over `workers`, whose `with` block must have been entered."""
+    """Scheduler of trials over `workers`; use it inside the `with` block of `workers`."""
 
     def __init__(self, spec: CampaignSpec, workers: Workers[W]):
         self.spec, self._workers = spec, workers
@@ -114,7 +114,7 @@ class Pool(Generic[W]):
             raise InputError(f"workers end {how} as they start", hint=self._workers.help)
 
     def _look_for_ready_ones(self) -> None:
-        """Check that some worker is ready.
+        """Check that at least one worker is ready to run trials.
 
         Raises:
             InputError: no worker has been ready for `PATIENCE` seconds.

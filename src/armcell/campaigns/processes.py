@@ -47,7 +47,7 @@ class ProcessWorker(Worker):
             pass  # the process is dead; `answers` notices the end of its output
 
     def answers(self) -> list[Answer] | None:
-        """Return the answers received since the last call; None if the process is dead."""
+        """Return the worker's answers since the last call; None if the worker process is dead."""
         data = os.read(self.output, 1 << 16)
         if not data:
             return None

@@ -74,9 +74,9 @@ class CampaignSpec:
         distributions(self)  # raises errors of the distributions early
 
     def _check_places(self) -> None:
-        """Reject two paths that set the same place of the cell, or one place inside the other.
+        """Reject parameter paths that set the same value of the cell, or a value and a part of it.
 
-        Allowed is a fixed value of which parameters vary a part, e.g. a push with a varied force.
+        A parameter may vary a part of a fixed value, e.g. the force of a push.
         """
         both = set(self.parameters) & set(self.values)
         if both:
@@ -142,7 +142,7 @@ def checked_cell(spec: CampaignSpec) -> Cell:
 
 
 def _cured(error: InputError, cell: Cell, path: str, found: Distribution, value: Any) -> InputError:
-    """Return the error of a value, with a hint if a whole number would be valid there."""
+    """Return the error of a parameter value, with a hint if an integer would be valid."""
     if not isinstance(found, Uniform) or found.whole or float(value).is_integer():
         return error
     try:

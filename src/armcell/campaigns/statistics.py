@@ -32,7 +32,7 @@ class Share:
 
     @property
     def wilson(self) -> tuple[float, float]:
-        """Wilson score interval: 95 % coverage on average.
+        """Return the Wilson score interval, whose coverage is 95 % on average.
 
         Wilson (1927), J. Am. Stat. Assoc. 22.
         """
@@ -40,7 +40,7 @@ class Share:
 
     @property
     def clopper_pearson(self) -> tuple[float, float]:
-        """Exact confidence interval: coverage is never below 95 %.
+        """Return the exact confidence interval, whose coverage is never below 95 %.
 
         Clopper and Pearson (1934), Biometrika 26.
         """

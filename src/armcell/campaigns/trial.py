@@ -1,4 +1,4 @@
-"""One trial: the cell with drawn values, its task run in physics, and the result as a row."""
+"""Execution of one trial: the cell with drawn values, its task in physics, a result row."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from armcell.core import ErrorCode, InputError
 
 @dataclass(frozen=True)
 class Trial:
-    """Parameters of one trial.
+    """Parameters of one trial of a campaign.
 
     `number` counts from 0. `seed` seeds the planners and the cell's `randomize` draw. `values` holds the
     varied values by path, `draw` the numbers in [0, 1) behind them. `near_failure` is True if adaptive
@@ -54,7 +54,7 @@ def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
 
 
 def row_of(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the row of a trial from the run's result."""
+    """Return the result row of a trial from the result of its run."""
     failed_at = result["failed_at"] or {"stage": "", "pair": ""}
     return _row(
         trial,
@@ -73,7 +73,7 @@ def row_of(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def failed(trial: Trial, error_name: str, message: str) -> dict[str, Any]:
-    """Return the row of a trial that ended without a result."""
+    """Return the result row of a trial that ended without a run result."""
     return _row(trial, success=False, error_name=error_name, message=message) | {"wall_s": 0.0, "cpu_s": 0.0}
 
 

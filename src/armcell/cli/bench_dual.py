@@ -31,7 +31,7 @@ def dual(
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
-    """Plan two UR10 as one group of 12 joints; each gripper holds a box.
+    """Plan motions of two UR10 as one group of 12 joints; each gripper holds a box.
 
     Starts and goals are random postures with at least 5 mm clearance.
 

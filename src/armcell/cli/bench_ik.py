@@ -105,7 +105,7 @@ def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
 
 
 def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray], Any]:
-    """Return the compiled IK part as a function of T_root_tip (4, 4)."""
+    """Return the compiled part of an IK solver as a function of T_root_tip (4, 4)."""
     from armcell.kinematics.ik.chain import goal_in_base
     from armcell.kinematics.ik.search import any_solution
     from armcell.kinematics.ik.ur import BRANCHES, ur_branches

@@ -28,7 +28,7 @@ def mbm(
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
-    """Plan MotionBenchMaker's problems: search, shorten, prove, time.
+    """Plan MotionBenchMaker's problems: time to search, shorten and prove paths.
 
     Times are CPU time of one thread in microseconds. The native planner proves
     every edge while it shortens the path: its certify_us is 0, and its simplify_us includes the proof. A

@@ -55,7 +55,9 @@ class PlanTask:
 def run(
     tasks: Iterable[PlanTask], total: int, planner_id: str, repeat: int, seconds: float
 ) -> Iterator[tuple[Row, Array | None]]:
-    """Yield the row and the waypoints of each task, from the fastest of up to `repeat` runs.
+    """Yield the row and the waypoints of each planning task, from its fastest run.
+
+    Each task is planned up to `repeat` times.
 
     Args:
         total: number of tasks, for the progress bar.
@@ -89,7 +91,7 @@ def run(
 
 
 def touching(checker: KernelChecker, start: Array, goals: Array) -> str:
-    """Return the contacts of the start, or of the goals if all are in contact; else empty."""
+    """Describe a task's contacts at the start, or at a goal if no goal is free; else empty."""
 
     def contacts(q: Array) -> str:
         if checker.exact.is_free(q):
@@ -216,7 +218,7 @@ def _timing_us(waypoints: Array, names: tuple[str, ...]) -> float:
 def finish(
     found: Iterable[tuple[Row, Array | None]], json_file: Path | None, paths_file: Path | None = None
 ) -> int:
-    """Show the rows and write the files; return 1 if a solvable problem was not solved, else 0."""
+    """Print and write a benchmark's rows; return 0 if all solvable problems are solved, else 1."""
     rows: list[Row] = []
     paths: dict[str, dict[int, list]] = {}
     for row, waypoints in found:

@@ -38,7 +38,7 @@ def doctor(
     ),
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Check the installation and a cell's requirements; each line says ok or no, with the hint.
+    """Check the installation and a cell's requirements; print each fault with its hint.
 
     Example: armcell doctor panda_pick --connect 192.168.1.20:10000
 

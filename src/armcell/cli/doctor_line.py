@@ -9,7 +9,7 @@ OK, NO, NOTE = "ok", "no", "note"
 
 @dataclass(frozen=True)
 class Line:
-    """The result of one check.
+    """Result of one check of `armcell doctor`.
 
     Attributes:
         verdict: "ok", "no" (fault) or "note" (information).

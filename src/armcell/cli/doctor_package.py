@@ -57,7 +57,7 @@ def moved_joints(config: MoveItConfig) -> Iterator[Line]:
 
 
 def driver_names(config: MoveItConfig) -> Iterator[Line]:
-    """Check that the controller manager's file, if any, has the same controllers and joints."""
+    """Check that the controller manager's file has the controllers and joints of the package."""
     for file in (config.folder / "config" / name for name in DRIVER_FILES):
         if file.is_file() and file.name != config.names.get("controllers"):
             yield from _compared(config, file)

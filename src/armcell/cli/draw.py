@@ -1,4 +1,4 @@
-"""Selects the seed of a cell's randomized values for a command."""
+"""Selection of the seed for a cell's randomized values in a command."""
 
 from __future__ import annotations
 
@@ -12,5 +12,5 @@ SEED = typer.Option(
 
 
 def drawn(seed: int | None, mode: str) -> int | None:
-    """Return the given seed, else 0; in mode real without a seed, None: the nominal cell."""
+    """Return a command's seed: the given seed, else 0; in mode real None (the nominal cell)."""
     return 0 if seed is None and mode != "real" else seed

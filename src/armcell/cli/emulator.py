@@ -1,4 +1,4 @@
-"""Running emulated controllers from the command line, whatever their vendor."""
+"""Execution of emulated controllers of any vendor from the command line."""
 
 from __future__ import annotations
 

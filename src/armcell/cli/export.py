@@ -83,7 +83,7 @@ def urdf(
         ..., "--output", "-o", metavar="FOLDER", help="Folder (made when missing) for robot.urdf and meshes/."
     ),
 ) -> None:
-    """Write a cell's robot as one flattened URDF, its meshes beside it."""
+    """Write a cell's robot as one flattened URDF, with its meshes beside the file."""
     from armcell.cell import load
     from armcell.core import InputError
     from armcell.ros.unity import write_urdf

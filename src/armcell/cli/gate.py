@@ -43,12 +43,12 @@ def gate(
         "real arms print it.",
     ),
 ) -> int:
-    """Issue the signed record that `armcell run --mode real` asks for.
+    """Issue the signed gate record that `armcell run --mode real` requires.
 
     A campaign must show that the task succeeds in at least 95 % of trials in physics, at the lower end of the
-    exact 95 % interval, and must have varied something: 'randomize' or 'drop' of the cell, or parameters.
+    exact 95 % interval, and must have varied a value: 'randomize' or 'drop' of the cell, or parameters.
     The record is valid for this cell, task, settings and versions; any change makes it invalid.
-    Exit status 0 if the record was issued, 1 if the campaign shows too little.
+    Exit status 0 if the record was issued, 1 if the campaign does not prove enough.
     """
     from armcell import campaigns
     from armcell.campaigns import gate as gates

@@ -49,7 +49,7 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
 
 
 def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Return {"gate": entry} in mode real for motions without a campaign, e.g. those of clients.
+    """Return {"gate": entry} in mode real for motions without a campaign, e.g. of clients.
 
     Such motions have no gate record, so a reason is required. In other modes, return an empty dict.
 

@@ -1,4 +1,4 @@
-"""Parses goals, joint values and planning groups from the command line."""
+"""Parser for goals, joint values and planning groups from the command line."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
 
 
 def one_of(given: dict[str, Any]) -> str:
-    """Return the only option that was given.
+    """Return the only option that was given of several exclusive command line options.
 
     Raises:
         typer.BadParameter: no option or several options were given.
@@ -158,7 +158,7 @@ def request_of(
 
 
 def checked_json(json_file: Path | None) -> None:
-    """Check that the JSON file can be written, before the work starts."""
+    """Check that the JSON file can be written, before the command starts its work."""
     from armcell.cli.console import check_writable
 
     if json_file is not None:

@@ -1,4 +1,4 @@
-"""Formats `--help` with the commands under headings, in the order in which they were added."""
+"""Format of `--help` with the commands under headings, in the order of their registration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Prints the addresses on which a server listens, in the same format for every server."""
+"""Output of the addresses on which a server listens, in one format for all servers."""
 
 from __future__ import annotations
 

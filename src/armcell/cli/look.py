@@ -102,7 +102,7 @@ def _source(
     source: str | None, camera: str | None, seed: int | None, info: Path | None, rgb: Path | None,
     depth: Path | None, place: Place | None, surface: str | None,
 ) -> tuple[CameraImage, Any, tuple, dict[str, SE3], str | None]:  # fmt: skip
-    """Return the picture; in a cell also the scene, the objects to detect and their true poses.
+    """Return a camera picture; for a cell, also the scene, target objects and true poses.
 
     The last item is the support surface.
     """

@@ -40,7 +40,7 @@ class Naming:
 
     @property
     def words(self) -> list[str]:
-        """The command line options with the same effect, for the record of a run."""
+        """Return the namespace and remappings as command line options, for the record of a run."""
         space = ["--ns", self.namespace] if self.namespace else []
         return space + [word for pair in self.remap for word in ("--remap", pair)]
 
@@ -59,7 +59,7 @@ class Naming:
 
 
 def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None, ros1: bool) -> Naming:
-    """Parse the options and arguments for names; with ROS 1, ROS_NAMESPACE is the default.
+    """Parse the options for ROS names; with ROS 1, the default namespace is ROS_NAMESPACE.
 
     Raises:
         InputError: the namespace is invalid, an argument is not a remapping, or an argument applies to ROS 1
@@ -80,7 +80,7 @@ def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None,
 
 
 def unused(bus: Any) -> str:
-    """Return a warning about remappings whose names the cell does not have; empty if none."""
+    """Return a warning about remappings of names that the cell does not have, or empty text."""
     if bus.names is None:
         return ""
     have = {t.name for t in bus.topics()} | set(bus.services())

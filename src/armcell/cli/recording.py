@@ -1,4 +1,4 @@
-"""Records a run while it runs: the run folder, pictures of key moments, and camera frames."""
+"""Recording of a run: the run folder, pictures of key moments, and camera frames."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def records_folder(record: bool | None, mode: str, runs: Path | None) -> Path | 
 
 @dataclass(frozen=True)
 class Kept:
-    """The record options of a run.
+    """Options for the record of a run.
 
     Attributes:
         runs: folder of run folders; None for no record.
@@ -107,7 +107,7 @@ class LedRun:
 
     @property
     def observers(self) -> list[Observer]:
-        """The observers with which to connect the cell."""
+        """Return the observers that record the cell."""
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
@@ -121,7 +121,7 @@ class LedRun:
             self.recorder.on_event(Event(0.0, "note", gate_words(self._gate)))
 
     def end(self, call: Callable[[Callable[[], Any]], Any], live: Any, failure: str = "") -> None:
-        """Store the result of the run.
+        """Store the result of the run for its record.
 
         Args:
             call: calls a function in the thread that steps the cell, and returns its result.

@@ -1,4 +1,4 @@
-"""Writes the files of a finished run: result, record and report."""
+"""Writer for the files of a finished run: result, record and report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The options `--xacro-arg` and `--package`, which every command that loads a robot file takes."""
+"""Options `--xacro-arg` and `--package` for every command that loads a robot file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _OPTIONS = {
 
 
 def robot_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a command with the options `--xacro-arg` and `--package`, which apply to all its robot files.
+    """Add the options `--xacro-arg` and `--package` for robot files to a command.
 
     An option that the command has already (`armcell import --package`) keeps the command's meaning.
     """

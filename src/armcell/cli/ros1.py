@@ -1,4 +1,4 @@
-"""Connects a command to a ROS 1 graph: options, connection and status line."""
+"""Connection of a command to a ROS 1 graph: options, connection and status line."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ Call it when the cell is ready: afterwards, other programs can reach the cell.
 def join(
     stack: ExitStack, bus: Any, name: str, own_master: bool | None, naming: Naming, bind: str | None
 ) -> Join:
-    """Find the ROS 1 master and return a function that joins the graph until the stack closes.
+    """Find the ROS 1 master; return a function that joins the graph until the exit stack closes.
 
     Args:
-        own_master: start an own master (True), never (False), or only if there is none (None).
+        own_master: True starts a built-in master, False never does, None does if no master is reachable.
         bind: address to listen on.
     Raises:
         InputError: there is no master, or the address cannot be used.
@@ -72,7 +72,7 @@ def join(
 
 
 def reserved(stack: ExitStack, transport: Transport) -> Join:
-    """Reserve a transport's port until the stack closes; return the function that opens the transport.
+    """Reserve a transport's port for an exit stack; return a function that opens the transport.
 
     Raises:
         InputError: the port is in use.

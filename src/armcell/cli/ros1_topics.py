@@ -1,4 +1,4 @@
-"""Connects `armcell topic` and `service` to a ROS 1 graph instead of a ROS-TCP endpoint."""
+"""Connection of `armcell topic` and `service` to a ROS 1 graph instead of an endpoint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Connects a command to a ROS 2 domain: options, connection and status line."""
+"""Connection of a command to a ROS 2 domain: options, connection and status line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ DOMAIN = typer.Option(
 def join(
     stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None, namespace: str = ""
 ) -> Join:
-    """Read the ROS 2 settings; return a function that joins the domain until the stack closes.
+    """Read the ROS 2 settings; return a function that joins the domain.
+
+    The exit stack leaves the domain when it closes.
 
     Args:
         bind: an address that is not this machine's own allows other machines to connect.

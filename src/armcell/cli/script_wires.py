@@ -62,7 +62,7 @@ class ScriptWires:
         return self != ScriptWires()
 
     def check(self) -> None:
-        """Check that the options are consistent.
+        """Check that the connection options are consistent.
 
         Raises:
             InputError: the options do not go together.
@@ -75,7 +75,7 @@ class ScriptWires:
             )
 
     def words(self) -> list[str]:
-        """Return the options in command line form."""
+        """Return the connection options in command line form."""
         return [
             *(("--unity", self.unity) if self.unity else ()),
             *(["--ros1"] if self.ros1 else []),

@@ -106,11 +106,11 @@ def serve(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """Run and serve a cell: states out; trajectories, planning, pick, place and grasps in.
+    """Run a cell and serve it: publish states; accept trajectories, planning, pick and place.
 
     Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. With --ros1, ROS programs
     see a node that publishes, plans and moves as MoveIt's move_group does; with --ros2, ROS 2 programs do.
-    Ctrl-C ends it.
+    Ctrl-C ends the command.
     """
     if not (unity or ros1 or ros2 or wire):
         raise InputError("nothing to serve", hint="give --unity, --ros1, --ros2 or --wire")
@@ -168,7 +168,7 @@ class _Wires:
 
 
 def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
-    """Reserve the port and return a function that serves Unity until the stack closes."""
+    """Reserve the port; return a function that serves Unity until the exit stack closes."""
     from armcell.ros.transports import TcpTransport
 
     connect = reserved(stack, TcpTransport(bus, f"{bind}:{port}", protocol))
@@ -213,7 +213,7 @@ def sim(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """Put a cell in Unity's place: connect to a ROS-TCP endpoint as Unity would. Ctrl-C ends it.
+    """Run a cell in place of Unity: connect to a ROS-TCP endpoint as Unity would, until Ctrl-C.
 
     With --ros1 or --ros2, the cell is a node that publishes states and takes trajectories and gripper
     commands.
@@ -254,7 +254,7 @@ def sim(
     client: RosTcpClient | None = None
 
     def joined(inside: Any) -> None:
-        """Connect to the endpoint once the cell publishes, because only then are its topics known."""
+        """Connect to the endpoint once the cell publishes, because the topics are unknown before."""
         nonlocal client
         kept = ("/clock", "/joint_states", "/tf", STATUS)
         topics = inside.topics()

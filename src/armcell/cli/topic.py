@@ -28,7 +28,7 @@ WAIT = 3.0  # [s] timeout to connect and to list the topics
 
 @app.command("list")
 def list_topics(connect: str = CONNECT, ros1: bool = ROS1) -> None:
-    """List topics and types."""
+    """List the topics and their message types."""
     with joined_to(connect, ros1=ros1) as (_, client):
         for name, type_name in sorted(_topics(client).items()):
             console.print(f"{name}  {type_name}", soft_wrap=True, markup=False)
@@ -39,7 +39,7 @@ def echo(
     topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
     count: int | None = COUNT,
 ) -> None:  # fmt: skip
-    """Print the messages of a topic as YAML. Ctrl-C ends it."""
+    """Print the messages of a topic as YAML. Ctrl-C ends the command."""
     for n, message in enumerate(_messages(topic, type_name, connect, ros1, queue_size=100)):
         console.print(
             yaml.safe_dump(plain(message), sort_keys=False), "---", sep="", soft_wrap=True, markup=False
@@ -53,7 +53,7 @@ def hz(
     topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
     count: int | None = COUNT,
 ) -> None:  # fmt: skip
-    """Print the rate of a topic once per second. Ctrl-C ends it."""
+    """Print the rate of a topic once per second. Ctrl-C ends the command."""
     arrivals: list[float] = []
     reported_at = time.monotonic()
     for n, _ in enumerate(_messages(topic, type_name, connect, ros1, queue_size=10_000)):

@@ -20,7 +20,7 @@ def measured_scene() -> PlanningScene:
 
 
 def send(session: Session, action: str, type_name: str, goal: Any) -> SentGoal:
-    """Send a goal to an action server; the script uses one client per action.
+    """Send a goal to an action server through the session's client for this action.
 
     Raises:
         RuntimeError: the action has no server.

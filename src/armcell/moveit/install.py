@@ -1,4 +1,4 @@
-"""Installs the ROS shims under the module names that scripts import, while a script runs."""
+"""Installation of the ROS shims under the module names that scripts import."""
 
 from __future__ import annotations
 

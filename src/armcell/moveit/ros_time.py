@@ -77,7 +77,7 @@ def _is(value: object, cls: type) -> bool:
 
 
 class Duration(_Stamp):
-    """A duration, which may be negative."""
+    """Duration, like rospy.Duration; may be negative."""
 
     __slots__ = ()
     _type = "builtin_interfaces/Duration"
@@ -115,7 +115,7 @@ class Duration(_Stamp):
 
 
 class Time(_Stamp):
-    """A point in time."""
+    """Point in time, like rospy.Time."""
 
     __slots__ = ()
     _type = "builtin_interfaces/Time"

@@ -1,4 +1,4 @@
-"""Runs a user's script unchanged in this process, with the shims in place of ROS."""
+"""Execution of a user's unchanged ROS script in this process, with shims in place of ROS."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run_script(
     ended: Callable[[int, Session], None] = lambda status, session: None,
     began: Callable[[Session], None] = lambda session: None, bus: Bus | None = None,
 ) -> tuple[int, Session]:  # fmt: skip
-    """Run a script to its end, wait for the motions that it started, and close everything.
+    """Run a script to its end, wait for the motions that it started, and close its session.
 
     Args:
         live: a cell that is not connected yet, or a cell whose robot is another program on the bus (see
@@ -65,7 +65,7 @@ def run_script(
 
 
 def _forget(folder: Path, names: set[str]) -> None:
-    """Unload modules from the script's folder: the next script may use the same module names."""
+    """Unload modules from the script's folder, because the next script may use the same names."""
 
     def beside(name: str) -> bool:
         file = getattr(sys.modules[name.partition(".")[0]], "__file__", None)

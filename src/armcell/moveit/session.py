@@ -1,4 +1,4 @@
-"""The session of a running script: the bus and the cell that all shims use."""
+"""Session of a running ROS script: the bus and the cell that all ROS shims use."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Session:
         self.shutting_down.set()
 
     def own(self, member: T) -> T:
-        """Close an object of the script, such as a subscriber with a thread, when the session ends."""
+        """Register an object of the script, such as a subscriber, to be closed with the session."""
         self._members.append(member)
         return member
 
@@ -148,7 +148,7 @@ class Session:
         return any(text in line for line in self.lines[-RECENT:])
 
     def hint(self, key: str, text: str) -> None:
-        """Log a hint about the script, once per key."""
+        """Log a hint about the user's script, once per key."""
         if key not in self._hints:
             self._hints.add(key)
             self.say("HINT", text)
@@ -158,7 +158,7 @@ class Session:
         return self._hints
 
     def hint_at_gripper(self) -> None:
-        """Hint that the script only logs that the gripper closes, if no command has closed one."""
+        """Log a hint if the script claims to close the gripper but has not commanded it."""
         if self.claims_to_close and not self.served.has_closed:
             self.hint(
                 "auto-grip", "the script logs that it closes the gripper, but never closes it: publish to "
@@ -166,7 +166,7 @@ class Session:
             )  # fmt: skip
 
     def watch_other_end(self) -> None:
-        """Hint once that the external simulator or robot has stopped sending joint states."""
+        """Log a hint, once, if the external simulator or robot sends no more joint states."""
         if isinstance(self.served, ServedPlanner) and self.served.cell.silence > SILENT:
             self.hint(
                 "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "
@@ -208,7 +208,7 @@ class _Warnings:
 
 
 def current_session() -> Session:
-    """Return the open session.
+    """Return the open session of the running script.
 
     Raises:
         RuntimeError: no session is open.

@@ -18,7 +18,7 @@ DOWN = "quaternion_from_euler(math.pi, 0, yaw) points it down"
 
 
 def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> str:
-    """Return why planning to a pose failed, if tool direction or link is the cause.
+    """Return why planning to a pose failed, if the tool direction or the link is the cause.
 
     The function verifies each cause: IK must succeed for the pose turned over, or for the flange.
 
@@ -40,7 +40,7 @@ def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> 
 
 
 def closed_on_nothing(scene: PlanningScene, gripper: Gripper) -> str:
-    """Return why a closed gripper holds no object, or an empty string without movable objects."""
+    """Return why a closed gripper holds no object; empty if the scene has no movable object."""
     T = scene.frame_pose(gripper.tcp_link)
     found = [(T.inv().apply(o.T_world_object.translation), n) for n, o in scene.objects.items() if o.movable]
     if not found:

@@ -66,7 +66,7 @@ class Comparison:
 
     @property
     def same_course(self) -> bool:
-        """True if all recorded states, events and plans are identical."""
+        """Return whether all recorded states, events and plans of both runs are identical."""
         return self.state is None and self.event is None and self.plan is None
 
     @property
@@ -74,7 +74,7 @@ class Comparison:
         return self.same_course and self.outcome is None and not self.input_differences
 
     def words(self) -> list[str]:
-        """Return the comparison as lines of text."""
+        """Return the comparison of two runs as lines of text."""
         lines = [*self.cut, *(f"asked: {part}" for part in self.input_differences)]
         if self.state is None:
             lines.append(f"states: all {self.states} identical to the bit")
@@ -132,7 +132,7 @@ def _input_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[s
 def _pairs(
     a: tuple[RecordedState, ...], b: tuple[RecordedState, ...]
 ) -> Iterator[tuple[RecordedState, RecordedState]]:
-    """Yield pairs of states of the same time.
+    """Yield pairs of states of two runs at the same time.
 
     Paced and real runs have irregular sampling times: each state is paired with the nearest state of the
     other run that is within half a sampling period.
@@ -217,7 +217,7 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
 
 # --- events, plans, outcome ---
 def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """Return the first difference in two events' data.
+    """Return the first difference between the data of two events.
 
     Returns:
         Path of the value ("stages[0].passed") and both values, or None.

@@ -48,7 +48,7 @@ _MAX_URDF_BYTES = 4_000_000
 
 @cache
 def typestore() -> Any:
-    """Return the ROS message definitions in use."""
+    """Return the ROS message definitions that the MCAP writer uses."""
     return get_typestore(STORE)
 
 
@@ -153,7 +153,7 @@ class McapWriter:
         )  # fmt: skip
 
     def write_image(self, camera: str, time: float, png: bytes) -> None:
-        """Write a camera image, given as PNG data."""
+        """Write a camera image, given as PNG data, into the record."""
         header = self._header(self._stamp(time), camera)
         data = np.frombuffer(png, dtype=np.uint8)
         topic, kind = f"/camera/{ros_name(camera)}/compressed", "sensor_msgs/msg/CompressedImage"
@@ -204,7 +204,7 @@ class McapWriter:
         )
 
     def close(self) -> None:
-        """Finish the file and give it its final name; repeated calls have no effect."""
+        """Finish the MCAP file and give it its final name; repeated calls have no effect."""
         if self._closed:
             return
         self._closed = True

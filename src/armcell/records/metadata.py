@@ -81,7 +81,7 @@ def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
 
 
 def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
-    """Describe what has changed since the recording.
+    """List the parts of a cell and the library versions that have changed since the recording.
 
     An empty list means that executing the run again must give bit-identical results.
     """

@@ -55,11 +55,11 @@ class RecordedState:
 
     @property
     def time(self) -> float:
-        """Time of the state [s]."""
+        """Return the time [s] of the recorded state."""
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
-        """Return the state as the `StateSample` that observers receive."""
+        """Return the recorded state as the `StateSample` that observers receive."""
         t, g = self.time, self.grippers
         return StateSample(
             t,
@@ -74,7 +74,7 @@ class RecordedState:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Recorded run.
+    """Recorded run, as read from its file.
 
     Attributes:
         metadata: run metadata, see `run_metadata`; empty if the record is not of a cell's task.
@@ -93,11 +93,11 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """Duration [s] of the cell's clock between the first and the last state."""
+        """Return the duration [s, cell's clock] from the first to the last recorded state."""
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
-        """Return the index of the last state at or before a time [s]."""
+        """Return the index of the last recorded state at or before a time [s]."""
         return max(bisect.bisect_right(self.states, round(time * NANO), key=lambda s: s.nanoseconds) - 1, 0)
 
 
@@ -157,7 +157,7 @@ class _Reading:
         self._poses: dict[str, Array] = {}
 
     def read(self) -> str:
-        """Read the file; return the cause if it ends too early, else an empty string."""
+        """Read the record file; return the cause if the file is cut off, else an empty string."""
         from mcap.exceptions import InvalidMagic, McapError
         from mcap.stream_reader import StreamReader
         from rosbags.serde.errors import SerdeError
@@ -265,7 +265,7 @@ def _trajectory(message: Any) -> JointTrajectory:
 
 
 def scenes_of(record: Record, start: PlanningScene) -> list[tuple[float, PlanningScene]]:
-    """Return the scene at the start and after each change, with times [s].
+    """Return a recorded run's scene at its start and after each change, with times [s].
 
     The robot and the movable objects keep their initial poses; the recorded states contain their motion.
     """

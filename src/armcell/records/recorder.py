@@ -55,7 +55,7 @@ class Series:
 
     @property
     def object_heights(self) -> dict[str, Array]:
-        """World z of each object's origin (n,) [m], by object name."""
+        """Return the world z of each object's origin (n,) [m], by object name."""
         return {name: xyz[:, 2] for name, xyz in self.object_positions.items()}
 
 
@@ -137,7 +137,7 @@ class RunRecorder:
 
     @property
     def mcap_file(self) -> Path:
-        """Path of the record after `close`."""
+        """Return the path that the MCAP file has after `close`."""
         return self._mcap.file
 
     # --- Observer ---
@@ -188,7 +188,7 @@ class RunRecorder:
         self.close()
 
     def series(self) -> Series:
-        """Return all samples so far; a run with more than `MOST_SAMPLES` samples is evenly thinned."""
+        """Return the recorded samples, evenly thinned if there are more than `MOST_SAMPLES`."""
         with self._lock:
             samples, newest = list(self._samples), self._skipped or self._last
         if newest is not None and newest is not samples[-1]:
@@ -196,7 +196,7 @@ class RunRecorder:
         return _series(self.scene.model.joint_names, samples)
 
     def close(self) -> None:
-        """Write the last sample and finish the MCAP file; repeated calls have no effect."""
+        """Write the run's last sample and finish the MCAP file; repeated calls have no effect."""
         with self._lock:
             if self._closed:
                 return
@@ -222,7 +222,10 @@ class RunRecorder:
             self._keep(self._skipped)
 
     def _keep_on_disk(self, write: Callable[[], None]) -> None:
-        """Run a write; a disk error ends the recording but not the run, as a real arm may be moving."""
+        """Call a write function; a disk error ends the recording but not the run.
+
+        A real arm may be moving when the error occurs.
+        """
         if self._closed or self._broken is not None:
             return
         try:

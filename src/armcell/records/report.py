@@ -100,7 +100,7 @@ def _footer(recorder: RunRecorder) -> str:
 
 # --- tables ---
 def _rows(result: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """Return a list of mappings from the result; other entries become {"what": entry}."""
+    """Return a list in the run's result as mappings; other entries become {"what": entry}."""
     value = result.get(key) or []
     if not isinstance(value, list | tuple):
         value = [value]

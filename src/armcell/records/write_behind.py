@@ -49,7 +49,7 @@ class WriteBehindFile:
 
     @property
     def waiting(self) -> int:
-        """Number of bytes that are not on the disk yet."""
+        """Return the number of bytes that are not on the disk yet."""
         return self._bytes
 
     def tell(self) -> int:
@@ -70,7 +70,7 @@ class WriteBehindFile:
                 self._wake.notify()
 
     def wait(self) -> None:
-        """Flush, and wait until all data is on the disk.
+        """Hand over all queued data, and wait until all data is on the disk.
 
         Raises:
             OSError: a write failed.
@@ -103,7 +103,7 @@ class WriteBehindFile:
         self._raise()
 
     def _failed(self, error: OSError) -> None:
-        """Store the error, discard the waiting data and end the thread."""
+        """Store a write error, discard the waiting data and end the thread."""
         with self._wake:
             self._error, self._closing = error, True
             self._waiting.clear()

@@ -49,7 +49,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the node and ROS 2 classes on first access, because they load physics and planners."""
+    """Import node and ROS 2 classes on first access, because they load physics and planners."""
     if name in ("CellNode", "ServedCell", "ServedPlanner"):
         from armcell.ros import nodes
 

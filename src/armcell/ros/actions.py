@@ -102,7 +102,7 @@ Execute = Callable[[Goal], Done]
 
 
 class ActionServer:
-    """An action server on the bus.
+    """Server of one ROS 1 action on the message bus.
 
     Args:
         bus: the message bus.
@@ -147,7 +147,7 @@ class ActionServer:
         threading.Thread(target=self._tell, name=f"status {self.name}", daemon=True).start()
 
     def close(self) -> None:
-        """Cancel all goals and remove the server from the bus."""
+        """Cancel all goals and remove the action server from the bus."""
         self._stop.set()
         with self._lock:
             goals = list(self._goals.values())
@@ -185,9 +185,9 @@ class ActionServer:
         threading.Thread(target=self._work, args=(goal,), name=f"goal {self.name}", daemon=True).start()
 
     def _on_cancel(self, message: Any) -> None:
-        """Cancel goals by id, by time stamp (all goals up to the stamp), by both, or all goals.
+        """Cancel the goals that a cancel message selects by goal id, by time stamp or by both.
 
-        A cancel message without id and stamp cancels all goals.
+        A stamp selects all goals up to this time. A message without id and stamp cancels all goals.
         """
         stamp = message.stamp.to_nsec()
         with self._lock:
@@ -295,7 +295,7 @@ class ActionServer:
 
 
 def _explained(done: Done, why_stopped: str) -> Done:
-    """Return the outcome of a goal with its failure reason also written into the result message."""
+    """Return a goal's outcome, with its failure reason copied into the result message."""
     if done.state is State.SUCCEEDED:
         return done
     stopped = done.state in (State.PREEMPTED, State.RECALLED)
@@ -315,7 +315,7 @@ class SentGoal:
         self._over = threading.Event()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for the result; return True if it has arrived."""
+        """Wait up to `timeout` [s] for the action's result; return False on timeout."""
         return self._over.wait(timeout)
 
     def cancel(self) -> None:
@@ -387,12 +387,12 @@ class ActionClient:
 
     @property
     def unfinished(self) -> list[SentGoal]:
-        """Goals that this client sent and that have no result yet."""
+        """Return the goals that this action client has sent and that have no result yet."""
         with self._lock:
             return list(self._goals.values())
 
     def cancel_all(self) -> None:
-        """Cancel every goal of the server, including goals of other clients."""
+        """Cancel every goal of the action server, including goals of other clients."""
         self._cancel.publish(self.bus.schema.new("actionlib_msgs/GoalID"))
 
     def _receive(self, message: Any) -> None:

@@ -33,7 +33,7 @@ LOOK_PERIOD = 0.1  # [s] polling period for a service behind a transport
 Put = Callable[[Any], None]
 Handler = Callable[[Any], Any]
 Finder = Callable[[str], Handler | None]
-"""Returns the handler of a service behind a transport by its full name, or None if there is no server."""
+"""Returns the handler of a service behind a transport by full name; None without a server."""
 
 
 class ServiceError(ArmcellError):
@@ -82,7 +82,7 @@ class Bus:
 
     @property
     def names(self) -> NameMap | None:
-        """Map between this program's names and the bus's names; None for the bus itself."""
+        """Return the map from this program's names to the bus's names; None without a map."""
         return self._names
 
     @property
@@ -147,7 +147,7 @@ class Bus:
         return subscription
 
     def attach(self, topic: str, type_name: str, put: Put, owner: object = None) -> Attachment:
-        """Attach a transport's function to a topic; the bus calls it in the publisher's thread.
+        """Attach a transport's function to a topic; each publisher's thread calls the function.
 
         `put` receives the messages in order. It must be quick, must not raise, and must not use the bus. It
         does not receive messages of publishers with the same `owner`, because those messages arrived through
@@ -209,11 +209,13 @@ class Bus:
         self._changed.notify_all()
 
     def wait_change(self, version: int, timeout: float | None = None) -> int:
-        """Wait until a publisher, subscriber or service is added or removed; return the new version.
+        """Wait until a publisher, subscriber or service is added or removed on the bus.
 
         Args:
             version: version that the previous call returned; 0 for the first call.
             timeout: longest wait [s]; None waits forever.
+        Returns:
+            The new version of the bus.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._versions[0] != version, timeout)
@@ -311,7 +313,7 @@ class Bus:
 
 
 class _Topic:
-    """Publishers and receivers of one topic.
+    """Publishers and receivers of one topic on the message bus.
 
     The topic's lock ensures that all receivers get the messages in the same order.
     """
@@ -380,7 +382,7 @@ class _Member:
         self.closed = False
 
     def close(self) -> None:
-        """Leave the topic. Repeated calls have no effect."""
+        """Remove this publisher or receiver from its topic; repeated calls have no effect."""
         self.closed = True
         self._bus._leave(self._topic, self)
 
@@ -392,7 +394,7 @@ class _Member:
 
 
 class Publisher(_Member):
-    """Publisher of messages on one topic."""
+    """Publisher of messages on one topic of the message bus."""
 
     def __init__(self, bus: Bus, topic: _Topic, latch: bool, owner: object = None):
         super().__init__(bus, topic, owner)
@@ -414,12 +416,12 @@ class Publisher(_Member):
 
     @property
     def subscribers(self) -> int:
-        """Number of receivers of the topic, including those of transports."""
+        """Return the number of receivers of the topic, including receivers of transports."""
         return len(self._topic.receivers)
 
 
 class Attachment(_Member):
-    """A transport's receiver function on a topic."""
+    """Attachment of a transport's receiver function to a topic."""
 
     def __init__(self, bus: Bus, topic: _Topic, put: Put, owner: object = None):
         super().__init__(bus, topic, owner)
@@ -427,7 +429,7 @@ class Attachment(_Member):
 
 
 class Subscription(Attachment):
-    """Bounded message queue on a topic.
+    """Subscription to a topic: a bounded queue of unread messages.
 
     Attributes:
         dropped: number of unread messages that the full queue has dropped.
@@ -450,7 +452,7 @@ class Subscription(Attachment):
             self._arrived.notify()
 
     def get(self, timeout: float | None = None) -> Any:
-        """Return the oldest unread message.
+        """Return the oldest unread message of the subscription.
 
         Args:
             timeout: longest wait for a message [s]; None waits until the subscription is closed.
@@ -467,7 +469,7 @@ class Subscription(Attachment):
             return self._queue.popleft() if self._queue else None
 
     def join(self, topic: str, type_name: str) -> None:
-        """Add another topic to this queue, so that messages of both topics keep their order."""
+        """Add a topic to this subscription, so that messages of all its topics keep their order."""
         self._joined.append(self._bus.attach(topic, type_name, self._put))
 
     def run(self, callback: Callable[[Any], None]) -> None:
@@ -495,7 +497,7 @@ class Subscription(Attachment):
 
 
 class Service:
-    """A service on the bus; `close` removes it."""
+    """Registration of a service on the message bus; `close` removes the service."""
 
     def __init__(self, bus: Bus, name: str, type_name: str, handler: Handler):
         self._bus = bus

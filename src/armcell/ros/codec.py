@@ -49,7 +49,7 @@ class Codec:
         self._store.types = _Classes(schema, self._cdr)
 
     def encode(self, message: Any) -> memoryview:
-        """Encode a message to bytes.
+        """Encode a ROS message as bytes.
 
         Raises:
             InputError: the value of a field does not fit its type.
@@ -119,7 +119,7 @@ def _is_empty(definition: Definition) -> bool:
 
 
 def _culprit(message: Any) -> str | None:
-    """Return a hint that names the first field with text instead of a number, or vice versa.
+    """Return a hint that names a message's first field with text for a number, or vice versa.
 
     Returns None if no direct field of the message has this fault, that is, if the fault is nested deeper.
     """

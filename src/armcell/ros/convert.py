@@ -182,8 +182,10 @@ def _check_names(names: Sequence[str], model: RobotModel) -> None:
 
 
 def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
-    """Stack one field of all points into an array (points, n); return None if no point sets it.
+    """Stack one field of all trajectory points into an array (points, n).
 
+    Returns:
+        The array, or None if no point sets the field.
     Raises:
         InputError: a point has the wrong number of values, or a value is not finite.
     """

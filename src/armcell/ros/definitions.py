@@ -43,14 +43,14 @@ Field = tuple[str, Any]  # field name and type node of rosbags
 
 
 class Definition(NamedTuple):
-    """Constants (name, base type, value) and fields of a message."""
+    """Definition of one message: its constants (name, base type, value) and its fields."""
 
     constants: list[tuple[str, str, Any]]
     fields: list[Field]
 
 
 class Interfaces(NamedTuple):
-    """A set of definitions: messages by name, and the names of services and actions."""
+    """Set of ROS definitions: messages by name, and the names of services and actions."""
 
     messages: dict[str, Definition]
     services: list[str]

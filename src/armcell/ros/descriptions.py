@@ -23,7 +23,7 @@ class Descriptions:
         self._told: dict[str, str] = {}
 
     def look(self) -> None:
-        """Publish each description that has changed since the last call."""
+        """Publish each robot description (URDF, SRDF) that has changed since the last call."""
         published = {t.name for t in self._bus.topics() if t.publishers}
         for topic in TOPICS:
             text = self._bus.parameters.get(topic, None)

@@ -55,7 +55,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 class Stamp:
-    """Conversion methods of time and duration messages with the fields `sec` and `nanosec`."""
+    """Base class of time and duration messages: conversion between fields and seconds."""
 
     __slots__ = ()
     sec: int
@@ -69,7 +69,7 @@ class Stamp:
 
     @classmethod
     def from_sec(cls, seconds: float) -> Any:
-        """Create the message from seconds, rounded to the nearest nanosecond.
+        """Create a time or duration message from seconds, rounded to the nearest nanosecond.
 
         `nanosec` is in the range 0 to 999999999.
         """

@@ -36,7 +36,7 @@ def resolve(name: str, namespace: str = "/") -> str:
 
 
 def resolved(name: str, node: str, namespace: str) -> str:
-    """Return the full name for a name as a program wrote it.
+    """Resolve a name in a program's source (absolute, private or relative) to a full ROS name.
 
     `/a` stays `/a`, `~a` is relative to the node, and `a` is relative to the namespace.
 
@@ -80,7 +80,7 @@ class NameMap:
 
     @property
     def remapped(self) -> list[str]:
-        """Remapped names, in the form that the program uses."""
+        """Return the remapped names in the form that the program uses."""
         return [self.to_bus(self._there[name]) for name in self._there]
 
     def to_graph(self, name: str) -> str:

@@ -32,7 +32,7 @@ class Parameters:
             self._values.update(_flat(name, value))
 
     def get(self, name: str, default: Any = _NONE) -> Any:
-        """Return a value, or a namespace as nested dicts; "/" returns all parameters.
+        """Return a parameter's value, or a namespace as nested dicts; "/" returns all parameters.
 
         Raises:
             UnknownNameError: the parameter is not set and the caller gave no default.
@@ -49,7 +49,7 @@ class Parameters:
         raise UnknownNameError("parameter", name, self.names())
 
     def delete(self, name: str) -> None:
-        """Remove a value or a namespace.
+        """Delete a parameter, or a namespace with all of its parameters.
 
         Raises:
             UnknownNameError: the parameter is not set.

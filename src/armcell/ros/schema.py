@@ -91,7 +91,7 @@ class Schema:
     # --- types ---
     @property
     def messages(self) -> list[str]:
-        """Names of all messages, including the parts of services and actions, sorted."""
+        """Return the sorted names of all messages, including the parts of services and actions."""
         return sorted(self.definitions)
 
     def definition(self, name: str) -> Definition:
@@ -153,7 +153,7 @@ class Schema:
         return plain
 
     def tidy(self, name: str) -> Tidy:
-        """Return the converter that prepares messages of this type for encoding."""
+        """Return the converter that prepares messages of one type for encoding."""
         if name not in self._tidies:
             self._tidies.setdefault(name, Tidy(self.whole(name), self.tidy))
         return self._tidies[name]

@@ -34,12 +34,12 @@ class Frame:
 
     @property
     def parent(self) -> str:
-        """Parent frame of the last received transform."""
+        """Return the parent frame in the last received transform of this frame."""
         return max(self.parents, key=lambda name: self.parents[name])
 
     @property
     def rate(self) -> float:
-        """Mean rate of the received transforms [Hz]."""
+        """Return the mean rate [Hz] of the received transforms of this frame."""
         return (self.count - 1) / (self.last - self.first) if self.last > self.first else 0.0
 
 
@@ -78,7 +78,7 @@ class TfMonitor:
 
     @property
     def roots(self) -> list[str]:
-        """Frames without a parent, sorted by name."""
+        """Return the TF frames without a parent, sorted by name."""
         return sorted({f.parent for f in self.frames.values()} - set(self.frames))
 
     def lines(self, now: float) -> list[str]:

@@ -1,4 +1,4 @@
-"""Transports by name: connections of the bus to other programs (Unity, ROS 1, ROS 2, installed packages).
+"""Transports by name: connections of the bus to Unity, ROS 1, ROS 2 or installed packages.
 
 `armcell serve CELL --wire NAME=ADDRESS` opens any registered transport. A package adds one with
 
@@ -23,33 +23,33 @@ LOCAL = "127.0.0.1"
 
 
 class Transport(Protocol):
-    """Carries the messages of a bus to other programs and back.
+    """Connection that transports messages between a bus and other programs, in both directions.
 
     The constructor checks the address and opens nothing. After `close`, no thread runs and no socket listens.
     """
 
     def reserve(self) -> None:
-        """Take the port, without answering yet.
+        """Bind the transport's port without accepting connections yet.
 
         Raises:
-            InputError: the port is in use, or a peer that is needed first does not exist.
+            InputError: the port is in use, or a required peer does not exist.
         """
         ...
 
     def start(self) -> None:
-        """Let other programs in; called when the cell behind the bus can answer."""
+        """Start to accept connections; called when the cell on the bus can answer."""
         ...
 
     def close(self) -> None:
-        """Disconnect; may be called at any time and more than once."""
+        """Close all connections of the transport; callable at any time and repeatedly."""
         ...
 
     def ready(self) -> str:
-        """Return the line to print after `start`: where other programs connect."""
+        """Return the line to print after `start`, with the address for other programs."""
         ...
 
     def status_text(self) -> str:
-        """Return the peers and losses, for the status line.
+        """Return connected peers and lost messages as text for the status line.
 
         Raises:
             InputError: the transport has ended.
@@ -57,19 +57,21 @@ class Transport(Protocol):
         ...
 
     def endpoints(self) -> Iterable[Endpoint]:
-        """Return the sockets that listen."""
+        """Return the sockets on which the transport listens."""
         ...
 
 
 TransportFactory = Callable[[Bus, str], Transport]
-"""Makes a transport for a bus and an address; an empty address is the transport's default."""
+"""Creates a transport for a bus and an address; an empty address selects the default."""
 
 transports: Registry[TransportFactory] = Registry("transport", "armcell.transports")
 """Transports by name."""
 
 
 def split_address(address: str, port: int) -> tuple[str, int]:
-    """Split "HOST:PORT" or "HOST" into host and port; empty parts are 127.0.0.1 and the default port.
+    """Split an address "HOST:PORT" or "HOST" into host and port.
+
+    The defaults are the host 127.0.0.1 and the given port.
 
     Raises:
         InputError: the port is not a number from 0 to 65535.
@@ -81,17 +83,17 @@ def split_address(address: str, port: int) -> tuple[str, int]:
 
 
 def losses(dropped: int, mistakes: int) -> str:
-    """Return the part of a status line that names dropped and malformed messages; empty without any."""
+    """Format the counts of dropped and malformed messages for a status line; omit zero counts."""
     return (f"  dropped {dropped}" if dropped else "") + (f"  mistakes {mistakes}" if mistakes else "")
 
 
 @transports.register("tcp")
 class TcpTransport:
-    """Serves Unity's ROS-TCP-Connector.
+    """Transport to Unity: a server for Unity's ROS-TCP-Connector.
 
     Args:
-        address: HOST:PORT to listen on; port 0 is any free port.
-        protocol: "auto" (as each client speaks), "ROS1" or "ROS2".
+        address: HOST:PORT to listen on; port 0 selects a free port.
+        protocol: "auto" (follows each client), "ROS1" or "ROS2".
     """
 
     def __init__(self, bus: Bus, address: str = "", protocol: str = "auto"):
@@ -116,10 +118,11 @@ class TcpTransport:
 
 @transports.register("ros1")
 class Ros1Transport:
-    """A node in a ROS 1 graph; starts a master if there is none.
+    """Transport to ROS 1: a node in a ROS 1 graph; starts a master if none is reachable.
 
     Args:
-        address: address to listen on; by default as ROS_IP and ROS_HOSTNAME specify.
+        address: address to listen on; default: loopback, or all interfaces if ROS_IP or ROS_HOSTNAME name a
+            network address.
         settings: replaces the settings from the environment and the address.
         keep: topics that keep their last message for new subscribers.
     """
@@ -155,7 +158,7 @@ class Ros1Transport:
 
 @transports.register("ros2")
 class Ros2Transport:
-    """A node in a ROS 2 domain.
+    """Transport to ROS 2: a node in a ROS 2 domain.
 
     Args:
         address: number of the domain; by default ROS_DOMAIN_ID.

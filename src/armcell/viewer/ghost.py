@@ -53,7 +53,7 @@ class Ghost:
         ]
 
     def of_group(self, group: str) -> None:
-        """Show only the links that the planning group moves."""
+        """Show only the ghost's links that the planning group moves."""
         columns = set(self._model.columns(self._model.group(group).joint_names))
         tree = self._tree
         self._moved = frozenset(
@@ -87,7 +87,7 @@ class Ghost:
             self._draw(name, [(shape_part(shape, self._color), T) for shape, T in solid])
 
     def paint(self, color: Color, marked: Iterable[str] = (), mark: Color = RED) -> None:
-        """Set the color of all bodies, and a second color for the `marked` bodies."""
+        """Set the color of all bodies of the ghost, and a second color for the `marked` bodies."""
         self._color, marked = color, set(marked)
         for name, parts in self._parts.items():
             r, g, b, alpha = mark if name in marked else color

@@ -86,7 +86,7 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Serve the page from now on.
+        """Start to serve the web page.
 
         Before this call, requests with the token get a "starting" page.
         """
@@ -206,7 +206,7 @@ def _response(status: int, text: str, more: dict[str, str]) -> Response:
 
 
 def _harden(headers: Any, host: str) -> None:
-    """Add security headers that forbid framing, foreign connections and revealing referrers."""
+    """Add HTTP headers that forbid framing, foreign connections and revealing referrers."""
     own = f"ws://{host} wss://{host}" if host else ""
     headers["Content-Security-Policy"] = (
         f"frame-ancestors 'none'; connect-src 'self' blob: data: {own}; base-uri 'none'; "

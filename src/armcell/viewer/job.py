@@ -14,7 +14,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class Job:
-    """Work that runs in its own thread and can be canceled."""
+    """Background job that runs in its own thread and can be canceled."""
 
     kind: str  # "planning", "explaining", "executing"
     cancel: threading.Event = field(default_factory=threading.Event)
@@ -36,7 +36,7 @@ class Jobs:
 
     @property
     def busy(self) -> str:
-        """Kind of the current job, or an empty string."""
+        """Return the kind of the current job, or an empty string if no job runs."""
         job = self.current
         return job.kind if job is not None else ""
 
@@ -73,7 +73,7 @@ class Jobs:
         self._ended()
 
     def stop(self) -> bool:
-        """Cancel the current job; return True if there was one."""
+        """Cancel the current job; return True if a job was running."""
         with self._lock:
             job = self.current
             if job is None:
@@ -84,7 +84,7 @@ class Jobs:
         return True
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no job runs; return False if `timeout` [s] expires first."""
+        """Wait until no background job runs; return False if `timeout` [s] expires first."""
         job = self.current
         if job is not None and job.thread is not None:
             job.thread.join(timeout)

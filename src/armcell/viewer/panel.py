@@ -43,7 +43,7 @@ class StatusPanel:
         return self._boxes[what].value
 
     def update(self, sample: StateSample | None, events: list[Event]) -> None:
-        """Show new events and the newest state sample.
+        """Show new events and the newest state sample of the cell in the panel.
 
         The stage name comes from the event's `data["name"]` or `data["stage"]`, else from its text.
         """

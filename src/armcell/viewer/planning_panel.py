@@ -70,7 +70,7 @@ class PlanningPanel:
         self.close()
 
     def close(self) -> None:
-        """Stop the session, its threads and the server."""
+        """Stop the planning session, its threads and the web server."""
         self.session.close()
         self._player.close()
         self._latest.close()
@@ -162,7 +162,7 @@ class PlanningPanel:
 
     # --- showing ---
     def refresh(self) -> None:
-        """Draw the session's current state; safe to call from any thread."""
+        """Draw the planning session's current state; safe to call from any thread."""
         with self._lock, self.viewer.server.atomic():
             session = self.session
             self.plan.refresh()

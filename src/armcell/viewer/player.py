@@ -32,7 +32,7 @@ class Player:
         self._thread.start()
 
     def play(self, duration: float) -> None:
-        """Play from the beginning for `duration` [s]."""
+        """Play the motion from its beginning for `duration` [s]."""
         with self._wake:
             self._duration = duration
             self._wake.notify()

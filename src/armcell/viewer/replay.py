@@ -90,7 +90,7 @@ class ReplayView:
         self.show(time)
 
     def toggle(self) -> None:
-        """Pause, or play from the slider's time (from the beginning if it is at the end)."""
+        """Pause the replay, or play from the slider's time; at the end, play from the beginning."""
         if self._player.playing:
             self.seek(float(self.time.value))
             return
@@ -133,7 +133,7 @@ class ReplayView:
         self.viewer.on_state(self.record.states[self.record.index_at(time + 1e-9)].sample())
 
     def _said_until(self, time: float) -> list[Event]:
-        """Return the last stage event up to a time [s], and the last other event if it is newer."""
+        """Return the last stage event up to a time [s], and a newer event of another kind, if any."""
         before = [e for e in self.record.events if e.time <= time + 1e-9]
         stages = [e for e in before if e.kind == "stage"]
         return [*stages[-1:], *(e for e in before[-1:] if e.kind != "stage")]

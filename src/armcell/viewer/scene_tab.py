@@ -67,7 +67,7 @@ class SceneTab:
 
     @property
     def dragged(self) -> str | None:
-        """Name of the world object that the drag control moves, or None."""
+        """Return the name of the world object that the drag control moves, or None."""
         return (
             self.chosen.value
             if self.drag.value and self.chosen.value in self._session.scene.objects
@@ -181,7 +181,7 @@ class SceneTab:
 
 
 def _offer(dropdown: Any, names: tuple[str, ...]) -> None:
-    """Set a dropdown's choices and keep the current choice if it still exists."""
+    """Set the choices of a dropdown, and keep the current choice if it is among them."""
     options = (NONE, *names)
     if dropdown.options != options:
         if dropdown.value not in options:

@@ -45,7 +45,7 @@ class PageServer:
         return self.endpoints[0].port
 
     def open(self) -> None:
-        """Start answering browsers; call this after building the page."""
+        """Start to answer browsers; call this method after building the page."""
         self.guard.open()
 
     def stop(self) -> None:
@@ -122,7 +122,7 @@ def _free_port(host: str, port: int) -> int:
 # --- patches of viser, which has no hooks for the guard and for its console output ---
 @contextlib.contextmanager
 def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
-    """Context manager that puts the guard in front of every server that viser starts inside it.
+    """Put the guard in front of every server that viser starts during a `with` block.
 
     Yields:
         List that receives the `websockets` server object.
@@ -230,7 +230,7 @@ _printing = threading.Lock()
 
 @contextlib.contextmanager
 def _quiet_viser() -> Iterator[None]:
-    """Context manager that logs viser's `rich.print` output; other callers print as usual.
+    """Log viser's `rich.print` output during a `with` block; other callers print as usual.
 
     viser announces its start and end on stdout even with `verbose=False`, and stdout belongs to the caller.
     """

@@ -110,14 +110,14 @@ class PlanningSession:
                     logger.exception("a listener of the planning session failed")
 
     def say(self, text: str) -> None:
-        """Set `message` and notify the listeners."""
+        """Set the session's status message and notify the listeners."""
         self.message = text
         self._tell("result")
 
     # --- goal and settings ---
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names of the planning groups that have joints."""
+        """Return the names of the planning groups that have joints."""
         return tuple(g.name for g in self.scene.model.groups.values() if g.joint_names)
 
     @property
@@ -126,7 +126,7 @@ class PlanningSession:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the current group's named states."""
+        """Return the names of the current group's named states."""
         return tuple(self.scene.model.named_states.get(self.group, {}))
 
     @property
@@ -135,7 +135,7 @@ class PlanningSession:
 
     @property
     def start_positions(self) -> Array:
-        """Joint positions (dof,) at which a plan starts."""
+        """Return the joint positions (dof,) at which a plan starts."""
         return self.scene.positions if self.start is None else self.start
 
     def set_group(self, name: str) -> None:
@@ -152,7 +152,7 @@ class PlanningSession:
         self._tell("settings", "goal", "result")
 
     def set(self, **fields) -> None:
-        """Change some fields of `settings`.
+        """Change some fields of the planning settings.
 
         Raises:
             InputError: a value is invalid; the settings stay unchanged.
@@ -312,7 +312,7 @@ class PlanningSession:
     # --- planning ---
     @property
     def busy(self) -> str:
-        """Current activity: "planning", "explaining", "executing" or an empty string."""
+        """Return the current activity: "planning", "explaining", "executing" or an empty string."""
         return self._jobs.busy
 
     def plan(self) -> None:
@@ -351,7 +351,7 @@ class PlanningSession:
         self._publish(job, explanation=result.explain(EXPLAIN_S))
 
     def _publish(self, job: Job, *, planned_with: int | None = None, **fields) -> None:
-        """Set attributes of the session, unless the job has been abandoned."""
+        """Set attributes of the planning session, unless its background job was abandoned."""
         with self._lock:
             if self._jobs.current is not job:
                 return
@@ -379,7 +379,7 @@ class PlanningSession:
     # --- executing ---
     @property
     def why_not_executable(self) -> str:
-        """Reason why the last plan cannot be executed; empty if it can."""
+        """Return the reason why the last plan cannot be executed; empty if execution is possible."""
         result = self.result
         if self._connect is None:
             return "there is no robot to execute it: this is a scene, not a cell"
@@ -425,7 +425,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def _connected(self, job: Job) -> LiveCell:
-        """Return the live cell; reconnect if the user has edited the world since connecting."""
+        """Return the live cell; reconnect if the user has edited the world in the meantime."""
         if self._live is not None and self._live_with != self._edits:
             self._disconnect()
         if self._live is None:
@@ -450,12 +450,12 @@ class PlanningSession:
         self.message = message
 
     def stop(self) -> None:
-        """Cancel planning or explaining, or stop the robot."""
+        """Cancel the running planning or explanation, or stop the robot."""
         if self._jobs.stop():
             self._tell("result")
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the session is idle; return False if `timeout` [s] expires first."""
+        """Wait until the planning session is idle; return False if `timeout` [s] expires first."""
         return self._jobs.wait(timeout)
 
     def close(self) -> None:
@@ -485,7 +485,7 @@ def _first_group(scene: PlanningScene) -> str:
 
 
 def _asked(scene: PlanningScene, group: str, goal: GoalView) -> Goal:
-    """Return the displayed joint goal; if that state is invalid, the requested pose instead.
+    """Return the displayed joint goal; if the joint goal is invalid, return the requested pose.
 
     Planning to the pose then fails with an explanation of the invalid goal.
     """

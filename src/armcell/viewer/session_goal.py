@@ -45,7 +45,7 @@ class PlanSettings:
     motion: str = FREE  # one of MOTIONS
 
     def check(self) -> None:
-        """Raise InputError if a setting is invalid."""
+        """Raise InputError if a planning setting is invalid."""
         find_planner(self.pipeline, self.planner)
         check_scaling(self.velocity_scaling, "velocity scaling")
         check_scaling(self.acceleration_scaling, "acceleration scaling")
@@ -57,7 +57,7 @@ class PlanSettings:
             raise InputError(f"motion is {self.motion!r}", hint=f"choose one of {', '.join(MOTIONS)}")
 
     def as_in(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
-        """Return the settings with the values of a planning request."""
+        """Return a copy of the planning settings with the values of a planning request."""
         speeds: dict[str, Any] = {
             "velocity_scaling": request.velocity_scaling,
             "acceleration_scaling": request.acceleration_scaling,

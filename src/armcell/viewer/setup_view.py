@@ -138,7 +138,7 @@ class SetupView:
             self._show_pairs()
 
     def _show_pairs(self) -> None:
-        """Show a box for each pair of the selected link, with the contact frequency below the name."""
+        """Show a check box for each pair of the selected link, labeled with the contact frequency."""
         with self._deciding:
             for box in self.boxes.values():
                 box.remove()

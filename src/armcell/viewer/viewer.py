@@ -85,7 +85,7 @@ class CellViewer:
 
     @property
     def url(self) -> str:
-        """URL that opens the page in a browser on this machine; it contains the page's token."""
+        """Return the URL, with the page's token, that opens the page on this machine."""
         return self.page.url
 
     @property
@@ -93,12 +93,12 @@ class CellViewer:
         return self.page.port
 
     def open(self) -> None:
-        """Start answering browsers."""
+        """Start to answer browsers that open the page."""
         self.page.open()
 
     @property
     def server(self) -> viser.ViserServer:
-        """viser's server object, for adding to the view."""
+        """Return viser's server object, for adding scene nodes and widgets to the page."""
         return self._server
 
     # --- Observer: called from the thread that steps the cell ---

@@ -64,7 +64,7 @@ def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanatio
 
 
 def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
-    """Return the scene moved to `state`; non-finite joints get their default positions."""
+    """Return the scene with the joint positions `state`; defaults replace non-finite positions."""
     positions = scene.state.updated(state).positions if state is not None else scene.positions
     usual = scene.model.default_positions()
     return replace(scene, positions=np.where(np.isfinite(positions), positions, usual))

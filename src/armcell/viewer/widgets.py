@@ -18,7 +18,7 @@ _quiet = threading.local()
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Context manager in which this thread can set widgets without triggering their callbacks."""
+    """Let this thread set widgets during a `with` block without triggering their callbacks."""
     before, _quiet.on = getattr(_quiet, "on", False), True
     try:
         yield

@@ -1,1 +1,1 @@
-"""Modules that replace those of ROS for scripts; all of them work on the armcell bus."""
+"""Replacements for ROS's Python modules, which scripts import; they work on the armcell bus."""

@@ -41,7 +41,7 @@ class SimpleActionClient:
         self._session, self._sent = session, None
 
     def wait_for_server(self, timeout: Any = 0.0) -> bool:
-        """Wait for the action's server; return whether it is available.
+        """Wait for the action's server; return True if the server is available.
 
         Args:
             timeout: limit [s, wall clock] or Duration; 0 waits without limit.
@@ -83,7 +83,7 @@ class SimpleActionClient:
         return self.get_state()
 
     def wait_for_result(self, timeout: Any = 0.0) -> bool:
-        """Wait for the goal's result; return whether it has arrived.
+        """Wait for the goal's result; return True if the result has arrived.
 
         Args:
             timeout: limit [s, cell clock] or Duration; 0 waits without limit.

@@ -33,7 +33,7 @@ class ROSSerializationException(ROSException):
 
 
 class TransportException(ROSException):
-    """Error: a connection failed."""
+    """Error: a connection to another ROS node failed."""
 
 
 class ServiceException(Exception):
@@ -178,7 +178,7 @@ def wait_until(seconds: float) -> None:
 
 
 class Rate:
-    """Sleeps so that a loop runs at a rate [Hz] of the cell's clock."""
+    """Loop timer that sleeps to keep a loop at a rate [Hz] of the cell's clock."""
 
     def __init__(self, hz: float, reset: bool = False):
         self.sleep_dur = Duration.from_sec(1.0 / hz)
@@ -199,7 +199,7 @@ class Rate:
 
 
 class Timer(threading.Thread):
-    """Calls back with a TimerEvent every period of the cell's clock, until `shutdown`."""
+    """Timer that calls back with a TimerEvent every period of the cell's clock."""
 
     def __init__(
         self, period: Duration, callback: Callable[[Any], None], oneshot: bool = False, reset: bool = False

@@ -37,7 +37,7 @@ class Publisher:
             self._publisher = current_session().bus.advertise(self.name, self.type, latch)
 
     def publish(self, *args: Any, **kwds: Any) -> None:
-        """Publish a message, or one made from the given field values."""
+        """Publish a message, or a message that is created from the given field values."""
         if len(args) == 1 and not kwds and getattr(args[0], "_type", None) == self.type:
             message = args[0]
         elif len(args) == 1 and not kwds and hasattr(args[0], "_type"):

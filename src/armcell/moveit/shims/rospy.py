@@ -107,7 +107,7 @@ def _log(level: str, message: Any, args: tuple[Any, ...]) -> None:
 
 
 def logdebug(msg: Any, *args: Any, **kwargs: Any) -> None:
-    """Ignore a debug message; ROS does not show these by default either."""
+    """Ignore a debug message, because ROS does not show debug messages by default."""
 
 
 def loginfo(msg: Any, *args: Any, **kwargs: Any) -> None:

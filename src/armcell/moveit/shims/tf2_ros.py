@@ -39,11 +39,11 @@ class ExtrapolationException(TransformException):
 
 
 class InvalidArgumentException(TransformException):
-    """Error: an object or transform is invalid."""
+    """Error: an argument of a tf2 call, such as a transform, is invalid."""
 
 
 class TimeoutException(TransformException):
-    """Error: no transform arrived in time."""
+    """Error: no transform between the frames arrived within the timeout."""
 
 
 def _seconds(timeout: Any) -> float:

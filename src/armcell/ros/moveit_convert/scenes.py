@@ -109,7 +109,7 @@ def _known(scene: PlanningScene, name: str) -> Any:
 
 
 def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
-    """Return the change that moves an object to the message's pose.
+    """Return the scene change that moves an object to the pose in a CollisionObject message.
 
     Older clients send the new pose as the pose of the object's only shape.
     """
@@ -204,7 +204,7 @@ def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
 
 
 def _world(message: Any, now: PlanningScene, known: PlanningScene) -> list[Change]:
-    """Return the changes that a PlanningSceneWorld makes, in order.
+    """Return the changes that a PlanningSceneWorld message makes to the scene, in order.
 
     Each object is converted in the scene that results from the previous changes, as far as they concern it:
     adding and moving other objects do not.

@@ -29,12 +29,12 @@ PRISM = 5  # shape_msgs/SolidPrimitive's type of a prism, only in ROS 2; armcell
 
 
 def _primitives() -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
-    """Return the shapes that ROS knows, by name."""
+    """Return the kinds of shapes that shape_msgs/SolidPrimitive supports, by shape name."""
     return {n: (k, k.primitive) for n, k in shapes.imported().items() if k.primitive is not None}
 
 
 def primitive_type(name: str) -> int:
-    """Return shape_msgs/SolidPrimitive's type of a shape by its name."""
+    """Return the type number in shape_msgs/SolidPrimitive for the name of a shape."""
     return _primitives()[name][1].type
 
 

@@ -31,7 +31,7 @@ class CellAccess(Protocol):
 
     @property
     def controllers(self) -> Mapping[str, tuple[str, ...]]:
-        """Joint names of each controller that clients may select, by controller name."""
+        """Return the joint names of each controller that clients may select, by controller name."""
         ...
 
     def play(
@@ -72,11 +72,11 @@ class CellAccess(Protocol):
         ...
 
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return the waiting and running motions, optionally only those of certain joints."""
+        """Return the waiting and running motions, optionally only motions of given joints."""
         ...
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare that contacts of `body` with `others` belong to the task, or revoke this."""
+        """Declare contacts of `body` with `others` as part of the task, or revoke a declaration."""
         ...
 
     def tell(self, kind: str, text: str, **data: Any) -> None:

@@ -45,7 +45,7 @@ class ArmStatusPublisher:
         self._last: dict[str, tuple[int, int]] = {}
 
     def publish(self, driver: Driver) -> None:
-        """Measure and publish the status of the arms; call it in the thread that steps the driver."""
+        """Measure and publish the arms' status; call only in the thread that steps the driver."""
         new = self._bus.schema.new
         known = driver.arm_modes() if Capability.REPORT_MODES in driver.capabilities else {}
         for arm, publishers in self._modes.items():
@@ -69,6 +69,6 @@ class ArmStatusPublisher:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Remove the publishers from the bus."""
+        """Remove the publishers of the arms' status from the bus."""
         for member in (*self._wrenches.values(), *(p for pair in self._modes.values() for p in pair)):
             member.close()

@@ -55,7 +55,7 @@ class CameraPublisher:
         return {topics.name: topics.delivered for topics in self._cameras}
 
     def close(self) -> None:
-        """Remove the publishers from the bus."""
+        """Remove the publishers of the camera topics from the bus."""
         for topics in self._cameras:
             topics.close()
 
@@ -95,7 +95,7 @@ class _Topics:
         self._camera.ask(self, self._give, rgb=bool(self._color.subscribers or points), depth=bool(depth))
 
     def _give(self, image: CameraImage) -> None:
-        """Publish a rendered image in the thread that delivers it."""
+        """Publish a rendered camera image; called in the thread that delivers the image."""
         with self._giving:
             if not self._closed:
                 self._publish(image)

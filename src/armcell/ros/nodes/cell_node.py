@@ -103,7 +103,7 @@ class CellNode:
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step the cell and execute commands until `close`; then leave the bus."""
+        """Step the cell and execute commands until `close`; then remove the node from the bus."""
         try:
             with self.live:
                 self._states.publish(self.live.driver)
@@ -134,13 +134,13 @@ class CellNode:
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
-        """Start `run` in a new thread and return the thread."""
+        """Start the node in a new thread and return the thread."""
         thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
         thread.start()
         return thread
 
     def close(self) -> None:
-        """Ask `run` to end; running motions are stopped."""
+        """Stop the node: stop the running motions and request the end of `run`."""
         self._stop.set()
         self.conductor.stop()
 
@@ -231,18 +231,18 @@ class CellNode:
         raise InputError("the cell is closed")
 
     def _others(self, work: Work) -> list[Work]:
-        """Return the queued and running motions that share no joint with `work`."""
+        """Return the queued and running motions that share no joint with the motion `work`."""
         works = self.conductor.works()
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
-        """Return an unfinished motion that must start or end before `work` can be checked, or None."""
+        """Return a motion that must start or end before `work` can be checked, or None."""
         before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """Return a description of a conflict with running motions that ends when they have ended.
+        """Describe a motion's conflict with running motions if the conflict ends with them.
 
         Returns an empty string if there is no such conflict.
         """

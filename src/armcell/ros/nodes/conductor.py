@@ -27,10 +27,10 @@ STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
 
 
 class Work:
-    """A queued motion: `steps`, a generator made at its start, or `job`, one blocking call.
+    """Queued motion, given as `steps` (creates a generator) or as `job` (one blocking call).
 
     Attributes:
-        joints: the joints that it moves; motions that share a joint never run at the same time.
+        joints: the joints of the motion; motions that share a joint never run at the same time.
         cancel: event that ends the motion early; `stop` also records the reason.
         gives_way: if True, a newer motion of the same joints stops this one; if False, the newer motion
             waits.
@@ -63,11 +63,11 @@ class Work:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for the end of the motion; return True if it has ended."""
+        """Wait up to `timeout` [s] for the end of the motion; return False on timeout."""
         return self._over.wait(timeout)
 
     def stop(self, why: str) -> None:
-        """Stop the motion early; the reason `why` becomes part of its outcome."""
+        """Stop the motion early; its outcome then contains the reason `why`."""
         if not self.cancel.is_set():
             self._why_stopped = why
         self.cancel.set()
@@ -135,13 +135,13 @@ class Conductor(DriverProxy):
         return work
 
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return the waiting and running motions, optionally only those of certain joints."""
+        """Return the waiting and running motions, optionally only motions of given joints."""
         with self._lock:
             every = [*self._running, *self._waiting]
         return every if joints is None else [w for w in every if w.joints & frozenset(joints)]
 
     def stop(self, for_good: bool = False) -> None:
-        """Stop all motions.
+        """Stop all waiting and running motions.
 
         Args:
             for_good: if True, also reject later motions, for example of goals that are still being planned.
@@ -189,7 +189,7 @@ class Conductor(DriverProxy):
 
     # --- the driver's thread ---
     def turn(self) -> None:
-        """Run one period of the driver, or one complete blocking job."""
+        """Run the driver for one period, or run one complete blocking job."""
         self._thread = threading.current_thread()
         with self._lock:
             job = next((w for w in self._ready() if w.job is not None), None)
@@ -267,7 +267,7 @@ class Conductor(DriverProxy):
                 self._finish(work, None, error)
 
     def _step_all(self) -> None:
-        """Advance every motion by one step; a successor starts in the same period.
+        """Advance every running motion by one step; a successor starts in the same driver period.
 
         A motion that waits for another one starts in the driver period in which the other one ends.
         """
@@ -299,7 +299,7 @@ class Conductor(DriverProxy):
 
 
 class _Some(DriverProxy):
-    """Driver of one motion, restricted to some joints: `stop` holds only these joints.
+    """View of the driver for one motion: `stop` holds only the joints of this motion.
 
     The other joints continue their motions.
     """

@@ -75,7 +75,7 @@ class Outlet(Protocol):
     """Connection to one external controller."""
 
     def begin(self, trajectory: JointTrajectory) -> Any:
-        """Send a motion to the controller; return a handle for `ended` and `cancel`.
+        """Send a motion to the controller; return the handle that `ended` and `cancel` require.
 
         Raises:
             InputError: the controller is not available.
@@ -161,7 +161,7 @@ class Controllers:
         self, using: Sequence[str], running: dict[str, Any], results: dict[str, ExecutionResult],
         cancel: threading.Event,
     ) -> ExecutionResult:  # fmt: skip
-        """Cancel the remaining motions, wait for their ends, and return the cause of the stop.
+        """Cancel the remaining motions, wait until they end, and return the cause of the stop.
 
         Returns:
             The first failure of a controller, or PREEMPTED if the caller canceled the motion.
@@ -245,7 +245,7 @@ class Controllers:
 
 
 class _Action:
-    """Controller with a FollowJointTrajectory action."""
+    """External controller with a FollowJointTrajectory action."""
 
     def __init__(self, bus: Bus, controller: Controller, joints: Callable[[], JointState]):
         self._bus, self._controller = bus, controller
@@ -281,7 +281,7 @@ class _Action:
 
 
 class _Topic:
-    """Controller with a trajectory topic but no feedback; joint states show when a motion ends."""
+    """External controller with a trajectory topic; joint states show the end of a motion."""
 
     def __init__(self, bus: Bus, controller: Controller, joints: Callable[[], JointState]):
         self._bus, self._controller, self._measured = bus, controller, joints
@@ -316,7 +316,7 @@ class _Topic:
         return None
 
     def cancel(self, running: tuple[float, JointTrajectory]) -> None:
-        """Stop by sending a one-point trajectory that holds the current joint positions."""
+        """Stop a motion with a one-point trajectory that holds the current joint positions."""
         here = self._measured().reindexed(running[1].joint_names)
         hold = resting(here.joint_names, here.positions, HOLD)
         self._publish(replace(hold, accelerations=None))

@@ -29,7 +29,7 @@ TIMEOUT = 180.0  # [s, wall clock] for one grasp
 
 @dataclass(frozen=True)
 class GraspServerSettings:
-    """Distances and planning time of the grasp server."""
+    """Settings of the grasp server: distances and planning time."""
 
     above: float = 0.10  # [m] distance from pre-grasp to grasp
     lift: float = 0.20  # [m]

@@ -178,7 +178,7 @@ class GripperNode:
     def closing(
         self, driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
     ) -> ExecutionSteps:
-        """Run `gripping`; before closing, declare finger contacts with the object as expected.
+        """Move a gripper; before it closes, declare the finger contacts with the object as expected.
 
         The simulation and the motion gate then accept these contacts.
         """

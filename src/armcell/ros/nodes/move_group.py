@@ -110,7 +110,7 @@ class MoveGroupNode:
         return error_code_message(self.bus.schema, code, message)
 
     def code_of(self, outcome: Outcome) -> Any:
-        """Return the error code of an outcome, with the reason unless it is a plain success."""
+        """Convert a motion's outcome to a MoveItErrorCodes message; a failure includes its reason."""
         return self.code(outcome.code, outcome.message or ("" if outcome.ok else outcome.code.name))
 
     def state_message(self, scene: PlanningScene) -> Any:
@@ -447,7 +447,7 @@ class MoveGroupNode:
 
     @contextmanager
     def stoppable(self, cancel: threading.Event) -> Iterator[None]:
-        """Register a goal for a `with` block, so that a "stop" event cancels it.
+        """Register a goal for a `with` block, so that a "stop" event cancels the goal.
 
         The event also cancels the goal before its motion has started.
         """
@@ -488,7 +488,7 @@ def waited(work: Work, cancel: threading.Event) -> Outcome:
 
 
 def done(outcome: Outcome, result: Any) -> Done:
-    """Return the end of a move_group action: aborted unless the code is success or preempted."""
+    """Return the final state of a move_group goal: SUCCEEDED, PREEMPTED or else ABORTED."""
     state = State.SUCCEEDED if outcome.ok else State.ABORTED
     if outcome.code is ErrorCode.PREEMPTED:
         state = State.PREEMPTED

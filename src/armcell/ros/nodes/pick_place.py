@@ -282,7 +282,7 @@ class PickPlaceNode:
         return None, Outcome(code, summary)
 
     def perform(self, goal: Goal, action: str, solution: PartialSolution) -> Outcome:
-        """Execute the steps of a plan in order."""
+        """Execute the steps of a pick or place plan in order."""
         self._node.feedback(goal, action, "MONITOR")
         with self._node.stoppable(goal.cancel):
             return self._steps(goal, solution)
@@ -337,7 +337,7 @@ class PickPlaceNode:
 
 
 class _BusPick(Pick):
-    """Pick for a /pickup goal: plans from the cell's scene and moves the cell through the bus.
+    """Pick task for a /pickup goal: plans in the cell's scene and moves the cell over the bus.
 
     Args:
         node: searches, performs steps and reports.
@@ -424,7 +424,7 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
     low, high = item.bounds()
 
     def fit(link: str) -> int:
-        """Return the number of grasps that put the tcp into the object, as poses of `link`."""
+        """Count the grasps that put the tcp into the object if they are poses of `link`."""
         points = [(T @ scene.transform(link, gripper.tcp_link)).translation for T in Ts]
         return sum(bool(np.all(p >= low - NEAR) and np.all(p <= high + NEAR)) for p in points)
 
@@ -447,7 +447,7 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
 
 
 def _posture(message: Any, gripper: Gripper) -> float | None:
-    """Return the gripper width [m] at the last point of a posture; None if it omits the gripper."""
+    """Return a posture's gripper width [m] at its last point; None if it omits the gripper."""
     if not message.points or gripper.joint_name not in list(message.joint_names):
         return None
     value = float(message.points[-1].positions[list(message.joint_names).index(gripper.joint_name)])

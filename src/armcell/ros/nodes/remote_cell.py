@@ -51,7 +51,7 @@ BEGINS = "executing"  # prefix on /trajectory_status that reports the start of a
 
 
 class RemoteCell:
-    """`CellAccess` to a simulator or robot that is connected to the bus.
+    """Implementation of `CellAccess` for a simulator or robot that is connected to the bus.
 
     Only one motion runs at a time, even with several arms: this class does not check motions against each
     other, and the simulator's status messages do not identify their motion.
@@ -176,18 +176,18 @@ class RemoteCell:
     # --- state ---
     @property
     def is_seen(self) -> bool:
-        """True if joint states have arrived."""
+        """Return whether joint states of the remote cell have arrived."""
         return self._joints is not None
 
     @property
     def silence(self) -> float:
-        """Time since the last joint states [s, wall clock]; 0 before the first ones."""
+        """Return the age of the last joint states [s, wall clock]; 0 before the first joint states."""
         with self._lock:
             return time.monotonic() - self._at if self._joints is not None else 0.0
 
     @property
     def has_closed(self) -> bool:
-        """True if a gripper's fingers are closer than at first, or were commanded to be."""
+        """Return whether a gripper has closed or was commanded to close since the start."""
         with self._lock:
             state, targets = self._joints, dict(self._targets)
         for name, first in self._first_widths.items():
@@ -202,11 +202,11 @@ class RemoteCell:
         return self._scene.model
 
     def joints(self) -> JointState:
-        """Return the last joint states; wait for the first ones.
+        """Return the last joint states; before the first joint states, wait for them.
 
         Raises:
-            InputError: no joint states have arrived, or the last ones are too old; the error states the
-                remedy.
+            InputError: no joint states have arrived, or the last joint states are too old; the error states
+                the remedy.
         """
         give_up = time.monotonic() + STATE_TIMEOUT
         while self._joints is None and time.monotonic() < give_up and not self._closed.is_set():
@@ -243,7 +243,7 @@ class RemoteCell:
         return scene
 
     def _await_poses(self) -> None:
-        """Wait once for the simulator's object poses; then use the cell's poses for missing ones."""
+        """Wait once for the simulator's object poses; then use the cell's poses for other objects."""
         if not self._unseen:
             return
         give_up = time.monotonic() + POSE_TIMEOUT
@@ -254,7 +254,7 @@ class RemoteCell:
             self._unseen = set()
 
     def _grips(self, gripper: Gripper, state: JointState) -> bool:
-        """Return True if the fingers could not close as far as they were commanded to.
+        """Return True if a gripper holds an object: its fingers are wider open than commanded.
 
         Without a command, closer fingers than at first mean that the simulator closed them itself.
         """
@@ -461,7 +461,7 @@ class RemoteCell:
     def _follow_fingers(
         self, work: Work, gripper: Gripper, wanted: float, ended: Callable[[], ExecutionResult | None]
     ) -> ExecutionResult:
-        """Wait until the fingers arrive or stand still, or their controller reports a failure."""
+        """Wait until the fingers reach their target or stop, or their controller reports a failure."""
         began = still = time.monotonic()
         last = np.inf
         while time.monotonic() - began < GRIP_TIMEOUT and not self._closed.is_set():
@@ -505,7 +505,7 @@ class RemoteCell:
 
 
 def _result_of(said: list[str], begun: bool) -> ExecutionResult | None:
-    """Return the result of a motion from the /trajectory_status messages since it was sent.
+    """Derive a motion's result from the /trajectory_status messages since the motion was sent.
 
     Args:
         said: the status messages.

@@ -1,4 +1,4 @@
-"""The planning scene on the bus: queries and edits by clients, and updates to them."""
+"""Planning scene on the bus: clients query and edit the scene and receive its updates."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class SceneNode:
             member.close()
 
     def header(self) -> Any:
-        """Return a header in the planning frame, which is the world."""
+        """Return a message header in the planning frame, which is the world frame."""
         return self._bus.header(WORLD)
 
     def message(self, scene: PlanningScene, parts: Components = Components.ALL) -> Any:
@@ -124,7 +124,7 @@ class SceneNode:
         self._changed.set()
 
     def _tell(self) -> None:
-        """Publish the complete scene after each change.
+        """Publish the complete planning scene after each change.
 
         Between changes, publish the robot state at 4 Hz while a client subscribes.
         """

@@ -73,7 +73,7 @@ class SensorNode:
             member.close()
 
     def clear(self) -> None:
-        """Clear the map of all measurements."""
+        """Remove all measurements from the octomap."""
         with self._lock:
             self._map.clear()
 
@@ -127,7 +127,7 @@ class SensorNode:
             publisher.publish(cloud_message(self._bus.schema, message.header, left[None].astype(np.float32)))
 
     def _points(self, sensor: Sensor3d, message: Any) -> np.ndarray | None:
-        """Return the points (n, 3) [m] of a cloud or depth image, in its own frame.
+        """Return the points (n, 3) [m] of a cloud or depth image, in the frame of its message.
 
         Raises:
             InputError: the camera info for a depth image has not arrived yet.
@@ -166,7 +166,7 @@ class SensorNode:
         return scene.with_positions(scene.state.updated(state).positions)
 
     def _pose(self, scene: PlanningScene, frame: str) -> SE3:
-        """Return T_world_frame of a sensor's frame.
+        """Return the pose T_world_frame of a sensor's frame.
 
         Raises:
             InputError: no transforms connect the frame with a frame of the scene.

@@ -86,16 +86,16 @@ class ServedCell:
 
     @property
     def has_closed(self) -> bool:
-        """True if a gripper was commanded to close, or can close automatically."""
+        """Return whether a gripper was commanded to close or can close automatically."""
         return self.node.grippers.closes_by_itself or self.node.grippers.has_closed
 
     @property
     def is_running(self) -> bool:
-        """True while the cell's thread steps the cell."""
+        """Return whether the cell's thread still steps the cell."""
         return self.thread.ident is not None and not self.over.is_set()
 
     def start(self, poll: float = 0.1, layer: Callable[[str], AbstractContextManager] = nullcontext) -> None:
-        """Connect the cell and serve it; return when the cell is ready.
+        """Connect the cell and serve it on the bus; return when the cell is ready.
 
         Args:
             poll: polling period [s] for the cell's thread.
@@ -152,7 +152,7 @@ class ServedCell:
         return 0.0 if v is None else float(np.max(np.abs(v), initial=0.0))
 
     def close(self) -> None:
-        """Stop all motions and leave the bus."""
+        """Stop all motions of the cell and remove its nodes from the bus."""
         self._stack.close()
         self.node.close()
         if self.thread.ident is not None:
@@ -185,7 +185,7 @@ class ServedPlanner:
 
     @property
     def has_closed(self) -> bool:
-        """True if a gripper was commanded to close, or the simulator closed it."""
+        """Return whether a gripper was commanded to close or was closed by the simulator."""
         return self.cell.has_closed
 
     def rest(self) -> None:

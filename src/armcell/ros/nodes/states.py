@@ -93,11 +93,11 @@ class StatePublisher:
             self._members.append(description)
 
     def due(self, now: float) -> bool:
-        """Return True if the next publication is due at the time `now` [s, driver's clock]."""
+        """Return True if the cell's state is due for publication at `now` [s, driver's clock]."""
         return now >= self._next - 1e-9
 
     def publish(self, driver: Driver) -> None:
-        """Measure and publish the state; call it in the thread that steps the driver."""
+        """Measure and publish the cell's state; call only in the thread that steps the driver."""
         now = driver.now
         self._next = max(self._next + self._period, now)  # avoids a burst of messages after a pause
         self._bus.clock.set(now)
@@ -122,7 +122,7 @@ class StatePublisher:
                     self._only.publish(stamped)
 
     def close(self) -> None:
-        """Remove the publishers from the bus."""
+        """Remove the publishers of the cell's state from the bus."""
         for member in self._members:
             member.close()
 
@@ -155,7 +155,7 @@ class _Mimics:
                 self._follows[name] = (source.name, factor, offset)
 
     def added(self, state: JointState) -> JointState:
-        """Return the joint state extended by the mimic joints of its joints.
+        """Extend a joint state by the mimic joints that follow its joints.
 
         The efforts of mimic joints are unknown and set to zero.
         """

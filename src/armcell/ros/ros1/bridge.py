@@ -1,4 +1,4 @@
-"""Connects an armcell bus to a ROS 1 graph, in both directions.
+"""Bridge between an armcell bus and a ROS 1 graph, in both directions.
 
 Publishers, subscribers and services of the bus appear in the graph; topics and services of the graph are
 reachable from the bus. The bridge registers and unregisters publishers, subscribers and services as they join
@@ -57,7 +57,7 @@ class BusBridge:
         Args:
             timeout: limit [s].
         Returns:
-            Whether the master knows them.
+            False on timeout.
         """
         version = self._bus.wait_change(-1, 0)
         with self._synced:
@@ -143,7 +143,7 @@ class BusBridge:
 
 
 class _ToBus:
-    """Publishes the messages of one ROS 1 publisher on the armcell bus.
+    """Forwarder of the messages of one ROS 1 publisher to the armcell bus.
 
     Each ROS 1 publisher has its own instance, so that the bus keeps the latched message of every publisher.
     """
@@ -163,7 +163,7 @@ class _ToBus:
 def _change(
     have: dict[str, str], want: dict[str, str], leave: Callable[[str], None], join: Callable[[str, str], None]
 ) -> None:
-    """Advertise and withdraw names so that the offered names match the wanted names.
+    """Advertise and withdraw topics or services until the offered names match the wanted names.
 
     Args:
         have: dict from offered name to type; changed in place.

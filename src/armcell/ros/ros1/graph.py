@@ -1,4 +1,4 @@
-"""Connects a program's bus to a ROS 1 graph; `Ros1Graph` is the class to use."""
+"""Connection of a program's bus to a ROS 1 graph; `Ros1Graph` is the class to use."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class Ros1Graph:
         self._on_end(reason)
 
     def wait_settled(self, timeout: float = SETTLED) -> bool:
-        """Wait until the ROS graph knows everything on the bus; return whether it does.
+        """Wait until the ROS graph knows everything on the bus; return False on timeout.
 
         Args:
             timeout: limit [s].

@@ -37,7 +37,7 @@ class GraphParameters(Parameters):
         self._telling = threading.Lock()
 
     def tell_all(self) -> None:
-        """Send all locally kept parameters to the master.
+        """Send all locally kept parameters to the ROS master.
 
         Raises:
             RpcError: the master does not answer.

@@ -19,7 +19,7 @@ BACKLOG = 128  # connections that may wait for `accept`
 JOIN_TIMEOUT = 3.0  # [s] for a thread to notice that its socket is closed
 
 Handle = Callable[[socket.socket, str], bool]
-"""Handles a connection in its own thread; returns True if it passed the socket on, which then stays open."""
+"""Handles a connection in its own thread; returns True to keep the socket open."""
 
 
 class Listener:

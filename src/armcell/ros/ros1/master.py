@@ -30,7 +30,7 @@ NAME = "/master"
 
 @dataclass
 class _Registrations:
-    """Nodes registered for each topic, service or parameter, in order of registration."""
+    """Registry of the nodes of each topic, service or parameter, in order of registration."""
 
     nodes: dict[str, list[str]] = field(default_factory=dict)
 
@@ -148,7 +148,7 @@ class Ros1Master:
 
     # --- nodes ---
     def _meet(self, node: str, api: str) -> None:
-        """Record a node's address; if an older node has the same name, request its shutdown."""
+        """Record a node's address; request the shutdown of an older node with the same name."""
         before = self._apis.get(node)
         if before == api:
             return
@@ -332,7 +332,7 @@ def _copied(value: Any) -> Any:
 
 
 class _Tellers:
-    """Sends change notifications to nodes from several threads, in order for each node.
+    """Sender of the master's change notifications: several threads, in order for each node.
 
     A node that does not answer delays no other node.
     """
@@ -374,7 +374,7 @@ class _Tellers:
 
 
 def _newest(todo: list[tuple[str, tuple[Any, ...]]]) -> list[tuple[str, tuple[Any, ...]]]:
-    """Return only the last update of each topic or parameter; it replaces all earlier ones."""
+    """Return only the last update of each topic or parameter, which replaces earlier updates."""
     last: dict[tuple[str, Any], tuple[str, tuple[Any, ...]]] = {}
     for method, arguments in todo:
         key = (method, arguments[0])

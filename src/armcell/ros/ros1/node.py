@@ -71,7 +71,7 @@ class Ros1Node:
 
     # --- start and close ---
     def start(self) -> None:
-        """Start the node's servers and its registration with the master.
+        """Start the ROS 1 node's servers and its registration with the master.
 
         Raises:
             InputError: no master answers, or the address cannot be listened on.
@@ -119,7 +119,7 @@ class Ros1Node:
 
     @property
     def mistakes(self) -> int:
-        """Number of connections that the node refused or could not parse."""
+        """Return the number of connections that the ROS 1 node refused or could not parse."""
         return self._complaints.total
 
     @property
@@ -131,11 +131,11 @@ class Ros1Node:
         return f"rosrpc://{self.settings.host}:{self._tcpros.address[1]}"
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the addresses on which the node listens; valid after `start`."""
+        """Return the addresses on which the ROS 1 node listens; valid after `start`."""
         return self._rpc.endpoint("ROS 1 node"), self._tcpros.endpoint("ROS 1 topics and services")
 
     def wait_registered(self, timeout: float | None = None) -> bool:
-        """Wait until the master knows all registrations of the node; return whether it does.
+        """Wait until the master knows all registrations of the node; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.

@@ -61,7 +61,7 @@ class ParameterTree:
         node[last] = value
 
     def delete(self, key: str) -> None:
-        """Delete a parameter or a namespace.
+        """Delete a parameter, or a namespace with all of its parameters.
 
         Raises:
             KeyError: the parameter is not set.
@@ -73,10 +73,12 @@ class ParameterTree:
         del node[last]
 
     def search(self, namespace: str, key: str) -> str | None:
-        """Find a parameter by its first part in a namespace or the nearest namespace above it.
+        """Find a parameter in a namespace, else in the nearest enclosing namespace.
+
+        Only the first part of the key must exist.
 
         Returns:
-            The full name of the parameter, or None if no such namespace contains the first part of the key.
+            The full name of the parameter, or None if no namespace contains the first part of the key.
         """
         if key.startswith("/"):
             return key if key in self else None

@@ -20,7 +20,7 @@ from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)
 ANY = "*"  # type and MD5 sum of a subscriber that accepts every type
-UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; the rest waits in our queue, which can drop
+UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further messages wait in the send queue
 
 
 class Closable(Protocol):
@@ -28,7 +28,7 @@ class Closable(Protocol):
 
 
 Attach = Callable[[Callable[[Any], None]], Closable]
-"""Calls a function with every message of a topic from now on; latched messages arrive at once."""
+"""Subscribes a function to every message of a topic; latched messages arrive immediately."""
 
 
 class Publication:
@@ -81,7 +81,7 @@ class Publication:
         )
 
     def accept(self, sock: socket.socket, header: Fields, peer: str) -> None:
-        """Serve a subscriber whose connection header `refusal` has accepted."""
+        """Start to serve a subscriber; `refusal` must have accepted its connection header."""
         fields = {
             "callerid": self._caller, "topic": self.topic, "type": self.type, "md5sum": self.md5,
             "message_definition": self._text, "latching": "1" if self._latching() else "0",
@@ -170,12 +170,15 @@ class SubscriberLink:
 
     @property
     def waiting(self) -> bool:
-        """Whether the connection still has unsent bytes."""
+        """Return whether the connection to the subscriber still has unsent bytes."""
         with self._lock:
             return bool(self._rest or self._waiting)
 
     def put(self, frame: bytes) -> bool:
-        """Send or queue a message, from any thread; return whether the reactor must send the rest."""
+        """Send or queue a message; return True if the reactor must send the remaining bytes.
+
+        Any thread may call this method.
+        """
         with self._lock:
             if self.closed:
                 return False
@@ -194,7 +197,7 @@ class SubscriberLink:
             return False
 
     def _send(self) -> bool:
-        """Send as many queued bytes as the kernel accepts; return whether some remain."""
+        """Send as many queued bytes as the kernel accepts; return True if bytes remain."""
         while self._rest or self._waiting:
             if not self._rest:
                 frame = self._waiting.popleft()
@@ -211,7 +214,7 @@ class SubscriberLink:
         return False
 
     def readable(self) -> None:
-        """Detect a closed connection; subscribers send nothing else after their header."""
+        """Detect the end of a subscriber's connection; after their header, subscribers send no data."""
         with contextlib.suppress(BlockingIOError):
             if not self.sock.recv(4096):
                 raise ConnectionError("the subscriber closed the connection")

@@ -29,7 +29,7 @@ class Channel(Protocol):
         ...
 
     def writable(self) -> bool:
-        """Send queued data; return whether some remains.
+        """Send the queued data of the channel; return True if unsent data remains.
 
         Raises:
             OSError: the connection is over.
@@ -64,7 +64,7 @@ class Reactor:
         self._thread.start()
 
     def close(self) -> None:
-        """End every connection and the reactor's thread."""
+        """Close every connection of the reactor and end its thread."""
         with self._lock:
             self._closing = True
         self._ring()

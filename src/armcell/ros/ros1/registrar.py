@@ -1,4 +1,4 @@
-"""Keeps a ROS 1 node's registrations at the master up to date, also after a master restart."""
+"""Registrations of a ROS 1 node at the master, renewed after a restart of the master."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Entry(NamedTuple):
 
 
 class Registrar:
-    """Registers a node's topics and services with the ROS master, from `start` to `close`.
+    """Thread that registers a node's topics and services at the master, from `start` to `close`.
 
     Args:
         caller: the node's name.
@@ -80,7 +80,7 @@ class Registrar:
             self._on_publishers(topic, uris)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the master knows all of the node's registrations; return whether it does.
+        """Wait until the master knows all of the node's registrations; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -159,7 +159,7 @@ class Registrar:
             self._changed.notify_all()
 
     def _subscribe(self, entry: Entry, what: str) -> None:
-        """Register a subscriber at the master and pass on the publishers that it answers.
+        """Register a subscriber at the master and pass on the publishers in the answer.
 
         If a publisherUpdate arrives during the call, the order of the answer and the update is unknown. The
         method then repeats the call, up to `OVERTAKEN` times; after that, the update counts.

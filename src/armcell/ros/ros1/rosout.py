@@ -22,7 +22,7 @@ def level_name(level: int) -> str:
 
 
 class RosOut(logging.Handler):
-    """Publishes the package's log records on /rosout, from `start` to `close`.
+    """Publisher of armcell's log records on /rosout, from `start` to `close`.
 
     Args:
         node: full name of the node that appears as the source of the records.

@@ -51,7 +51,7 @@ class ServedService:
         return f"request from [{header['callerid']}]: md5sums do not match: [{md5}] vs. [{self.md5}]"
 
     def handle(self, sock: socket.socket, header: Fields) -> None:
-        """Answer a client's calls until it disconnects, or one call if it is not persistent."""
+        """Answer a client's service calls until it disconnects, or only one call if not persistent."""
         fields = {
             "callerid": self._caller, "service": self.name, "md5sum": self.md5, "type": self.type,
             "request_type": f"{self.type}Request", "response_type": f"{self.type}Response",

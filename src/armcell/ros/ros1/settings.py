@@ -51,7 +51,7 @@ class Ros1Settings:
 
     @property
     def is_local(self) -> bool:
-        """Whether only programs on this machine can connect to the node."""
+        """Return whether only programs on this machine can connect to the node."""
         return is_loopback(self.bind)
 
 

@@ -68,7 +68,7 @@ class Subscription:
             return list(self._links.values())
 
     def update(self, uris: list[str]) -> None:
-        """Connect to new publishers of the topic, and disconnect from those no longer listed."""
+        """Connect to new publishers of the topic, and disconnect from publishers no longer listed."""
         with self._lock:
             if self._closed:
                 return

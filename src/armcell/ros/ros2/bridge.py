@@ -144,7 +144,7 @@ class Ros2Bridge:
         self.close()
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets that the domain opened in this process; valid after `start`."""
+        """Return the sockets that DDS opened in this process; valid after `start`."""
         return self._joined().participant.endpoints
 
     # --- status and discovery ---
@@ -175,7 +175,7 @@ class Ros2Bridge:
         return self._joined().graph.nodes()
 
     def wait_for_node(self, name: str, timeout: float) -> bool:
-        """Wait until another node appears in the ROS 2 domain; return whether it does.
+        """Wait until another node appears in the ROS 2 domain; return False on timeout.
 
         Args:
             name: full name of the node.
@@ -195,7 +195,7 @@ class Ros2Bridge:
 
     # --- services in the domain ---
     def _find(self, name: str) -> Handler | None:
-        """Return a handler that calls a service in the domain, or None if no node serves it."""
+        """Return a handler for a service in the ROS 2 domain, or None if no node serves the service."""
         context = self._joined()
         type_name = context.graph.services().get(name)
         if type_name is None or type_name not in self.bus.schema.services or self._stop.is_set():
@@ -256,7 +256,7 @@ class Ros2Bridge:
         context.announcer.tell()
 
     def _try(self, name: str, table: dict[str, Any], make: Any, type_name: str, *more: Any) -> None:
-        """Add a bridged topic; if it cannot be bridged, report the reason once."""
+        """Start to bridge a topic; if this fails, report the reason once."""
         if (name, type_name) in self._refused:
             return
         profile = self.settings.qos.get(name)
@@ -284,7 +284,7 @@ class Ros2Bridge:
 
     # --- actions, which are ROS 1's five topics on the bus ---
     def _action_names(self, infos: Mapping[str, TopicInfo]) -> dict[str, str]:
-        """Return a dict from action name to type.
+        """Return a dict from action name to type for the actions on the bus.
 
         An action is every name with a topic `<name>/goal` whose message is an action goal.
         """

@@ -71,7 +71,7 @@ class Ros2Codec:
         return self._wire[name]
 
     def has_more(self, name: str) -> bool:
-        """Return whether the ROS 2 type has fields beyond ROS 1's.
+        """Return whether the ROS 2 definition of a message has fields that ROS 1 lacks.
 
         Messages that a script creates lack those fields.
         """

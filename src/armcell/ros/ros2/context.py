@@ -1,4 +1,4 @@
-"""State that all parts of the ROS 2 bridge share: bus, DDS participant, workers, error log."""
+"""Shared state of all parts of the ROS 2 bridge: bus, DDS participant, workers, error log."""
 
 from __future__ import annotations
 

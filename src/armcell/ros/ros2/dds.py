@@ -1,8 +1,9 @@
 """Cyclone DDS for serialized samples: participant, writers and readers.
 
-Our codec encodes the messages, and the library transports them. The `cyclonedds` Python package needs type
-descriptions, which `idl.py` generates from our definitions; the package's own, slower encoder is not used.
-Writing calls the C library directly through ctypes, which releases the GIL (the package's own calls do not).
+armcell's codec encodes the messages, and the library transports them. The `cyclonedds` Python package needs
+type descriptions, which `idl.py` generates from armcell's definitions; the package's own, slower encoder is
+not used. Writing calls the C library directly through ctypes, which releases the GIL (the package's own calls
+do not).
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def library() -> SimpleNamespace:
 
 
 def check(result: int, what: str) -> int:
-    """Return a result of the DDS library, or raise if it is an error code.
+    """Check a result of the DDS library: return valid results, raise for error codes.
 
     Raises:
         DdsError: the result is an error code.
@@ -290,7 +291,7 @@ class Participant:
 
     # --- reading ---
     def _watch(self, reader: int, take: Callable[[], None]) -> int:
-        """Call `take` whenever a DDS reader has data; return the number that `forget` needs."""
+        """Call `take` whenever a DDS reader has data; return the id for `forget`."""
         condition = check(self._dds.dds_create_readcondition(reader, ANY_STATE), "condition")
         with self._lock:
             number = next(self._numbers)
@@ -335,7 +336,7 @@ class _Endpoint:
 
     @property
     def instance(self) -> int:
-        """The endpoint's instance handle, its identifier within this process."""
+        """Return the DDS endpoint's instance handle, its identifier within this process."""
         found = ct.c_uint64()
         check(self._dds.dds_get_instance_handle(self.handle, ct.byref(found)), "handle")
         return found.value
@@ -346,7 +347,7 @@ class _Endpoint:
         return list(handles[: max(min(count, BATCH), 0)])
 
     def newly_incompatible(self, function: str) -> bool:
-        """Return whether a peer with incompatible QoS appeared since the last call."""
+        """Return whether a peer with incompatible QoS has appeared since the last call."""
         status = _QosStatus()
         if getattr(self._dds, function)(self.handle, ct.byref(status)) < 0:
             return False

@@ -1,4 +1,4 @@
-"""Serves the bus's actions in the ROS 2 domain: three services and two topics per action.
+"""Server of the bus's actions in the ROS 2 domain: three services and two topics per action.
 
 Source: design.ros2.org/articles/actions.html, rcl_action. The bus has ROS 1's actions, whose server decides
 on a goal only after this bridge has accepted it. A goal that the server rejects is therefore aborted, and its
@@ -46,7 +46,7 @@ class Goal:
 
 
 class ActionServing:
-    """Serves one action of the bus in the ROS 2 domain.
+    """Server of one action of the bus in the ROS 2 domain.
 
     A separate thread handles the messages of the bus's action server, in order.
     """
@@ -122,9 +122,9 @@ class ActionServing:
             self._goal.publish(goal)
 
     def _on_cancel(self, server: Server, request: Any, asked: Asked) -> None:
-        """Cancel goals by id, by time stamp, by both, or all goals if the request names neither.
+        """Cancel the goals that a cancel request selects by goal id, by time stamp or by both.
 
-        A time stamp selects all goals up to that time.
+        A stamp selects all goals up to this time. A request without id and stamp cancels all goals.
         """
         codec, info = self._context.codec, request.goal_info
         uuid, stamp = bytes(info.goal_id.uuid), info.stamp.to_nsec()

@@ -121,7 +121,7 @@ class Graph:
 
 
 class Announcer:
-    """Announces which endpoints belong to this node, so that `ros2 node list` shows it."""
+    """Announcer of the DDS endpoints of this node, so that `ros2 node list` shows the node."""
 
     def __init__(self, participant: Participant, codec: Ros2Codec, node: str):
         self._participant, self._codec = participant, codec

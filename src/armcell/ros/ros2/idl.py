@@ -1,4 +1,4 @@
-"""Converts message definitions to `cyclonedds` types.
+"""Conversion of message definitions to `cyclonedds` types.
 
 The library validates samples with these types and announces them to other participants.
 """

@@ -1,4 +1,4 @@
-"""Serves the bus's parameters as those of a ROS 2 node, for the `ros2 param` commands.
+"""Server of the bus's parameters as parameters of a ROS 2 node, for `ros2 param`.
 
 The bus uses ROS 1's global names; `/a/b` becomes the node's parameter `a.b`.
 """
@@ -42,7 +42,7 @@ def kind_of(value: Any) -> int:
 
 
 class ParameterServices:
-    """Serves the six parameter services of a ROS 2 node."""
+    """Server of the six parameter services of a ROS 2 node."""
 
     def __init__(self, context: Context, node: str):
         self._context, self._parameters = context, context.bus.parameters

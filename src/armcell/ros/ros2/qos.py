@@ -28,7 +28,7 @@ class Profile:
         return f"{reliability}, {'transient local' if self.latched else 'volatile'}"
 
     def lacks(self, requested: Profile) -> list[str]:
-        """Return what a subscriber requests but a publisher with this profile does not offer.
+        """List the QoS policies that a subscriber requests but this publisher's profile lacks.
 
         The list is empty if publisher and subscriber are compatible.
         """
@@ -74,7 +74,7 @@ def offered(topic: str, type_name: str, latched: bool) -> Profile:
 
 
 def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Profile:
-    """Return the QoS profile for a subscription: the most that every known publisher offers.
+    """Return a subscription's QoS profile: the strongest that every known publisher offers.
 
     Without known publishers, the profile is ROS 2's default.
     """
@@ -84,7 +84,7 @@ def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Prof
     return Profile(all(p.reliable for p in known), all(p.latched for p in known), depth)
 
 
-BLOCKING = 100_000_000  # [ns] longest wait for room when writing a service message
+BLOCKING = 100_000_000  # [ns] longest wait for queue space when writing a service message
 
 
 def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False, wait: bool = False) -> Any:
@@ -93,7 +93,7 @@ def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False,
     Args:
         user_data: user data of the endpoint, which discovery distributes.
         ignore_own: a reader ignores samples of its own participant.
-        wait: writing waits up to `BLOCKING` for room; otherwise a full writer fails immediately.
+        wait: writing waits up to `BLOCKING` for queue space; otherwise a full writer fails immediately.
     """
     from cyclonedds.qos import Policy, Qos
 
@@ -129,7 +129,7 @@ def profile_of(qos: Any) -> Profile:
 
 
 def user_values(qos: Any) -> dict[str, str]:
-    """Return the `key=value;` pairs that ROS stores in an endpoint's user data."""
+    """Parse the `key=value;` pairs that ROS 2 stores in an endpoint's user data."""
     policy = _policy(qos, "Userdata")
     text: str = policy.data.decode("latin-1") if policy is not None else ""
     pairs = [part.partition("=") for part in text.split(";")]

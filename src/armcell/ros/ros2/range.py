@@ -26,8 +26,10 @@ INTERFACES = (
     '<Interfaces><NetworkInterface autodetermine="true" priority="1"/>'
     '<NetworkInterface address="127.0.0.1" priority="0"/></Interfaces>'
 )
-"""The interface that Cyclone chooses (preferred for data), and the loopback interface. Without loopback,
-Cyclone 11 drops packets to 127.0.0.1, such as the first messages of Fast DDS in the range LOCALHOST."""
+"""Network interfaces of Cyclone DDS: its own choice (preferred for data), and loopback.
+
+Without loopback, Cyclone 11 drops packets to 127.0.0.1, such as the first messages of Fast DDS in the range
+LOCALHOST."""
 
 
 def _has_network() -> bool:
@@ -60,7 +62,7 @@ class Reach:
 
     @property
     def is_open(self) -> bool:
-        """Whether nodes on other machines can discover this process."""
+        """Return whether nodes on other machines can discover this process."""
         return self.range in ("SUBNET", "SYSTEM_DEFAULT") or (bool(self.peers) and self.range == "LOCALHOST")
 
     def xml(self) -> str:

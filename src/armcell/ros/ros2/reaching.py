@@ -1,4 +1,4 @@
-"""Makes actions that are served in the ROS 2 domain available to clients on the bus."""
+"""Access for clients on the bus to actions that are served in the ROS 2 domain."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DONE = {SUCCEEDED: State.SUCCEEDED, CANCELED: State.PREEMPTED, ABORTED: State.AB
 
 
 class ActionReaching:
-    """Serves an action on the bus by forwarding goals to its server in the ROS 2 domain."""
+    """Action server on the bus that forwards goals to an action server in the ROS 2 domain."""
 
     def __init__(self, context: Context, owner: object, name: str, type_name: str):
         self._context, self.name, self.type = context, name, type_name
@@ -38,12 +38,12 @@ class ActionReaching:
 
     @property
     def is_there(self) -> bool:
-        """Whether discovery has found the action's server in the domain."""
+        """Return whether discovery has found the action's server in the ROS 2 domain."""
         return self._send.is_there and self._get.is_there
 
     @property
     def busy(self) -> bool:
-        """Whether goals are active; their clients on the bus must still receive the results."""
+        """Return whether clients on the bus still wait for results of active goals."""
         return bool(self._goals)
 
     def close(self) -> None:

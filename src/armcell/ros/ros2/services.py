@@ -31,9 +31,9 @@ MAX_KNOWN = 1000  # clients whose readiness is cached
 
 
 class Asked(NamedTuple):
-    """Identity of a service call, to which the reply is sent.
+    """Identity of a received service call, which the reply must contain.
 
-    `client` and `seq` come from the request's header; `writer` is our handle of the client's writer.
+    `client` and `seq` come from the request's header; `writer` is the local handle of the client's writer.
     """
 
     client: int
@@ -104,7 +104,7 @@ class Server:
             self.refuse(asked, str(error))
 
     def refuse(self, asked: Asked, why: str) -> None:
-        """Reply to a failed call with defaults and the reason, so that its client stops waiting."""
+        """Reply to a failed service call with default values and the reason of the failure."""
         self.reply(asked, failed(self._context.codec.new(self._reply.message), why))
 
     def reply(self, asked: Asked, response: Any) -> None:
@@ -170,11 +170,11 @@ class Client:
 
     @property
     def is_there(self) -> bool:
-        """Whether discovery has matched a server's request reader and reply writer."""
+        """Return whether discovery has matched a server's request reader and reply writer."""
         return bool(self._writer.readers()) and bool(self._reader.writers())
 
     def wait(self, timeout: float) -> bool:
-        """Wait until a server of the service is available; return whether it is.
+        """Wait until a server of the service is available; return False on timeout.
 
         Args:
             timeout: limit [s].
@@ -254,7 +254,7 @@ class Waiting:
         self._there.set()
 
     def wait(self, timeout: float) -> Any:
-        """Wait for the response; return it, or None if it does not arrive in time.
+        """Wait for the response of the service; return the response, or None on timeout.
 
         The method may be called repeatedly.
 

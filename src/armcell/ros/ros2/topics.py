@@ -1,4 +1,4 @@
-"""Topics that the bridge transports between bus and ROS 2 domain, one direction each."""
+"""Bridged topics between the bus and the ROS 2 domain: one class for each direction."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Outgoing:
         self.follow()
 
     def follow(self) -> None:
-        """Subscribe to the topic on the bus only while the domain needs it.
+        """Subscribe to the topic on the bus only while the ROS 2 domain needs its messages.
 
         Messages that are expensive to produce (images, point clouds, TF) are needed only while the domain has
         a reader for them.
@@ -55,7 +55,7 @@ class Outgoing:
         self._context.drop(self._writer)
 
     def _put(self, message: Any) -> None:
-        """Send a message of the bus to the domain; a full writer drops it instead of blocking.
+        """Send a bus message to the ROS 2 domain; a full writer drops the message, without blocking.
 
         The method runs in the publisher's thread.
         """
@@ -74,7 +74,7 @@ class Outgoing:
             context.has_dropped()
 
     def look(self) -> None:
-        """Report ROS 2 subscribers that cannot receive the topic, with the reason."""
+        """Report ROS 2 subscribers that cannot receive the topic, each with the reason."""
         others = self._context.graph.endpoints(self._writer.name.topic, writes=False)
         _check_types(self._context, self.topic, self._writer.name, [e.type for e in others])
         same = [e for e in others if e.type == self._writer.name.type]
@@ -103,9 +103,9 @@ class Incoming:
         self._reader = self._read()
 
     def _wanted(self) -> Profile:
-        """Return the QoS profile to request for a topic of the domain.
+        """Return the QoS profile to request for a topic of the ROS 2 domain.
 
-        It is the configured profile, or else what all known publishers offer.
+        The result is the configured profile, or else the profile that all known publishers offer.
         """
         if self._fixed is not None:
             return self._fixed
@@ -131,7 +131,7 @@ class Incoming:
                 context.complain(f"decode {self.topic}", f"{self.topic}: {error}")
 
     def look(self) -> None:
-        """Adapt to the QoS of the topic's publishers, and report publishers that cannot be received."""
+        """Adapt to the QoS of the topic's publishers, and report incompatible publishers."""
         context = self._context
         others = context.graph.endpoints(self._name.topic, writes=True)
         _check_types(context, self.topic, self._name, [e.type for e in others])

@@ -89,12 +89,12 @@ class RosTcpClient:
         self.close()
 
     def wait_connected(self, timeout: float | None = None) -> bool:
-        """Wait until all topics and services are registered at the endpoint.
+        """Wait until all topics and services are registered at the ROS-TCP endpoint.
 
         Args:
             timeout: limit [s]; None waits without limit.
         Returns:
-            Whether they are registered.
+            False on timeout.
         """
         return self._connected.wait(timeout)
 
@@ -179,7 +179,10 @@ class _Connection(Peer):
         }
 
     def register(self, bridge: Bridge) -> None:
-        """Register all topics and services of the bridge; the endpoint runs the commands in order."""
+        """Register all topics and services of the bridge at the ROS-TCP endpoint.
+
+        The endpoint runs the commands in order.
+        """
         for topic, type_name in bridge.publish.items():
             self.command("__publish", topic=topic, message_name=type_name, queue_size=10, latch=False)
         for topic, type_name in bridge.subscribe.items():
@@ -195,7 +198,10 @@ class _Connection(Peer):
             self.offer(topic, type_name)
 
     def tell_error(self, text: str) -> None:
-        """Ignore the error: endpoints accept none, and the reference endpoint would disconnect."""
+        """Discard an error text: ROS-TCP endpoints do not accept error messages.
+
+        The reference endpoint would close the connection.
+        """
 
     def on_end(self, reason: str) -> None:
         logger.info("%s: %s", self.address, reason)

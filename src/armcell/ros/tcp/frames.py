@@ -88,7 +88,7 @@ def parameters(body: bytes) -> dict[str, Any]:
 
 
 class FrameReader:
-    """Splits a byte stream into ROS-TCP frames, however the stream is fragmented.
+    """Parser that splits a byte stream into ROS-TCP frames, for any fragmentation of the stream.
 
     Its buffer never exceeds the bytes received, so a length field alone cannot make it allocate memory.
     """
@@ -98,7 +98,7 @@ class FrameReader:
         self._buffer = bytearray()
 
     def feed(self, data: bytes | memoryview) -> list[Frame]:
-        """Add received bytes; return the frames that they complete.
+        """Add received bytes to the parser; return the ROS-TCP frames that are now complete.
 
         Raises:
             FrameError: a length exceeds its maximum, or a destination is not UTF-8 text.

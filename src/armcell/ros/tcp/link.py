@@ -17,7 +17,7 @@ logger = logging.getLogger(__name__)
 RECEIVE_BYTES = 256 << 10
 SEND_BYTES = 64 << 10  # bytes that one write joins; larger frames are sent part by part without a copy
 GOODBYE = 1.0  # [s] for the peer to read the reason of a disconnection
-UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; the rest waits in our outbox, which can drop
+UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further messages wait in the outbox
 
 
 class Link:
@@ -69,7 +69,7 @@ class Link:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the ROS-TCP connection is over; return whether it is.
+        """Wait until the ROS-TCP connection is over; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -136,7 +136,7 @@ class Link:
         self._leave()
 
     def put(self, *parts: Part) -> None:
-        """Send a command or service answer, from any thread and without blocking."""
+        """Send a ROS-TCP command or service answer, from any thread and without blocking."""
         if not self._send_at_once(parts):
             self.outbox.put(*parts)
 
@@ -149,7 +149,7 @@ class Link:
             self.outbox.put_message(topic, *parts)
 
     def _send_at_once(self, parts: tuple[Part, ...]) -> bool:
-        """Send a small frame from the calling thread if nothing waits before it.
+        """Send a small frame directly from the calling thread if no other frame is queued.
 
         Under load from Python threads this saves milliseconds, because a woken thread must wait for the
         interpreter.

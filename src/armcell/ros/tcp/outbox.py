@@ -51,7 +51,7 @@ class Outbox:
         return self._control_bytes + sum(self._bytes.values())
 
     def put(self, *parts: Part) -> None:
-        """Queue a command or answer; its parts are sent together, before any topic's messages."""
+        """Queue a command or answer, which is sent as a whole and before any topic's messages."""
         with self._condition:
             if self._closed or self._finishing or self.overflowed:
                 return
@@ -96,7 +96,7 @@ class Outbox:
         return not (self._control or self._turns)
 
     def wait(self, timeout: float | None) -> bool:
-        """Wait until something is queued for sending; return whether it is.
+        """Wait until data is queued for sending; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -112,7 +112,7 @@ class Outbox:
             return not self.is_empty
 
     def take(self, max_bytes: int) -> list[Part]:
-        """Remove and return the next parts to send, in order.
+        """Return the next parts of queued frames to send, in order, and remove them from the queue.
 
         Args:
             max_bytes: approximate size [bytes]; at least one frame is returned if any waits.
@@ -133,7 +133,7 @@ class Outbox:
             return taken
 
     def finish(self) -> None:
-        """Accept nothing more, but still send everything that is queued."""
+        """Stop accepting new messages, but still send all queued messages."""
         with self._condition:
             self._finishing = True
             self._condition.notify_all()

@@ -111,7 +111,7 @@ class Peer:
         self._undo_if_closed()
 
     def encode(self, topic: str, message: Any) -> memoryview:
-        """Serialize a message; the server overrides this to serialize once for all clients."""
+        """Serialize a message for the peer; the server overrides this method to share the result."""
         return self.codec.encode(message)
 
     def withdraw(self, topic: str) -> None:
@@ -280,7 +280,7 @@ class Peer:
         self._respond(number, name, body)
 
     def _service_type(self, name: str) -> str | None:
-        """Return the service type that the peer registered, or the one that the bus serves."""
+        """Return the type of a service: the type that the peer registered, else the type on the bus."""
         with contextlib.suppress(InputError):
             return self.service_types.get(name) or self.bus.services().get(resolve(name))
         return None
@@ -313,7 +313,7 @@ class Peer:
             self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _undo_if_closed(self) -> None:
-        """Remove a registration from the bus if the link ended while it was in progress."""
+        """Remove a registration from the bus if the connection ended during the registration."""
         if self._closed:
             self.close()
 
@@ -335,7 +335,7 @@ class _Answer:
 
 
 def need(params: Params, name: str, kind: type) -> Any:
-    """Return a required parameter of a ROS-TCP command; other keys are ignored.
+    """Return a required parameter of a ROS-TCP command; ignore other keys.
 
     Raises:
         CommandError: the parameter is missing or has another type.

@@ -113,7 +113,7 @@ class RosTcpServer:
         return self
 
     def close(self) -> None:
-        """Stop listening and end the connections of all clients."""
+        """Stop the ROS-TCP server and close the connections of all clients."""
         self._closing = True
         if self._socket is not None:
             with contextlib.suppress(OSError):

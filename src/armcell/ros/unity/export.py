@@ -1,4 +1,4 @@
-"""A cell as files for Unity: our package with the message classes Unity lacks, the robot, the scene."""
+"""Export of a cell for Unity: the C# package with message classes, the robot and the scene."""
 
 from __future__ import annotations
 
@@ -15,13 +15,19 @@ from armcell.ros.unity.scene import scene_json
 from armcell.ros.unity.urdf import file_name, write_urdf
 
 PACKAGE = "com.armcell.unity"
-MESSAGES = "Messages"  # folder of the package that the generated classes go to
+MESSAGES = "Messages"  # folder of the generated classes in the package
 SCENE, URDF = "scene.json", "robot.urdf"
 
 
 @dataclass(frozen=True)
 class UnityExport:
-    """Where things were written. `left_out`: objects Unity gets no colliders for (clouds, octrees)."""
+    """Result of an export to Unity: the written folders and the omitted objects.
+
+    Attributes:
+        package: folder of the C# package.
+        cell: folder of the cell's robot, meshes and scene.
+        left_out: names of objects without colliders in Unity (point clouds and octrees).
+    """
 
     package: Path
     cell: Path
@@ -30,10 +36,10 @@ class UnityExport:
 
 
 def package_source() -> Path:
-    """The folder of the C# package; in a checkout a link to `unity/`.
+    """Return the folder of the C# package for Unity; in a checkout, a link to `unity/`.
 
     Raises:
-        InputError: it is not there.
+        InputError: the folder contains no package.
     """
     folder = Path(__file__).parent / "package"
     if not (folder / "package.json").is_file():
@@ -44,12 +50,13 @@ def package_source() -> Path:
 def export_unity(
     cell: Cell, folder: Path, seed: int | None = None, types: Schema | None = None
 ) -> UnityExport:
-    """Write `Packages/com.armcell.unity` and `Assets/Armcell/<cell>` below a folder.
+    """Write a cell's Unity package and its assets below a folder, e.g. a Unity project.
 
-    The folder may be a Unity project. What an earlier export wrote is replaced; other files are left alone.
+    The folders are `Packages/com.armcell.unity` and `Assets/Armcell/<cell>`. The export replaces the files of
+    an earlier export and leaves other files unchanged.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: a file cannot be written.
     """
     package, target = folder / "Packages" / PACKAGE, folder / "Assets" / "Armcell" / file_name(cell.name)
     try:
@@ -65,6 +72,6 @@ def export_unity(
 
 
 def copy_package(target: Path, types: Schema | None = None) -> None:
-    """The C# package with the generated classes of moveit_msgs and control_msgs."""
+    """Copy the C# package for Unity, with generated classes of moveit_msgs and control_msgs."""
     shutil.copytree(package_source(), target, dirs_exist_ok=True)
     write(csharp(types or schema()), target / MESSAGES)

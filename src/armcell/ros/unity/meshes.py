@@ -1,4 +1,4 @@
-"""Meshes as files that Unity's side reads: binary STL, and hulls small enough for its physics."""
+"""Mesh export for Unity: binary STL files, and convex hulls within Unity's limits."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from armcell.core import Mesh
 
 Array = NDArray[np.float64]
 MAX_HULL_POINTS = 128
-"""A convex MeshCollider of Unity has at most 255 triangles; a hull of n points has at most 2 n - 4."""
+"""Maximum corners of a hull: n corners give up to 2 n - 4 triangles, and Unity allows 255."""
 
 
 def write_stl(mesh: Mesh, file: Path) -> None:
-    """A binary STL [m]. Corners in the mesh's order; normals by the right hand."""
+    """Write a mesh as a binary STL file [m].
+
+    Corners keep the mesh's order; normals follow the right-hand rule.
+    """
     corners = mesh.vertices[mesh.faces]  # (f, 3, 3)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -29,11 +32,14 @@ def write_stl(mesh: Mesh, file: Path) -> None:
 
 
 def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
-    """The convex hull of at most so many of a mesh's corners, and how far [m] the others stand out beyond the
-    planes of its faces.
+    """Return a convex hull of at most `points` corners of a mesh, and the approximation error.
 
-    Corners are taken one by one, each time the one farthest outside, so the hull lies inside the mesh's own.
+    The error is the largest distance [m] of an unused corner outside the planes of the hull's faces. The hull
+    grows by the corner that is farthest outside, so it is inside the convex hull of the mesh.
 
+    Args:
+        mesh: the mesh.
+        points: maximum number of corners.
     Raises:
         QhullError: the mesh is flat.
     """
@@ -50,21 +56,24 @@ def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
 
 
 def _spread(corners: Array) -> list[int]:
-    """Indices of four or more corners that span a volume: the extremes along ever more directions."""
+    """Return indices of at least four corners that span a volume.
+
+    The corners are the extremes along ten directions, and further corners if these are coplanar.
+    """
     directions = np.vstack([np.eye(3), -np.eye(3), [[1, 1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]]])
     chosen = list(dict.fromkeys(np.argmax(corners @ directions.T, axis=0).tolist()))
     for i in range(len(corners)):
         try:
             ConvexHull(corners[chosen])
             break
-        except (QhullError, ValueError):  # fewer than four, or in one plane
+        except (QhullError, ValueError):  # fewer than four corners, or coplanar corners
             if i not in chosen:
                 chosen.append(i)
     return chosen
 
 
 def _oriented(points: Array, hull: ConvexHull) -> Mesh:
-    """The hull's faces with outward normals."""
+    """Return a convex hull as a mesh whose faces have outward normals."""
     index = np.full(len(points), -1)
     index[hull.vertices] = np.arange(len(hull.vertices))
     faces, vertices = index[hull.simplices], points[hull.vertices]

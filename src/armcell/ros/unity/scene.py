@@ -1,5 +1,6 @@
-"""What a cell is, besides its robot's URDF, as one JSON file for Unity: frames and units are ROS's (FLU, m,
-rad, quaternions xyzw); Unity's side converts.
+"""JSON scene file for Unity: the parts of a cell that its robot's URDF does not describe.
+
+Frames and units follow ROS (forward-left-up, m, rad, quaternions xyzw); the C# package converts them.
 """
 
 from __future__ import annotations
@@ -24,18 +25,21 @@ from armcell.sim import PhysicsSettings
 from armcell.sim.joint_gains import joint_drive
 
 FORMAT = 1
-FIXED_TIMESTEP = 0.005  # [s] PhysX keeps contacts of a grasp with this; Unity's 0.02 lets them slip
+FIXED_TIMESTEP = 0.005  # [s] keeps grasp contacts in PhysX; with Unity's default of 0.02 they slip
 SOLVER_ITERATIONS, VELOCITY_ITERATIONS = 40, 20
 FINGER_STIFFNESS, FINGER_DAMPING = 5000.0, 200.0  # [N/m, N s/m]
 
 
 def scene_json(cell: Cell, seed: int | None, folder: Path, urdf: str) -> tuple[dict[str, Any], list[str]]:
-    """The scene's data, and the names of objects that are left out (point clouds and octrees).
+    """Return a cell's scene as JSON data for Unity, and the names of omitted objects.
+
+    Point clouds and octrees are omitted.
 
     Args:
-        seed: draw of the randomised values; nominal when None.
-        folder: meshes of objects are written below it.
-        urdf: the robot's file, from the folder.
+        cell: the cell.
+        seed: seed of the cell's randomized values; None selects the nominal values.
+        folder: folder below which the meshes of the objects are written.
+        urdf: path of the robot's URDF, relative to `folder`.
     """
     scene = cell.scene(seed)
     objects = [item for item in scene.objects.values() if not item.has_cloud]
@@ -75,8 +79,10 @@ def _gripper(gripper: Gripper, count: int) -> dict[str, Any]:
 
 
 def _drives(model: RobotModel, physics: PhysicsSettings) -> dict[str, dict[str, float]]:
-    """Stiffness, damping and largest force or torque of every movable joint: those of our own physics, whose
-    law for arms is that of Unity's drives.
+    """Return the drive parameters of every movable joint for Unity, by joint name.
+
+    The parameters are stiffness, damping and maximum force or torque. Arm joints use the gains of armcell's
+    simulation, because its control law equals the law of Unity's drives.
     """
     fingers = {g.joint_name: g for g in model.grippers.values()}
     drives = {}
@@ -123,7 +129,10 @@ def _object(item: CollisionObject, folder: Path, only: bool) -> dict[str, Any]:
 
 
 def _shapes(shape: Shape, name: str, folder: Path) -> list[dict[str, Any]]:
-    """One shape; of a mesh its looks and its convex pieces."""
+    """Return a shape as JSON data for Unity.
+
+    For a mesh, write STL files of the mesh and of its convex pieces, and return their paths.
+    """
     kind = shape_kind(shape, Format.UNITY)
     if kind is not None:
         return [{"type": shape_name(shape), **kind.named(shape)}]

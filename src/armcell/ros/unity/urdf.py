@@ -1,7 +1,8 @@
-"""A robot as one flattened URDF: no xacro, every name final, every mesh a file of its own beside it.
+"""Export of a robot as one flattened URDF without xacro, with its meshes as separate files.
 
-What importers stumble over is put right: relative paths, distinct names of visual and collision meshes, one
-colour per mesh, an inertia on every link in its principal axes, collision meshes as convex pieces.
+The URDF avoids constructs that cause errors in URDF importers: paths are relative, visual and collision
+meshes have distinct names, each mesh has one color, each link has an inertia in its principal axes, and
+collision meshes consist of convex pieces.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from armcell.model.assets import DEFAULT_COLOR
 from armcell.ros.unity.meshes import small_hull, write_stl
 from armcell.sim.visuals import visual_parts
 
-SMALL_MASS = 1e-3  # [kg] of a link that has none: engines need one
+SMALL_MASS = 1e-3  # [kg] mass of a link without a mass: physics engines require one
 SMALL_INERTIA = 1e-7  # [kg m^2]
 
 
 def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Path:
-    """Write the robot and its meshes (below `meshes/`) into a folder, which is made when missing.
+    """Write a robot's URDF and its meshes (below `meshes/`) into a folder; create the folder.
 
     Returns:
-        The URDF's path.
+        Path of the URDF.
     """
     for kind in ("visual", "collision"):
         (folder / "meshes" / kind).mkdir(parents=True, exist_ok=True)
@@ -44,13 +45,15 @@ def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Pat
 
 
 def file_name(name: str) -> str:
-    """A link's or object's name as a part of a file name."""
+    """Convert a link's or object's name to a valid part of a file name."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
 
 
 def principal(inertial: Inertial | None) -> tuple[float, SE3, np.ndarray]:
-    """Mass [kg], frame at the centre of mass along the principal axes, moments (3,) [kg m^2]; small where
-    there are none.
+    """Return a link's mass [kg], the frame of its principal axes, and its principal moments.
+
+    The frame T_link_principal has its origin at the center of mass. The moments (3,) are in [kg m^2]. Missing
+    masses and moments become small positive values.
     """
     if inertial is None or inertial.mass <= 0:
         T = SE3.identity() if inertial is None else inertial.T_link_com
@@ -86,7 +89,7 @@ class _Writer:
                 parts = [(visual.shape, visual.color or DEFAULT_COLOR)]
             for shape, color in parts:
                 drawn += self._draw(element, link.name, drawn, shape, visual.T_link_visual, color)
-        if not drawn:  # as elsewhere: what has no looks is drawn by what collides
+        if not drawn:  # without visuals, draw the collision shapes
             for collision in link.collisions:
                 drawn += self._draw(
                     element, link.name, drawn, collision.shape, collision.T_link_shape, DEFAULT_COLOR
@@ -95,7 +98,10 @@ class _Writer:
     def _draw(
         self, element: etree._Element, link: str, number: int, shape: Shape, T: SE3, color: tuple
     ) -> int:
-        """One visual; capsules are three. How many were written."""
+        """Write a shape as visual elements and return their number.
+
+        A capsule becomes three elements.
+        """
         solids = simpler_parts(shape, T)
         for i, (solid, T_link_solid) in enumerate(solids):
             visual = etree.SubElement(element, "visual")

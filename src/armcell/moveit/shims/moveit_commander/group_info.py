@@ -25,7 +25,7 @@ PICK, PLACE = "moveit_msgs/Pickup", "moveit_msgs/Place"
 
 
 def kind_of(value: Any) -> str:
-    """Return a message's type name without its package, or an empty string."""
+    """Return a message's type name without its package; empty for other objects."""
     return getattr(value, "_type", "").split("/")[-1]
 
 

@@ -1,4 +1,4 @@
-"""Planning settings of a group: tolerances, constraints, planner and speed, for one request."""
+"""Planning settings of a group: tolerances, constraints, planner and speed."""
 
 from __future__ import annotations
 

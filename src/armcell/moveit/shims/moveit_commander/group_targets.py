@@ -31,7 +31,7 @@ class GroupTargets(GroupInfo):
 
     # --- targets ---
     def get_joint_value_target(self) -> list[float]:
-        """Return the joint positions of the target, including those of mimic joints.
+        """Return the joint positions of the target, including mimic joints.
 
         Joints without a target keep their current positions.
         """

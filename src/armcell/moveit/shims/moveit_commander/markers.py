@@ -1,4 +1,4 @@
-"""Converts the robot's collision geometry to a visualization_msgs/MarkerArray."""
+"""Conversion of the robot's collision geometry to a visualization_msgs/MarkerArray."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ class MoveGroupCommander(GroupSettings):
         return bool(code == SUCCESS)
 
     def _hint_at_target(self, code: int) -> None:
-        """Hint why a pose cannot be reached, if the tool's direction or the tip link is the cause."""
+        """Log a hint if a pose is unreachable because of the tool's direction or the tip link."""
         if code not in UNREACHED or self._active != POSE:
             return
         scene = measured_scene()
@@ -111,7 +111,7 @@ class MoveGroupCommander(GroupSettings):
                 self._session.hint(f"target {why.split(':')[0]}", why)
 
     def _hint_at_grip(self, gripper: Gripper) -> None:
-        """Hint why a gripper that has just closed holds no object."""
+        """Log a hint why a gripper that has just closed holds no object."""
         scene, cell = measured_scene(), self._session.served.cell
         closed = gripper.width(scene.state[gripper.joint_name]) < 0.5 * gripper.max_width
         if closed and cell.held(gripper) is None and (why := closed_on_nothing(scene, gripper)):
@@ -239,7 +239,7 @@ class MoveGroupCommander(GroupSettings):
         return bool(finished(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
-        """Return why a plan does not lead to its goal, or an empty string if it may."""
+        """Return why a plan does not lead to its goal, or an empty string for a complete plan."""
         fraction = next((f for p, f in self._partial if p is plan), 1.0)
         if fraction <= 0:
             return "the straight line could not begin, its fraction is 0; the reason is in the line above"
@@ -318,7 +318,7 @@ class MoveGroupCommander(GroupSettings):
         return self._picked_or_placed("pickup", goal, plan_only)
 
     def place(self, object_name: str, location: Any = None, plan_only: bool = False) -> bool:
-        """Place a held object; return whether it succeeded (only `pick` returns the error code).
+        """Place a held object; return True on success (unlike `pick`, which returns an error code).
 
         Args:
             location: pose of the placed object (Pose, PoseStamped or PlaceLocation), or a list of them; None

@@ -21,7 +21,7 @@ HINT = "describe a depth camera under `cameras:` of the cell file"
 
 
 class PlanningSceneMonitor:
-    """Starts and stops updates of the planning scene."""
+    """Control of the planning scene's updates from the cell's cameras."""
 
     def __init__(self, robot_description: str = "robot_description", name: str = ""):
         self._session = current_session()

@@ -157,7 +157,7 @@ class RobotCommander:
         return min(groups, key=lambda g: len(g.joint_names)).name if groups else None
 
     def __getattr__(self, name: str) -> Any:
-        """Return the group, joint or link with this name (`robot.arm`)."""
+        """Return the group, joint or link with a given name, e.g. `robot.arm`."""
         if name.startswith("_"):
             raise AttributeError(name)
         model = current_session().model

@@ -1,4 +1,4 @@
-"""Shim of roscpp_initialize and roscpp_shutdown, which have nothing to start or stop here."""
+"""Shim of roscpp_initialize and roscpp_shutdown, which start and stop no ROS node here."""
 
 from __future__ import annotations
 
