@@ -31,7 +31,7 @@ class Corners:
 
     @cached_property
     def lanes(self) -> dict[str, NDArray]:
-        """The vertices in the format of a `Pack`, padded to whole SIMD lanes."""
+        """Return the hull vertices in the format of a `Pack`, padded to whole SIMD lanes."""
         padded = -(-self.count // L) * L  # the kernel reads L points at once
         first = np.cumsum(padded) - padded
         begin = np.cumsum(self.count) - self.count
@@ -61,7 +61,7 @@ class Pieces:
 
     @property
     def tables(self) -> dict[str, NDArray]:
-        """The pieces in the format of a `Pack`."""
+        """Return the exact pieces as tables of a `Pack`."""
         return {
             "piece_kind": self.kind,
             "piece_size": self.size,
@@ -114,7 +114,7 @@ def concatenate(parts: Iterable[Pieces]) -> Pieces:
 
 
 def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[str, NDArray]:
-    """Concatenate the piece tables of robot and world."""
+    """Concatenate the exact-piece tables of the robot and the world."""
     joined = {name: np.concatenate([table, world[name]]) for name, table in robot.items()}
     joined["piece_points"][len(robot["piece_points"]) :, 0] += len(robot["points"])
     return joined

@@ -89,7 +89,7 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """Frames that the group's joints move; other joints are merged into fixed transforms.
+    """Kinematic chain of the frames that a group's joints move; other joints are fixed.
 
     Attributes:
         above: for each frame, the frames from the world's child down to it.
@@ -487,7 +487,7 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
 
 
 def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
-    """Return all that the body of a shape depends on."""
+    """Return all data on which the cached cover and pieces of a body depend."""
     if isinstance(shape, Mesh):
         return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
     return (T, repr((overshoot, shape)))

@@ -1,4 +1,4 @@
-"""Bodies against the world: boxes of 16 shapes at a time, bounding spheres, groups, spheres."""
+"""Kernel tests of robot bodies against world shapes: boxes, bounding spheres, spheres."""
 
 # pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -71,7 +71,7 @@ from armcell.collision.kernel.verdict import fail, touch
 
 @inner_njit
 def shape_gap(I, F, o, w, at):
-    """Distance of the points at w[at:] to world shape o in every lane; a lower bound for cones and meshes."""
+    """Return the distances of points at w[at:] to world shape o; lower bounds for cones, meshes."""
     kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
     cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
     zero = splat(np.float32(0.0))
@@ -107,10 +107,10 @@ def shape_gap(I, F, o, w, at):
 
 @inner_njit
 def shape_rate(I, F, o, w, at, velocity):
-    """How fast the gap of `shape_gap` changes, at most, for points that move at w[velocity:].
+    """Return the largest rate at which `shape_gap` changes for points that move at w[velocity:].
 
-    All these gaps are convex functions of the point, so that along a straight motion the gap lies above its
-    tangent: only the velocity's part along the gap's gradient brings the point closer.
+    These gaps are convex functions of the point, so along a straight motion a gap is never below its tangent:
+    only the velocity component along the gradient of the gap brings the point closer.
     """
     kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
     cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
@@ -152,10 +152,12 @@ def shape_rate(I, F, o, w, at, velocity):
 
 @inner_njit(forceinline=True)
 def _near(I, F, w, state, o, i, at, radius, more, mode):
-    """Lanes (bits) where the ball around centre i is not clear of shape o; the gap; what it must exceed.
+    """Return the lanes (bits) where the ball around center i is not clear of world shape o.
 
-    In a proof the ball is cleared if its gap, falling at its rate, lasts for half the interval; a ball does
-    not turn, so that only its centre's velocity counts.
+    Also returns the gap and the gap that is required.
+
+    In a proof, the ball is clear if its gap, shrinking at its rate, lasts for half the interval. A ball does
+    not change by rotation, so only the velocity of its center counts.
     """
     gap = shape_gap(I, F, o, w, at)
     if mode & PROVE == 0:
@@ -171,7 +173,7 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 
 @inner_njit
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """`_body_to_shape` for a shape that is the box around a cloud."""
+    """Test a body against a shape that is the bounding box of a cloud; see `_body_to_shape`."""
     other = np.int64(o)  # as the exact tier has it, or what both call is compiled twice
     lanes = body_to_cloud(I, F, w, state, body, other, more, state[ALIVE], mode)
     if lanes == DONE:
@@ -187,7 +189,7 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """A body against one world shape, from its groups down; True where nothing is left to find out."""
+    """Test a body against one world shape by its groups; return True if all lanes are decided."""
     if I[I[SHAPE_CLOUD] + o] >= 0:
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     f, bodies = I[I[FRAME] + body], I[BODIES]
@@ -226,7 +228,10 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Bodies against the world; True where nothing is left to find out. See `_check_arrays`."""
+    """Test all bodies against the world in 16 lanes; return True if all lanes are decided.
+
+    See `_check_arrays`.
+    """
     for body in range(I[BODIES] - 1, -1, -1):  # the tip's bodies first: they touch most often
         f = I[I[FRAME] + body]
         if f == 0:

@@ -49,7 +49,7 @@ class World:
 
     @cached_property
     def starts(self) -> I64:
-        """First row (objects + 1, len(ROWS)) of each object in the tables of `ROWS`."""
+        """Return the first row (objects + 1, len(ROWS)) of each object in the kernel tables."""
         return np.vstack([np.zeros((1, len(ROWS)), np.int64), np.cumsum(self.counts, axis=0)])
 
     @cached_property
@@ -58,7 +58,7 @@ class World:
 
     @cached_property
     def arrays(self) -> dict[str, NDArray]:
-        """The arrays of a `Pack` that depend on the world alone."""
+        """Return the arrays of a `Pack` that depend only on the world objects."""
         tables, starts = self.tables, self.starts
         boxes, child = box_tree(tables["low"], tables["high"])
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
@@ -78,13 +78,13 @@ class World:
 
     @cached_property
     def shape_pieces(self) -> NDArray[np.int32]:
-        """Index (shapes + 1,) of each shape's first piece among the world's pieces."""
+        """Return the index (shapes + 1,) of each shape's first piece among the world's exact pieces."""
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
         return self._ends("pieces_end", PIECES, of_shape)
 
     @cached_property
     def pieces(self) -> dict[str, NDArray]:
-        """The exact pieces as tables of a `Pack`."""
+        """Return the exact pieces of all world objects as tables of a `Pack`."""
         names = ("piece_kind", "piece_size", "piece_pose", "piece_ball", "points", "points32")
         first = np.repeat(self.starts[:-1, POINTS], self.counts[:, PIECES])
         points = self.tables["piece_points"].copy()
@@ -119,7 +119,10 @@ def world_of(objects: Mapping[str, CollisionObject]) -> World:
 
 
 def _similar(items: tuple[CollisionObject, ...]) -> World:
-    """Return the last world that has half of the objects, else the one with the most of them."""
+    """Return a cached world that shares many objects with the given objects.
+
+    It is the first world with at least half of the objects, or else the one with the most of them.
+    """
     best, most = NOTHING, 0
     for world in _recent:
         known = sum(map(world.index.__contains__, items))
