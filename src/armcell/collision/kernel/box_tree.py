@@ -28,7 +28,7 @@ def box_tree(low: F64, high: F64) -> tuple[F32, I32]:
 
 
 def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
-    """Build a bounding-box tree of boxes (n, 3) that are already in a spatially compact order.
+    """Build a bounding-box tree of boxes (n, 3) whose order is already spatially compact.
 
     Args:
         content: (n,) content index of each box.

@@ -24,7 +24,7 @@ Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Vertices of convex hulls: number of vertices per piece (e,), and all vertices (n, 3)."""
+    """Vertices of convex hulls: number per piece (e,), and all vertices (n, 3)."""
 
     count: I32
     points: F64
@@ -47,7 +47,7 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Convex solids in one frame, as arrays.
+    """Exact pieces as arrays: convex solids in one common frame.
 
     Kinds (e,), sizes (e, 3), poses (e, 12) as rows of a 3x4 matrix, bounding spheres (e, 4), and the vertices
     of the solids that are convex hulls.
@@ -126,7 +126,7 @@ def convex_parts(shape: Shape, split: Splitter = convex_pieces) -> tuple[Shape, 
 
 
 def solid(shape: Shape) -> tuple[int, list[float]]:
-    """Return the kind and the three size values of a convex shape for the kernel's GJK."""
+    """Return the kind and the three size values of a convex shape, for the kernel's GJK."""
     match shape:
         case Mesh():
             return gjk.POINTS, [0.0, 0.0, 0.0]

@@ -41,7 +41,7 @@ BODY_VERSION = 1  # increase when `_new_body` returns other spheres or pieces, t
 
 @dataclass(frozen=True, eq=False)
 class RobotPart:
-    """The arrays of a `Pack` that do not depend on the world, with body names and exact pieces."""
+    """Robot arrays of a `Pack`, which do not depend on the world, with names and exact pieces."""
 
     bodies: tuple[str, ...]
     arrays: dict[str, Any]
@@ -79,7 +79,7 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Cover and pieces of a body in a frame of the group, in the format of a `Pack`."""
+    """Sphere cover and exact pieces of a body in a frame of the group, in a `Pack`'s format."""
 
     around: F32
     sphere: F32

@@ -1,4 +1,4 @@
-"""Kernel arrays of all world objects, updated where objects were added, moved, changed or removed."""
+"""Kernel arrays of all world objects, updated only for changed objects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KEPT = 8  # worlds
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The objects of a scene as kernel arrays.
+    """Kernel arrays of a scene's world objects.
 
     Attributes:
         names: names of the objects.
@@ -134,7 +134,7 @@ def _similar(items: tuple[CollisionObject, ...]) -> World:
 
 
 def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, ...]) -> World:
-    """Return the world of some objects, with the rows of unchanged objects copied from another world."""
+    """Return the kernel arrays of a new world; rows of unchanged objects are copied."""
     known = np.fromiter((last.index.get(item, -1) for item in items), np.int64, len(items))
     begin, end = _runs(known)
     first, count = known[begin], end - begin
@@ -154,7 +154,7 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split indices of known objects (-1: new) into runs of neighbors; return the ends of the runs."""
+    """Split object indices (-1: new object) into runs of neighbors; return the runs' ends."""
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))
     begin = np.concatenate([np.zeros(min(len(known), 1), np.int64), np.flatnonzero(~joins) + 1])

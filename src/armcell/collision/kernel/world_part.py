@@ -48,7 +48,7 @@ class ObjectTables(NamedTuple):
 
 
 class _Solid(NamedTuple):
-    """A convex shape of an object; a cloud (see `cloud_part`) counts as one shape, its bounding box."""
+    """Convex shape of a world object; a cloud counts as one shape, its bounding box."""
 
     owner: int
     shape: Shape
