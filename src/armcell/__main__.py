@@ -23,7 +23,7 @@ def main() -> None:
         except SystemExit as over:
             code = over.code if isinstance(over.code, int) else 1
         _interrupts.uninstall()
-    except _interrupts.Interrupted:  # on the last steps
+    except _interrupts.Interrupted:  # interrupted during the last steps
         pass
     if _interrupts.asked():
         with contextlib.suppress(Exception):

@@ -28,7 +28,7 @@ from pathlib import Path
 
 KEPT_DAYS = 30
 COMPILES = re.compile(rb"^\s*(from|import)\s+numba\b|@(numba\.)?(inner_)?njit", re.MULTILINE)
-"""Of sources that hold compiled code; a file that only speaks of numba may change without compiling anew."""
+"""Matches sources with compiled code; changes of files that only mention numba do not cause recompilation."""
 
 
 log = logging.getLogger("armcell")
@@ -56,7 +56,7 @@ def cache_root() -> Path:
 @cache
 def _trusted_root(chosen: Path) -> Path:
     if not writable(chosen) and not chosen.is_dir():
-        return chosen  # nothing is kept
+        return chosen  # nothing is cached
     reason = doubt(chosen)
     if reason is None:
         return chosen.resolve()
@@ -97,7 +97,7 @@ def doubt(folder: Path, contents: bool = False) -> str | None:
         contents: also check every file and folder inside: no links, and the same owner and mode.
     """
     if not hasattr(os, "geteuid"):
-        return None  # Windows: the user's own folders are
+        return None  # Windows: the user's folders are private
     real = folder.resolve()
     try:
         for place in (real, *real.parents):
@@ -115,7 +115,7 @@ def doubt(folder: Path, contents: bool = False) -> str | None:
 def _doubt_inside(folder: str) -> str | None:
     hidden = not os.lstat(folder).st_mode & 0o077
     forbidden = 0o002 if hidden else 0o022  # with umask 002 Numba's files are writable by the group
-    for entry in os.scandir(folder):  # thousands: no Path for each
+    for entry in os.scandir(folder):  # thousands of entries: creating a Path for each is slow
         try:
             status = entry.stat(follow_symlinks=False)
         except FileNotFoundError:
@@ -197,13 +197,13 @@ def _drop_old(used: Path) -> None:
     """Delete kernels of other source versions that no process has used for `KEPT_DAYS`."""
     try:
         if time.time() - used.stat().st_mtime < 86400 and any(used.iterdir()):
-            return  # looked at today
+            return  # already checked today
         os.utime(used)
         for other in used.parent.iterdir():
             if other != used and time.time() - other.stat().st_mtime > KEPT_DAYS * 86400:
                 shutil.rmtree(other, ignore_errors=True)
     except OSError:
-        pass  # another process was quicker, or they are not ours to delete
+        pass  # another process deleted them first, or they belong to another user
 
 
 def use_cache() -> Path:
@@ -221,7 +221,7 @@ def use_cache() -> Path:
         folder = private_folder() / "kernels" / source_hash()
         if not writable(folder) or doubt(folder, contents=True) is not None:
             folder = Path(tempfile.mkdtemp(prefix="once-", dir=folder.parent))
-    folder = folder.resolve()  # Numba is not to follow a link that is changed later
+    folder = folder.resolve()  # Numba must not follow a link that is changed later
     if not given:
         _drop_old(folder)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)

@@ -24,13 +24,13 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-GRACE = 1.5  # [s] until the main thread handles the exception; it may be in compiled code
-WITH_ARMS = 15.0  # [s] until arms rest, and a record and its report are written
+GRACE = 1.5  # [s] for the main thread to handle the exception; it may run compiled code
+WITH_ARMS = 15.0  # [s] for arms to come to rest, and for a record and its report to be written
 SCRIPT = 3.0  # [s] for a user's script to end by itself
-LAST = 2.0  # [s] for last wills, all together
+LAST = 2.0  # [s] for all last-will actions together
 ONE_SIGNAL = 0.5  # [s]: `timeout`, systemd and docker send a signal to a process and again to its group
-LOOK = 0.05  # [s] between two looks whether the exception was swallowed
-UNHANDLED = 3  # looks in a row without the exception: it was swallowed
+LOOK = 0.05  # [s] between two checks whether the exception was swallowed
+UNHANDLED = 3  # checks in a row without the exception: it was swallowed
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGPIPE: ""}
 
@@ -48,15 +48,15 @@ class _Will:
 
 class _State:
     def __init__(self) -> None:
-        self.event = threading.Event()  # set by the watcher: `set` takes a lock, no handler may
-        self.signal = 0  # that asked first
-        self.at = 0.0  # [s, monotonic] when
-        self.raised = False  # the main thread has had the exception
+        self.event = threading.Event()  # set by the watcher: a handler must not take a lock
+        self.signal = 0  # number of the first signal
+        self.at = 0.0  # [s, monotonic] time of the first signal
+        self.raised = False  # the exception was raised in the main thread
         self.again = False  # the watcher asks the handler to raise again
-        self.sent = 0  # signals of the watcher's own that are on their way to `_count`
-        self.swallowed = False  # Python said so
-        self.limit: float | None = None  # [s, monotonic] of an end that somebody has taken on
-        self.held, self.due = 0, False  # depth of `deferred`; an exception waits for its end
+        self.sent = 0  # signals that the watcher itself sent and `_count` has not yet seen
+        self.swallowed = False  # Python reported that it swallowed the exception
+        self.limit: float | None = None  # [s, monotonic] time limit of an orderly shutdown, see `take_time`
+        self.held, self.due = 0, False  # depth of `deferred`; whether an exception is deferred
         self.owner: Callable[[], object] | None = None
         self.wills: list[_Will] = []
         self.wake = -1  # file descriptor that wakes the watcher
@@ -83,7 +83,7 @@ def uninstall() -> None:
             signal.signal(number, signal.SIG_DFL)
 
 
-# --- what the program asks ---
+# --- queries of the program ---
 def asked() -> int:
     """Return the number of the signal that asked the program to end, or 0."""
     return _state.signal
@@ -108,7 +108,7 @@ def check() -> None:
         and threading.current_thread() is threading.main_thread()
         and not _is_ours(sys.exc_info()[1])
     ):
-        _state.raised = True  # the handler, which may still come, need not
+        _state.raised = True  # the handler, which may still run, need not raise
         raise Interrupted
 
 
@@ -122,7 +122,7 @@ def sleep(seconds: float) -> None:
         time.sleep(seconds)
         return
     check()
-    if _state.event.is_set():  # an orderly end may wait
+    if _state.event.is_set():  # an orderly shutdown may sleep
         time.sleep(seconds)
     else:
         _state.event.wait(seconds)
@@ -148,7 +148,7 @@ def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bo
             return False
 
 
-# --- what the program says ---
+# --- requests and declarations of the program ---
 def ask(number: int) -> None:
     """Ask the program to end as if by a signal, from any thread.
 
@@ -284,7 +284,7 @@ def end(number: int | None = None) -> None:
     if number is None:
         number = _state.signal or signal.SIGINT
     if word := WORDS.get(signal.Signals(number), ""):
-        with contextlib.suppress(OSError):  # not through sys.stderr: who holds its lock may be stuck
+        with contextlib.suppress(OSError):  # not by sys.stderr: a thread that holds its lock may be blocked
             os.write(2, f"armcell: {word}\n".encode())
     os._exit(128 + number)
 
@@ -292,7 +292,7 @@ def end(number: int | None = None) -> None:
 # --- the handler ---
 def _handler(number: int, frame: FrameType | None) -> None:
     """Handle a signal in the main thread: raise `Interrupted`, or defer it (see `deferred`)."""
-    if not _state.wills and _importing(frame):  # libraries that try an import swallow whatever it raises
+    if not _state.wills and _importing(frame):  # libraries with optional imports swallow all exceptions
         end(number)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs the interrupts that it swallows
     _request(number)

@@ -43,7 +43,7 @@ _out: _Raw | None = None
 def install() -> None:
     """Replace `sys.stdout` and `sys.stderr`, and reopen streams that the caller has closed."""
     global _out
-    for number in (0, 1, 2):  # else the next file that is opened would get what libraries print
+    for number in (0, 1, 2):  # otherwise the next opened file would receive the output of libraries
         try:
             os.fstat(number)
         except OSError:
@@ -52,7 +52,7 @@ def install() -> None:
         sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
     _out, sys.stdout = _stream(1, sys.stdout)
     _, sys.stderr = _stream(2, sys.stderr)
-    logging.raiseExceptions = False  # logging prints a traceback where standard error cannot be written
+    logging.raiseExceptions = False  # logging would print a traceback if standard error cannot be written
 
 
 def close() -> int:

@@ -37,7 +37,7 @@ from armcell.collision.kernel.world import world_block
 
 EVERY = np.int64((1 << L) - 1)  # all lanes
 
-# What a handle holds.
+# Indices of the addresses in a handle.
 AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SELF = range(10)
 
 

@@ -27,7 +27,7 @@ def first_below_clearance(handle, points, room, distance):
     k, (n, dof) = pointer(handle), points.shape
     I, s = ints(k), at_address(np.float64, k[AT_S])
     slack_pair = at_address(np.float32, k[AT_SLACK_PAIR])
-    rows, at = np.arange(n) * dof, np.empty(n)  # both are used after the call: pointers do not keep them
+    rows, at = np.arange(n) * dof, np.empty(n)  # used after the call, to stay alive
     loosen(k, pointer(room))
     for b in range(I[PAIRS]):
         slack_pair[b] += np.float32(distance)

@@ -112,8 +112,8 @@ def _apart(F, kind, at, x, y, z):
     """
     zero = splat(np.float32(0.0))
     if kind == gjk.TRIANGLE:
-        # Nearest on a side, or above the face where the point is on the inner side of all three sides
-        # (n . edge x point > 0). The normal is worked out in float64: slivers have a good one, too.
+        # The nearest point is on a side, or on the face if the point is on the inner side of all three sides
+        # (n . edge x point > 0). The normal was computed in float64, so that it is accurate for slivers, too.
         ax, ay, az, a = _side(F, at, 0, 1, x, y, z)
         bx, by, bz, b = _side(F, at, 1, 2, x, y, z)
         cx, cy, cz, c = _side(F, at, 2, 0, x, y, z)
@@ -275,7 +275,7 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
             dy = vmax(vmax(splat(F[low + L]) - y, y - splat(F[low + 4 * L])), zero)
             dz = vmax(vmax(splat(F[low + 2 * L]) - z, z - splat(F[low + 5 * L])), zero)
             here = mask_lt(fma(dx, dx, fma(dy, dy, dz * dz)), reach2) & lanes & state[ALIVE]
-            if mode & PROVE:  # what is open is for the exact tier
+            if mode & PROVE:  # the exact tier decides open lanes
                 here &= ~open_lanes
             if here == 0:
                 continue

@@ -23,7 +23,7 @@ from armcell.core import Shape
 Array = NDArray[np.float64]
 
 GROUP = 8  # spheres that share a bounding sphere
-FIT_VERSION = 1  # to be raised when `fit` gives other spheres
+FIT_VERSION = 1  # increase when `fit` returns other spheres, to invalidate the disk cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +115,9 @@ def fit(shape: Shape, overshoot: float) -> Cover:
     size = float((vertices.max(0) - vertices.min(0)).max())
     inside = interior_points(vertices, faces, max(0.8 * overshoot, size / 35))
     depth = depths(inside, elements) if len(inside) else np.zeros(0)
-    # The solid's middle is to be held as well, not only its skin: each grid point is a small element.
+    # The cover must contain the solid's interior as well as its skin: each grid point is a small element.
     elements = np.concatenate([elements, np.repeat(inside[:, None, :], 3, axis=1)])
-    # Surface points as centres (depth 0) reach corners that no interior ball does; a few are enough.
+    # Balls around surface points (depth 0) reach corners that no interior ball reaches; a few are enough.
     skin = elements[: len(elements) - len(inside)].mean(axis=1)
     _, thin = np.unique(np.round(skin / (2 * overshoot)).astype(np.int64), axis=0, return_index=True)
     centres = np.vstack([inside, skin[np.sort(thin)]])
@@ -125,7 +125,7 @@ def fit(shape: Shape, overshoot: float) -> Cover:
     outer = inner + overshoot
     reach2 = (outer - round_gap) ** 2
     chosen, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centres, reach2)
-    missing = elements[~held]  # the repair pass: what no candidate holds gets a ball of its own
+    missing = elements[~held]  # repair: elements that no candidate contains get their own ball
     while len(missing):
         centre = missing[0].mean(axis=0)
         centres, inner, outer = (

@@ -34,19 +34,19 @@ REVOLUTE = 1
 
 EXACT, PADDED, PROVE, FIRST = 1, 2, 4, 8  # bits of `mode`, see `_check_arrays`
 
-# What `state` holds: the block's number, the lanes still to be decided (bits), whether one of them certainly
-# touches, and the pairs that wait for the exact tier (three numbers each); then the blocks in which the
-# centres were computed, and the stack of the walk through the world's boxes (a cloud's lie above those).
+# Contents of `state`: number of the block, undecided lanes (bits), lanes that certainly touch (bits), and the
+# pairs that wait for the exact tier (three numbers each); then the blocks in which the centers were computed,
+# and the stack of the walk through the world's boxes (a cloud's boxes are above them in the stack).
 NOW, ALIVE, TOUCHING, WAITING, ENTRIES = 0, 1, 2, 3, 4
 MAX_WAITING = 64
 STACK = ENTRIES + 3 * MAX_WAITING
 MAX_STACK = 256
 LISTED = STACK + MAX_STACK  # parts of a cloud that wait for the exact tier, in one lane
 MAX_LISTED = 512
-PLACED = LISTED + MAX_LISTED  # the group whose spheres are placed in a cloud's frame
+PLACED = LISTED + MAX_LISTED  # the group whose spheres are transformed to a cloud's frame
 STAMPS = PLACED + 1
 
-# Where in the float64 scratch the transforms of exact pieces are: A, B and A in B's frame.
+# Indices in the float64 scratch of the transforms of exact pieces: A, B and A in B's frame.
 AT_A, AT_B, AT_RELATIVE = gjk.SCRATCH, gjk.SCRATCH + 12, gjk.SCRATCH + 24
 SCRATCH = gjk.SCRATCH + 36
 
@@ -159,7 +159,7 @@ def _sincos(x):
     one = splat(np.float32(1.0))
     f = vround(n * half - quarter)  # floor(n / 2)
     odd = n - two * f  # 0 or 1: swap sine and cosine
-    g = f - two * vround(f * half - quarter)  # 0 or 1: turn both round
+    g = f - two * vround(f * half - quarter)  # 0 or 1: change both signs
     sign = one - two * g
     sine = select_lt(half, odd, c, s) * sign
     cosine = select_lt(half, odd, splat(np.float32(0.0)) - s, c) * sign

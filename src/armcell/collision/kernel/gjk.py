@@ -33,8 +33,8 @@ MAX_ITERATIONS = 64
 SCRATCH = 69  # float64 numbers that `distance` needs
 NORMAL = 54
 PART = 58  # of a cloud: radius, half the edge, or three corners
-CLOSE = 68  # [m] what is as near as this counts as touching; 0 but for measuring clearance
-TOLERANCE = 1e-6  # [m] of the distance, beside this share of what is enough:
+CLOSE = 68  # [m] distance that counts as touching; 0 except while clearance is measured
+TOLERANCE = 1e-6  # [m] tolerance of the distance, plus this share of `enough`:
 SHARE = 0.05
 TOUCHING = 2e-6
 """[m] Solids closer than this touch: frames and points are float32, and coal calls 1 um a contact as well."""
@@ -208,7 +208,7 @@ def _triangle(s, o, v):
         _copy(s, o + 6, o + 3)
         return 2
     w = va + vb + vc
-    if w <= 0.0:  # a flat triangle: its longest side serves
+    if w <= 0.0:  # a flat triangle: use its longest side
         s[v], s[v + 1], s[v + 2] = ax, ay, az
         return 1
     p, q = vb / w, vc / w
@@ -226,7 +226,7 @@ def _outside(s, i, j, k, o):
     there = (s[o] - s[i]) * nx + (s[o + 1] - s[i + 1]) * ny + (s[o + 2] - s[i + 2]) * nz
     scale = 1e-13 * (abs(nx) + abs(ny) + abs(nz))
     if abs(there) <= scale:
-        return True  # flat: look at the face
+        return True  # flat: use the face
     return here * there < 0.0
 
 
@@ -300,10 +300,10 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
             s[NORMAL], s[NORMAL + 1], s[NORMAL + 2] = s[v] / length, s[v + 1] / length, s[v + 2] / length
             if bound > enough:
                 return bound
-        # A rough bound is enough where it proves a separation; that solids touch is never said of one.
+        # A rough bound may prove a separation, but never a contact.
         if n > 0 and length - bound <= (tolerance if bound > max(TOUCHING, s[CLOSE]) else TOLERANCE):
             return bound if bound > TOUCHING else 0.0
-        for k in range(0, 3 * n, 3):  # a point that is there already: no progress is possible
+        for k in range(0, 3 * n, 3):  # a point that the simplex already contains: no progress is possible
             if (s[k] - s[36]) ** 2 + (s[k + 1] - s[37]) ** 2 + (s[k + 2] - s[38]) ** 2 < 1e-22:
                 return bound if bound > TOUCHING else 0.0
         _copy(s, 36, 3 * n)
@@ -316,7 +316,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
             n = _triangle(s, np.int64(0), np.int64(v))
         else:
             n = _tetrahedron(s, v)
-            if n == 4:  # around the origin; a separation proven before is the better witness
+            if n == 4:  # around the origin; a separation that is already proven is the better witness
                 return bound if bound > TOUCHING else 0.0
         now = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
         if now > length2 * (1 - 1e-14) and n > 1 and bound > 0:

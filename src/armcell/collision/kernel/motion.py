@@ -29,16 +29,16 @@ from armcell.collision.kernel.layout import BODIES, DOF, PAIR_REACH, PAIRS, REAC
 from armcell.collision.kernel.simd import L, at_address, fma, iota, pointer, splat, store
 
 FINEST = 1e-4
-"""[rad] Half intervals shorter than this are not cut further: closer than their motion counts as touching."""
+"""[rad] Shorter half intervals are not divided: a distance below their motion counts as contact."""
 
 WIDEST = 0.12
-"""[rad] Length of the intervals that a proof begins with, where 16 of them are enough for the edge."""
+"""[rad] Initial length of a proof's intervals, if 16 of them are enough for the edge."""
 
 CERTAIN = np.float32(1e-5)
-"""[m] Room for rounding in float32 in every proof."""
+"""[m] Margin for float32 rounding in every proof."""
 
 PROVEN = 2.0
-ROOM = 2048  # intervals that may wait in a proof
+ROOM = 2048  # capacity of a proof's stack of intervals
 
 
 @inner_njit(forceinline=True)
@@ -101,11 +101,11 @@ def prove(k, p, first, last, count, at, mode, finest):
             edge += 1
         n = 0
         begin = waiting
-        while n < L and begin > 0:  # take the newest, and drop those of edges that have failed
+        while n < L and begin > 0:  # take the newest intervals; drop those of failed edges
             begin -= 1
             if at[which[begin]] != PROVEN:
                 continue
-            # Those taken are kept behind one another from the end of the room on.
+            # The taken intervals are stored from the end of the buffer downward.
             slot = ROOM - 1 - n
             which[slot], middle[slot], half[slot] = which[begin], middle[begin], half[begin]
             n += 1
@@ -185,7 +185,7 @@ def prove_points(handle, points, room, distance, mode):
     k, (n, dof) = pointer(handle), points.shape
     I, s = ints(k), at_address(np.float64, k[AT_S])
     slack, slack_pair = at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR])
-    rows, at = np.arange(n) * dof, np.empty(n)  # both are used after the call: pointers do not keep them
+    rows, at = np.arange(n) * dof, np.empty(n)  # used after the call, to stay alive
     loosen(k, pointer(room))
     for b in range(I[BODIES]):
         slack[b] += np.float32(distance)
@@ -237,4 +237,4 @@ def proven_clearance(handle, points, most, tolerance):
             high = trial
         trial = 0.5 * (low + high)
     s[gjk.CLOSE] = 0.0
-    return low + 0.0 * (rows[0] + at[0])  # both are used after the calls: pointers do not keep them
+    return low + 0.0 * (rows[0] + at[0])  # used here, so that both stay alive

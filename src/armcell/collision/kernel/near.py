@@ -16,10 +16,10 @@ from armcell._array_store import keep, key_of, recall
 F64 = NDArray[np.float64]
 
 MAX_JOINTS = 2
-VERSION = 1  # to be raised when `meeting_groups` gives other answers
-SMALLEST = 4e-3  # [m] boxes of joint values whose motion is below this are not cut further
-APART = 1e-4  # [m] what is to be proven
-BEYOND = 0.02  # [rad, m] how far beyond the joints' limits
+VERSION = 1  # increase when the results of `meeting_groups` change, to invalidate the disk cache
+SMALLEST = 4e-3  # [m] boxes of joint values with less motion are not divided
+APART = 1e-4  # [m] distance to be proven
+BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 
 @njit(cache=True)
@@ -107,7 +107,7 @@ def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, 
         lo, hi = box[depth, 0].copy(), box[depth, 1].copy()
         mine = alive[depth].copy()
         depth -= 1
-        weight = np.zeros(k)  # what the halves would save
+        weight = np.zeros(k)  # motion that halving the range would remove
         for c in range(k):
             q[c] = 0.5 * (lo[c] + hi[c])
         _place(branch_i, fixed, kind, multiplier, offset, column, q, Ti)

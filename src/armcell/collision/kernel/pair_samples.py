@@ -45,8 +45,8 @@ def _ask_pairs(handle, pairs, q, masks):
         for p in range(len(pairs)):
             I[PAIR] = np.int32(first_pair + 2 * pairs[p])
             I[NEAR] = np.int32(first_near + pairs[p])
-            # A proof over an interval without any width is the question for the configuration itself, and
-            # goes on to the end for every lane.
+            # A proof over an interval of zero width checks the configuration itself, and continues to the
+            # end for every lane.
             masks[p, block] = np.uint16(check_block(k, EVERY, np.int64(EXACT | PROVE)))
     I[PAIR], I[NEAR] = np.int32(first_pair), np.int32(first_near)
 
@@ -62,7 +62,7 @@ class PairSampler:
 
     def __init__(self, checker: KernelChecker):
         I, F, D = checker.flat
-        self._flat = (I.copy(), F, D)  # others read the original
+        self._flat = (I.copy(), F, D)  # other checkers read the original
         self._work = workspace(self._flat)
         self._slack = np.zeros(max(len(checker.pack.frame), 1), np.float32)
         self._slack_pair = np.zeros(max(len(checker.pack.pairs), 1), np.float32)
@@ -82,7 +82,7 @@ class PairSampler:
             within: [m] largest distance that counts as contact.
             progress: receives the number of finished samples.
         """
-        self._slack[:] = self._slack_pair[:] = within  # of bodies too: by theirs far pairs are passed over
+        self._slack[:] = self._slack_pair[:] = within  # the bodies' slack decides which pairs are skipped
         numbers = np.ascontiguousarray(numbers, dtype=np.int64)
         found = np.zeros((len(numbers), len(q)), bool)
         for start in range(0, len(q), CHUNK):

@@ -95,7 +95,7 @@ def call(typingctx, function, a, b, c):
 
 @intrinsic
 def _get(typingctx, at, index):
-    # Short integers are widened: else every function would be compiled for int32 and int64 arguments.
+    # Widen short integers; otherwise every function would be compiled for int32 and int64 arguments.
     wide = types.int64 if isinstance(at.dtype, types.Integer) else at.dtype
 
     def codegen(context, builder, signature, args):

@@ -62,7 +62,7 @@ from armcell.collision.kernel.simd import L, fma, load, splat, store, trailing_z
 from armcell.collision.kernel.verdict import CONTACT, FREE, UNPROVEN, fail, touch
 
 INSIDE = np.int64(1) << 40
-"""Added to a world shape that waits: whether a body is wholly inside its closed mesh."""
+"""Added to the index of a queued world shape: test whether a body is inside its closed mesh."""
 
 
 @inner_njit
@@ -301,13 +301,13 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
         cx = x + s[R] * D[ball] + s[R + 1] * D[ball + 1] + s[R + 2] * D[ball + 2]
         cy = y + s[R + 4] * D[ball] + s[R + 5] * D[ball + 1] + s[R + 6] * D[ball + 2]
         cz = z + s[R + 8] * D[ball] + s[R + 9] * D[ball + 1] + s[R + 10] * D[ball + 2]
-        # Arguments of the types that `_piece_distance` gives (no constants), or all of gjk is compiled again.
+        # The arguments have the types of `_piece_distance` (no constants), or gjk is compiled again.
         points, warm, unused = I[PIECE_POINTS] + 2 * a, a < 0, np.int64(a)
         for k in range(count):
             at = state[LISTED + k]
             px, py, pz = float(F[at]), float(F[at + L]), float(F[at + 2 * L])
             radius = float(F[at + 3 * L])
-            if kind == gjk.TRIANGLE:  # put it at its first corner
+            if kind == gjk.TRIANGLE:  # relative to its first corner
                 radius = 0.0
                 for j in range(3):
                     p = at + 3 * j * L
@@ -327,7 +327,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
                 F, D, R, I[I[PIECE_KIND] + a], I[PIECE_SIZE] + 3 * a, I[POINTS] + 3 * I[points],
                 I[POINTS32] + 3 * I[points], I[points + 1], kind, unused, unused, unused, kind, need, warm, s,
             )  # fmt: skip
-            warm = True  # the next part is mostly near this one
+            warm = True  # the next part is usually near this one
             if d <= s[gjk.CLOSE]:
                 return CONTACT
             if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
@@ -344,7 +344,7 @@ def _is_inside(I, F, D, w, state, s, body, other, lane):
     frame, m, size = frame_at(I, I[I[FRAME] + body]), I[SHAPE_POSE] + 12 * other, I[SHAPE_SIZE] + 3 * other
     for a in range(I[I[BODY_PIECES] + body], I[I[BODY_PIECES] + body + 1]):
         _world_piece(I, D, w, a, frame, lane, s, AT_A)
-        x, y, z = s[AT_A + 3], s[AT_A + 7], s[AT_A + 11]  # the middle of a simple solid
+        x, y, z = s[AT_A + 3], s[AT_A + 7], s[AT_A + 11]  # the center of a simple solid
         if I[I[PIECE_KIND] + a] == gjk.POINTS:  # a corner of a hull
             p = I[POINTS] + 3 * I[I[PIECE_POINTS] + 2 * a]
             x += s[AT_A] * D[p] + s[AT_A + 1] * D[p + 1] + s[AT_A + 2] * D[p + 2]

@@ -100,7 +100,7 @@ def shape_gap(I, F, o, w, at):
     if kind == gjk.CYLINDER:
         dr, dz = vmax(r - a, zero), vmax(vabs(z) - b, zero)
         return vsqrt(fma(dr, dr, dz * dz))
-    height = b + b  # a cone: the larger of the distances to its base's plane and to its mantle's
+    height = b + b  # a cone: the larger of the distances to its base plane and its mantle
     mantle = (r * height + (z - b) * a) / vsqrt(fma(a, a, height * height))
     return vmax(mantle, zero - z - b)
 
@@ -130,7 +130,7 @@ def shape_rate(I, F, o, w, at, velocity):
             rate = select_lt(gap, d, along, rate)
             gap = vmax(gap, d)
         return vabs(rate)
-    if kind == gjk.BOX:  # the vector from the nearest point: what is beyond the faces
+    if kind == gjk.BOX:  # the vector from the nearest point: the excess beyond the faces
         x = x - vmax(vmin(x, a), zero - a)
         y = y - vmax(vmin(y, b), zero - b)
         c = splat(F[size + 2])
@@ -174,7 +174,7 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 @inner_njit
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
     """Test a body against a shape that is the bounding box of a cloud; see `_body_to_shape`."""
-    other = np.int64(o)  # as the exact tier has it, or what both call is compiled twice
+    other = np.int64(o)  # the type that the exact tier uses; otherwise shared functions are compiled twice
     lanes = body_to_cloud(I, F, w, state, body, other, more, state[ALIVE], mode)
     if lanes == DONE:
         return True
@@ -194,7 +194,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     f, bodies = I[I[FRAME] + body], I[BODIES]
     first_sphere = bodies + I[GROUPS]
-    # The inner ball proves contact only where the gap is no mere lower bound.
+    # The inner ball proves contact only if the gap is exact, not a lower bound.
     certain = I[I[SHAPE_KIND] + o] != gjk.CONE and I[I[SHAPE_KIND] + o] != gjk.POINTS
     open_lanes = np.int64(0)
     for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
@@ -217,7 +217,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
                 surely = mask_lt(gap, splat(F[sphere + 4] + np.float32(s[gjk.CLOSE]))) & lanes
                 if surely != 0 and touch(state, surely, mode):
                     return True
-                # Where the ball inside the solid is too near, no exact test can help.
+                # If the inner ball is too near, no exact test can prove the lane free.
                 surely = mask_lt(gap, splat(F[sphere + 4]) + need) & lanes
                 if surely != 0 and fail(state, surely, mode):
                     return True
@@ -257,7 +257,7 @@ def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
                 o = I[I[CHILD] + block * L + trailing_zeros(hit)]
                 hit &= hit - 1
                 if o < 0:  # a block of boxes further down
-                    if top < MAX_STACK // 2:  # 16 ** 8 shapes fit; a cloud's stack lies above
+                    if top < MAX_STACK // 2:  # 16 ** 8 shapes fit; a cloud's stack is above
                         state[STACK + top] = -o
                         top += 1
                     continue

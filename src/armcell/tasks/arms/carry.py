@@ -147,7 +147,7 @@ class Carrying:
         return self._held
 
     def squeeze(self) -> Array:
-        """Return the internal force (3,) [N] on the object, half the difference of the hands' forces."""
+        """Return the object's internal force (3,) [N], half the difference of the hands' forces."""
         first, second = (self.ctx.driver.wrench(self.hands.grippers[g].name)[:3] for g in self.hands.groups)
         return (second - first) / 2
 
