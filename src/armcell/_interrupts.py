@@ -373,7 +373,7 @@ def _ours(number: int) -> bool:
 
 
 def _count(wakes: int) -> None:
-    """End the process at a second signal; signals that `_raise_again` sends do not count."""
+    """End the process when a second signal arrives; signals of `_raise_again` do not count."""
     while True:
         for number in os.read(wakes, 64):
             if _ours(number):

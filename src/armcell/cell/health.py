@@ -1,4 +1,4 @@
-"""Start and check of a cell's layers in order, with a report of their state.
+"""Startup of a cell's layers in order, with checks and a report of their state.
 
 Order: description (model, objects), controllers (which control which joints), drivers (connected and
 publishing states), planner, task. A layer starts only if all earlier layers are ok, so a failure is reported

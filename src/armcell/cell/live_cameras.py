@@ -75,7 +75,7 @@ class LiveCamera:
         return gives
 
     def take(self, advance: Callable[[float], None], rgb: bool = True) -> CameraImage:
-        """Return the newest image; while another process draws it, `advance` lets time pass.
+        """Return a new image; while another process draws it, let time pass by `advance`.
 
         Args:
             advance: lets the given number of seconds pass, e.g. `TaskContext.advance`.

@@ -302,7 +302,7 @@ class TransferSpec(PlaceSpec):
 
 
 class StepSpec(Strict):
-    """One step of a cell's task, given by exactly one of the keys."""
+    """One step of a cell's task; exactly one of its keys must be given."""
 
     pick: str | None = None
     place: PlaceSpec | None = None

@@ -129,7 +129,7 @@ def _write_out(data: dict[str, Any], path: str) -> None:
 
 
 def _table(data: Any, *keys: str) -> dict[str, Any]:
-    """Return the mapping under nested keys; create missing mappings.
+    """Return the mapping under nested keys of a cell file; create missing mappings.
 
     If a key holds another type, return an empty mapping.
     """
@@ -178,7 +178,7 @@ def _known(data: dict[str, Any]) -> Iterator[str]:
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:
-    """Yield the dotted path of every key in nested dicts."""
+    """Yield the dotted path of every key in nested mappings, such as `objects.cube.mass`."""
     for key, value in data.items() if isinstance(data, dict) else ():
         yield f"{before}{key}"
         yield from _paths(value, f"{before}{key}.")

@@ -141,7 +141,7 @@ class ExactChecker:
         self._query += 1
 
     def place_object(self, i: int, T_world_solid: SE3) -> None:
-        """Move a world geometry, given by index, to a pose, until the next call for it."""
+        """Move a world geometry, given by index, to a pose that it keeps until the next call."""
         R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
         self._transforms[i].setTransform(R, T_world_solid.translation)
         self._world_centre[i] = T_world_solid.apply(g.centre)

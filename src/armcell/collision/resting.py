@@ -362,7 +362,7 @@ class Leaving:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a resting pair that has come into forbidden contact, or None.
+        """Return the index of a near pair that has come into forbidden contact, or None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 

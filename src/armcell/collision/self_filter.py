@@ -93,7 +93,7 @@ def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding
 
 
 def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shape, SE3, float]]:
-    """Yield shape, T_world_shape and scale of the robot's links, held objects, and objects."""
+    """Yield shape, T_world_shape and scale of robot links, held objects and other objects."""
     tree = kinematic_tree(scene.model)
     Ts = [SE3.from_matrix(T) for T in tree.link_transforms(scene.positions)]
     for link in scene.model.links.values():

@@ -233,7 +233,7 @@ class _Hands:
         return any(self.can(grasp, goal) for grasp in self.grasps(pose) for goal in goals)
 
     def shared(self, here: RestingPose, there: Sequence[RestingPose]) -> tuple[str, ...]:
-        """Return the names of grasps that are feasible at one resting pose and at one of others."""
+        """Return the names of grasps feasible at one resting pose and at one of several others."""
         found: list[str] = []
         for grasp in self.grasps(here):
             if self._fits(grasp, here) and any(self.can(grasp, t) for t in there) and self.can(grasp, here):

@@ -43,7 +43,7 @@ AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SE
 
 @inner_njit
 def _check_arrays(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
-    """Return which of the given lanes (bits) hold configurations that are not free.
+    """Return the SIMD lanes (bits) whose configurations are not collision-free.
 
     The positions of joint j are at w[j * L:], one per lane.
 
@@ -84,10 +84,8 @@ def _check(handle, lanes, mode):
 def check_address() -> int:
     """Return the memory address of the compiled C function `_check_arrays`.
 
-    The function takes the address of a handle, the lanes and the mode.
-
-    All callers call the function by this address. Otherwise, Numba would compile a copy into each caller,
-    which takes minutes.
+    The function takes the address of a handle, the lanes and the mode. All callers call the function by this
+    address. Otherwise, Numba would compile a copy into each caller, which takes minutes.
     """
     return int(cfunc(types.int64(types.int64, types.int64, types.int64), cache=True)(_check).address or 0)
 
@@ -118,25 +116,25 @@ def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 @inner_njit(forceinline=True)
 def check_block(k, lanes, mode):
-    """Check 16 configurations by handle; see `_check_arrays`."""
+    """Check 16 configurations for collisions, given a kernel handle; see `_check_arrays`."""
     return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
 
 
 @inner_njit(forceinline=True)
 def ints(k):
-    """Return the pointer to the pack's integer array I of a handle."""
+    """Return a pointer to the integer array I of the kernel data behind a handle."""
     return at_address(np.int32, k[AT_I])
 
 
 @inner_njit(forceinline=True)
 def lanes_of(k):
-    """Return the pointer to the workspace w (SIMD lanes) of a handle."""
+    """Return a pointer to the workspace w of the SIMD lanes behind a kernel handle."""
     return at_address(np.float32, k[AT_W])
 
 
 @njit(cache=True, nogil=True)
 def touches(handle, mode, q):
-    """Return whether one configuration q (dof,) is not free; callable from Python."""
+    """Return whether one configuration q (dof,) is in collision; callable from Python."""
     k = pointer(handle)
     w = lanes_of(k)
     for j in range(len(q)):

@@ -55,7 +55,7 @@ def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
 
 
 def _blocks(rows: F64, empty: float) -> F64:
-    """Return rows (3, n) as blocks (3, b, L), with the last block padded by `empty`."""
+    """Arrange rows (3, n) in blocks (3, b, L) of SIMD width; pad the last block with `empty`."""
     blocks = np.full((3, max(-(-rows.shape[1] // L), 1) * L), empty)
     blocks[:, : rows.shape[1]] = rows
     return blocks.reshape(3, -1, L)

@@ -45,7 +45,7 @@ def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, N
 
 
 class KernelChecker:
-    """Fast collision checks on one scene for one joint group, 16 configurations at a time.
+    """Fast collision checker for one scene and one joint group, 16 configurations at a time.
 
     The checker has one workspace and is not thread-safe: create one per thread.
 
@@ -79,7 +79,7 @@ class KernelChecker:
         return self._exact
 
     def _take_hold(self) -> None:
-        """Create the handle, which every kernel function takes first, from the current arrays."""
+        """Create the handle of the current arrays, the first argument of every kernel function."""
         self.handle = handle_of(
             (*self.flat, self.lanes, self.state, self.scratch, self.slack, self.slack_pair)
         )

@@ -73,7 +73,7 @@ DONE = np.int64(-1)
 
 @inner_njit(forceinline=True)
 def _cloud_of(I, o):
-    """Return the index in I of the cloud data of world shape o."""
+    """Return the position of a world shape's cloud data in the kernel's integer array."""
     return I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o]
 
 
@@ -105,10 +105,8 @@ def _side(F, at, u, v, x, y, z):
 def _apart(F, kind, at, x, y, z):
     """Return a point's distances to 16 cloud parts, and the vectors from the nearest points.
 
-    The parts are at F[at:].
-
-    All these distances are convex functions of the point. The length of a vector is the distance, except for
-    balls, where the vector begins at the center.
+    The parts are at F[at:]. All these distances are convex functions of the point. The length of a vector is
+    the distance, except for balls, where the vector begins at the center.
     """
     zero = splat(np.float32(0.0))
     if kind == gjk.TRIANGLE:
@@ -143,16 +141,17 @@ def _apart(F, kind, at, x, y, z):
 
 @inner_njit(forceinline=True)
 def _block_at(I, c, block):
-    """Return the index in F of a block of cloud c's parts."""
+    """Return the position of a block of cloud parts in the kernel's float array."""
     rows = 12 if I[c] == gjk.TRIANGLE else 4
     return I[CLOUD_PARTS] + I[c + 2] + block * rows * L
 
 
 @inner_njit
 def _local(I, F, w, state, o, g, f, mode):
-    """Write the centers of group g's spheres, in shape o's frame, to w[local_at:].
+    """Transform the centers of a group's spheres to a world shape's frame, for all lanes.
 
-    In a proof, the velocities are written as well.
+    The centers of group g in the frame of shape o are written to w[local_at:]. In a proof, the velocities are
+    written as well.
     """
     m, out, first = I[SHAPE_POSE] + 12 * o, local_at(I), I[BODIES] + I[GROUPS]
     for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
@@ -172,10 +171,10 @@ def _local(I, F, w, state, o, g, f, mode):
 
 @inner_njit
 def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
-    """Test group g in one lane against 16 cloud parts: its bounding ball, then its spheres.
+    """Test a group of spheres in one SIMD lane against 16 cloud parts, coarse test first.
 
-    The parts are at F[at:]. `more` is the margin that a gap must exceed in addition to the radius and, in a
-    proof, to the motion in half the interval.
+    The group's bounding ball is tested before its spheres. The parts are at F[at:]. `more` is the margin that
+    a gap must exceed in addition to the radius and, in a proof, to the motion in half the interval.
 
     Returns:
         Three bit masks of parts: parts that a sphere is not clear of, parts that certainly touch a sphere,
@@ -212,7 +211,10 @@ def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
 
 @inner_njit
 def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
-    """Test group g in several lanes against 16 cloud parts; return undecided lanes, or DONE."""
+    """Test a group of spheres in several SIMD lanes against 16 cloud parts.
+
+    Returns the undecided lanes, or DONE.
+    """
     while lanes != 0:
         lane = trailing_zeros(lanes)
         lanes &= lanes - 1
@@ -236,7 +238,7 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
 
 @inner_njit
 def _keep_ball(I, w, state, x, y, z, reach):
-    """Store the bounding ball of a group whose spheres have not been transformed yet."""
+    """Store the bounding ball of a sphere group whose spheres are not transformed yet."""
     ball = ball_at(I)
     store(w, ball, x)
     store(w, ball + L, y)
@@ -247,9 +249,9 @@ def _keep_ball(I, w, state, x, y, z, reach):
 
 @inner_njit
 def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
-    """Test balls of radius `reach` in shape o's frame against the box tree of the shape's cloud.
+    """Walk balls (one per SIMD lane) down the bounding-box tree of a world shape's cloud.
 
-    Each lane has a ball around (x, y, z).
+    The balls have radius `reach` around (x, y, z), in shape o's frame.
 
     Returns:
         With NO_GROUP, the first lanes that reach a block of parts; otherwise the result of `_parts_block` for
@@ -296,14 +298,17 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
 
 @inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
-    """Return the radius of a ball around center i that covers its margin and motion."""
+    """Return the radius of a ball that also covers a body's margin and motion in an interval.
+
+    The ball is around center i.
+    """
     reach = splat(radius) + more
     return fma(load(w, half_at(I)), load(w, velocity_at(I, i) + 3 * L), reach) if mode & PROVE else reach
 
 
 @inner_njit
 def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
-    """Test a body against the cloud of world shape o; return undecided lanes (bits), or DONE."""
+    """Test a body against the cloud of a world shape; return undecided lanes (bits), or DONE."""
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
     more_at = need_at(I) + L
     store(w, more_at, more)
@@ -327,7 +332,7 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
 
 @inner_njit
 def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
-    """List the next cloud parts for the exact tier: parts from which a sphere is not clear.
+    """List the next cloud parts that need an exact test, because a sphere is not clear of them.
 
     Call the function repeatedly with its own last result; begin with the body's first group, 0 and 0. It
     writes the index in F of each part to state[LISTED:].
@@ -381,10 +386,10 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """Return how edges u-v of 16 triangles wind around a point, seen along z: 1, -1 or 0.
+    """Return how edges of 16 triangles wind around a point, seen along z: 1, -1 or 0.
 
-    1 is counter-clockwise. Each edge is computed from its lower end, so that the two triangles at an edge
-    agree to the last bit.
+    Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so
+    that the two triangles at an edge agree to the last bit.
     """
     ux, uy = load(F, at + 3 * u * L), load(F, at + (3 * u + 1) * L)
     vx, vy = load(F, at + 3 * v * L), load(F, at + (3 * v + 1) * L)
@@ -399,7 +404,7 @@ def _turns(F, at, u, v, x, y):
 
 @inner_njit
 def encloses(I, F, state, o, px, py, pz):
-    """Return whether a point in shape o's frame is inside its closed triangle mesh.
+    """Return whether a point in a world shape's frame is inside its closed triangle mesh.
 
     The triangles above the point decide.
     """

@@ -50,9 +50,9 @@ def _grouped(centres: Array, outer: Array, inner: Array) -> Cover:
 
 @njit(cache=True)
 def _holds(e, p, x, y, z, reach2):
-    """Return whether a ball contains all three corners of element p.
+    """Return whether a ball contains all three corners of a surface element (triangle).
 
-    `e` (9, n) has x, y, z of each corner.
+    `e` (9, n) has x, y, z of each corner, and p is the index of the element.
     """
     for i in range(0, 9, 3):
         dx, dy, dz = e[i, p] - x, e[i + 1, p] - y, e[i + 2, p] - z
@@ -63,9 +63,10 @@ def _holds(e, p, x, y, z, reach2):
 
 @njit(cache=True)
 def _greedy(e, centres, reach2):
-    """Choose balls greedily until they contain all elements (9, n) that any ball contains.
+    """Choose balls greedily until they contain all surface elements that any ball contains.
 
-    The balls have squared radii `reach2`. Returns the chosen balls and which elements they contain.
+    Elements are (9, n). The balls have squared radii `reach2`. Returns the chosen balls and which elements
+    they contain.
     """
     n, m = e.shape[1], len(centres)
     gain = np.zeros(m, dtype=np.int64)

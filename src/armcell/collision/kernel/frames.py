@@ -76,25 +76,28 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return the index in w of joint j's motion per unit of the edge."""
+    """Return the workspace position of a joint's motion per unit of the motion's edge."""
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def half_at(I):
-    """Return the index in w of half the interval width; the joints' summed rotation follows it."""
+    """Return the workspace position of half the interval width of each lane.
+
+    The joints' summed rotation follows it.
+    """
     return 2 * I[DOF] * L
 
 
 @inner_njit(forceinline=True)
 def need_at(I):
-    """Return the index in w of the 8 vectors with the margins of a pair (exact tier)."""
+    """Return the workspace position of the 8 vectors with a body pair's margins (exact tier)."""
     return (2 * I[DOF] + 2) * L
 
 
 @inner_njit(forceinline=True)
 def frame_at(I, f):
-    """Return the index in w of frame f: 12 vectors, the rows of a 3x4 matrix."""
+    """Return the workspace position of a frame: 12 vectors, the rows of its 3x4 matrix."""
     return (2 * I[DOF] + 10 + 12 * f) * L
 
 
@@ -105,7 +108,7 @@ def twist_at(I, f):
 
 @inner_njit(forceinline=True)
 def centre_at(I, i):
-    """Return the index in w of the center of a body, group or sphere.
+    """Return the workspace position of the center of a body, sphere group or sphere.
 
     Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
     """
@@ -114,19 +117,25 @@ def centre_at(I, i):
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Return the index in w of the velocity and the speed of center i, per unit of the edge."""
+    """Return the workspace position of a sphere center's velocity, followed by its speed.
+
+    Both are per unit of the edge.
+    """
     return centre_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + 4 * i * L
 
 
 @inner_njit(forceinline=True)
 def more_at(I, body):
-    """Return the index in w of a body's margin to the world in a proof, without speed (`bend`)."""
+    """Return the workspace position of a body's margin to the world in a motion proof.
+
+    The margin does not include the speed (see `bend`).
+    """
     return velocity_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + body * L
 
 
 @inner_njit(forceinline=True)
 def local_at(I):
-    """Return the index in w of a group's sphere centers and velocities in a cloud's frame.
+    """Return the workspace position of a group's sphere centers and velocities, cloud frame.
 
     Each sphere has 6 vectors.
     """
@@ -135,13 +144,13 @@ def local_at(I):
 
 @inner_njit(forceinline=True)
 def ball_at(I):
-    """Return the index in w of the bounding ball (center, radius) of a group in a cloud's frame."""
+    """Return the workspace position of a sphere group's bounding ball in a cloud's frame."""
     return local_at(I) + 6 * GROUP * L
 
 
 @inner_njit(forceinline=True)
 def _sincos(x):
-    """Return sine and cosine of a vector (Cephes polynomials; error below 1e-6 for |x| < 1000)."""
+    """Compute sine and cosine of a SIMD vector (Cephes; error below 1e-6 for |x| < 1000)."""
     n = vround(x * splat(np.float32(0.6366197723675814)))
     y = fma(n, splat(np.float32(-1.5703125)), x)
     y = fma(n, splat(np.float32(-4.837512969970703e-4)), y)
@@ -168,7 +177,10 @@ def _sincos(x):
 
 @inner_njit
 def fk_block(I, F, w):
-    """Compute the frames of 16 configurations; the positions of joint j are at w[j * L:]."""
+    """Compute the frames of 16 configurations by forward kinematics.
+
+    The positions of joint j are at w[j * L:].
+    """
     zero, one = splat(np.float32(0.0)), splat(np.float32(1.0))
     base = frame_at(I, 0)
     for i in range(12):
@@ -194,7 +206,7 @@ def fk_block(I, F, w):
 
 @inner_njit
 def twist_block(I, F, w):
-    """Compute the twist of every frame, per unit of the edge; call it after `fk_block`.
+    """Compute the twist of every frame, per unit of the motion's edge; run `fk_block` before.
 
     A twist is the angular velocity and the velocity of the origin. The function also sums up the rotation of
     all revolute joints, which bounds the change of the velocities.
@@ -232,7 +244,7 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def centre(I, F, w, state, i, f, sphere, mode):
-    """Return the index in w of center i; compute it on its first use in this block.
+    """Return the workspace position of a sphere's center, computed on first use per block.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """
@@ -265,7 +277,7 @@ def centre(I, F, w, state, i, f, sphere, mode):
 
 @inner_njit
 def bend(I, F, w, reach, slack):
-    """Return the margin that covers slack and the change of velocities in the interval.
+    """Return the proof margin that covers slack and changes of velocity within an interval.
 
     A proof needs this margin in addition to half width times speed. The accelerations of a body's points are
     at most the joints' summed rotation times `reach` (index in F: meters per unit of each joint), doubled for

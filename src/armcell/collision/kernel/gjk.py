@@ -60,7 +60,10 @@ def _farthest(F, first, count, dx, dy, dz):
 
 @inner_njit
 def _part_support(kind, dx, dy, dz, s, out):
-    """Compute the support point of the cloud part whose numbers are at s[PART:]; see `support`."""
+    """Compute the support point of a cloud part along a direction; see `support`.
+
+    The numbers of the part are at s[PART:].
+    """
     a = s[PART]
     if kind == BALL:
         n = a / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300)
@@ -82,10 +85,8 @@ def _part_support(kind, dx, dy, dz, s, out):
 def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
     """Compute the support point of a solid along (dx, dy, dz), in its own frame.
 
-    The result is written to s[out : out + 3].
-
-    `size` is the index of the solid's three numbers in D; `first` and `first32` are the indices of its points
-    in D and F.
+    The result is written to s[out : out + 3]. `size` is the index of the solid's three numbers in D; `first`
+    and `first32` are the indices of its points in D and F.
     """
     if kind >= BALL:
         _part_support(kind, dx, dy, dz, s, out)
@@ -117,9 +118,7 @@ def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
 def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, at):
     """Compute the support point of the Minkowski difference A - B along d, in B's frame.
 
-    The result is written to s[at:].
-
-    s[T : T + 12] is the transform from A's frame to B's.
+    The result is written to s[at:]. s[T : T + 12] is the transform from A's frame to B's.
     """
     ax = s[T] * dx + s[T + 4] * dy + s[T + 8] * dz
     ay = s[T + 1] * dx + s[T + 5] * dy + s[T + 9] * dz

@@ -43,9 +43,9 @@ ROOM = 2048  # capacity of a proof's stack of intervals
 
 @inner_njit(forceinline=True)
 def spread(I, w, p, a, b, at, step):
-    """Write 16 configurations on the edge between p[a:] and p[b:] to the lanes.
+    """Fill the 16 SIMD lanes with configurations on the edge between two configurations.
 
-    Their fractions of the edge are at, at + step, ...
+    The edge leads from p[a:] to p[b:]; the fractions of the edge are at, at + step, ...
     """
     t = fma(iota(), splat(step), splat(at))
     for j in range(I[DOF]):
@@ -54,10 +54,10 @@ def spread(I, w, p, a, b, at, step):
 
 @inner_njit
 def edge_free(k, p, a, b, step):
-    """Return whether the edge from p[a:] to p[b:] is free at samples at most `step` [rad] apart.
+    """Return whether an edge is collision-free at samples at most `step` [rad] apart.
 
-    The end b is included. The first 16 samples are spread over the whole edge, so a blocked edge is usually
-    found at once.
+    The edge leads from p[a:] to p[b:]. The end b is included. The first 16 samples are spread over the whole
+    edge, so a blocked edge is usually found at once.
     """
     I, w, length = ints(k), lanes_of(k), 0.0
     for j in range(I[DOF]):
@@ -150,7 +150,10 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 @inner_njit
 def loosen(k, room):
-    """Compute the slack [m] of bodies and pairs from the joints' deviations, room (dof,)."""
+    """Compute the slack [m] of bodies and body pairs from the joints' largest deviations.
+
+    The deviations are room (dof,).
+    """
     I, D = ints(k), at_address(np.float64, k[AT_D])
     slack, slack_pair = at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR])
     dof = I[DOF]
@@ -168,7 +171,10 @@ def loosen(k, room):
 
 @njit(cache=True, nogil=True)
 def free_edge(handle, ends, step):
-    """Return whether the edge between two configurations, ends (2, dof), is free (`edge_free`)."""
+    """Return whether the edge between two configurations, ends (2, dof), is collision-free.
+
+    See `edge_free`.
+    """
     return edge_free(pointer(handle), pointer(ends), 0, ends.shape[1], step)
 
 

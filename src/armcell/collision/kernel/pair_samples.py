@@ -29,7 +29,7 @@ CHUNK = 4096  # samples between two calls of `progress`
 
 @njit(cache=True, nogil=True)
 def _ask_pairs(handle, pairs, q, masks):
-    """Fill masks (pairs, blocks) with the lanes (bits) in which a pair of bodies is close.
+    """Fill masks (pairs, blocks) with the SIMD lanes (bits) in which a body pair is close.
 
     A block has 16 rows of q.
     """

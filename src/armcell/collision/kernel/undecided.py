@@ -67,12 +67,11 @@ INSIDE = np.int64(1) << 40
 
 @inner_njit
 def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
-    """Queue lanes of a body against a world shape or another body for the exact tier.
+    """Queue SIMD lanes of a body against a world shape or another body for the exact tier.
 
-    `other` is the index of the world shape, or -1 - pair for a pair of bodies.
-
-    With `INSIDE` added to `other`, the exact tier only tests whether the body is inside the shape's mesh.
-    Returns True if all lanes are decided.
+    `other` is the index of the world shape, or -1 - pair for a pair of bodies. With `INSIDE` added to
+    `other`, the exact tier only tests whether the body is inside the shape's mesh. Returns True if all lanes
+    are decided.
     """
     if state[WAITING] == MAX_WAITING and decide(I, F, D, w, state, s, slack, slack_pair, mode):
         return True
@@ -84,7 +83,7 @@ def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
 
 @inner_njit
 def decide(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Decide all queued pairs by exact tests; return True if all lanes are decided."""
+    """Decide all queued pairs by exact tests; return True if the check can stop."""
     waiting = state[WAITING]
     state[WAITING] = 0
     for k in range(waiting):
@@ -113,7 +112,10 @@ def decide(I, F, D, w, state, s, slack, slack_pair, mode):
 
 @inner_njit
 def _needs(I, F, w, slack, slack_pair, body, other, mode):
-    """Compute for every lane the distance that a pair must exceed, with and without its speed."""
+    """Compute the distance that a pair of bodies must exceed in each lane.
+
+    The part of the distance that does not depend on speed is also stored.
+    """
     at, pair = need_at(I), -1 - other
     more = splat(np.float32(0.0))
     if other < 0:
@@ -158,7 +160,10 @@ def _needs(I, F, w, slack, slack_pair, body, other, mode):
 
 @inner_njit
 def _world_piece(I, D, w, e, frame, lane, s, out):
-    """Compute the world transform (12 numbers at s[out:]) of a body's exact piece in one lane."""
+    """Compute the world transform of a body's exact piece in one SIMD lane.
+
+    The 12 numbers are written to s[out:].
+    """
     m = I[PIECE_POSE] + 12 * e
     for i in range(3):
         row = frame + 4 * i * L + lane
@@ -170,7 +175,10 @@ def _world_piece(I, D, w, e, frame, lane, s, out):
 
 @inner_njit
 def _relative(s):
-    """Compute the transform from piece A's frame to piece B's frame, at s[AT_RELATIVE:]."""
+    """Compute the transform from exact piece A's frame to piece B's frame.
+
+    The result is written to s[AT_RELATIVE:].
+    """
     A, B, R = AT_A, AT_B, AT_RELATIVE
     for i in range(3):
         for j in range(3):
@@ -181,9 +189,9 @@ def _relative(s):
 
 @inner_njit
 def _piece_distance(I, F, D, a, b, enough, warm, s):
-    """Return the distance [m] of piece a at s[AT_A:] to piece b at s[AT_B:].
+    """Return the distance [m] of two exact pieces, or a lower bound above `enough`.
 
-    Above `enough`, the result is a lower bound.
+    The transforms of pieces a and b are at s[AT_A:] and s[AT_B:].
     """
     A, B, R = AT_A, AT_B, AT_RELATIVE
     ball_a, ball_b, gap2 = I[PIECE_BALL] + 4 * a, I[PIECE_BALL] + 4 * b, 0.0
@@ -211,11 +219,11 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
 
 @inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
-    """Return the distance that a piece must exceed in a lane along the normal in s[NORMAL:].
+    """Return the distance that an exact piece must exceed along a given normal in one lane.
 
-    Along a fixed direction n, the nearest point of piece a approaches by |n . velocity| times half the
-    interval. The velocity is that of the piece's center plus the contribution of its rotation, |n x angular|
-    radius.
+    The normal is in s[NORMAL:]. Along a fixed direction n, the nearest point of piece a approaches by |n .
+    velocity| times half the interval. The velocity is that of the piece's center plus the contribution of its
+    rotation, |n x angular| radius.
     """
     nx = ny = nz = 0.0
     for j in range(3):
@@ -239,7 +247,7 @@ def _directed_need(I, D, w, s, body, a, lane):
 
 @inner_njit
 def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
-    """Test a body's exact pieces in one lane against a world shape or another body.
+    """Test a body's exact pieces in one SIMD lane against a world shape or another body.
 
     Returns FREE, UNPROVEN or CONTACT.
     """
@@ -271,7 +279,7 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
 
 @inner_njit
 def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
-    """Test a body in one lane against the cloud of a world shape; otherwise like `_exact_lane`."""
+    """Test a body in one SIMD lane against the cloud of a world shape; see `_exact_lane`."""
     group, end = np.int64(I[I[BODY_GROUPS] + body]), I[I[BODY_GROUPS] + body + 1]
     top = np.int64(0)
     while group < end:
@@ -285,9 +293,9 @@ def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
 
 @inner_njit
 def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
-    """Test a body against the `count` cloud parts that are listed at state[LISTED:].
+    """Test a body's exact pieces in one SIMD lane against listed cloud parts.
 
-    Otherwise the function is like `_exact_lane`.
+    The list has `count` parts at state[LISTED:]. Otherwise the function is like `_exact_lane`.
     """
     need, frame, R = float(w[need_at(I) + lane]), frame_at(I, I[I[FRAME] + body]), AT_RELATIVE
     kind, box = I[I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + other]], I[I[SHAPE_PIECES] + other]
@@ -337,7 +345,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
 
 @inner_njit
 def _is_inside(I, F, D, w, state, s, body, other, lane):
-    """Return whether a piece of a body is inside the closed mesh of a world shape.
+    """Return whether an exact piece of a body is inside the closed mesh of a world shape.
 
     No piece of the body may touch the mesh's surface.
     """

@@ -1,4 +1,4 @@
-"""Bookkeeping of lanes that a collision check has found not free or in contact."""
+"""Bookkeeping of the SIMD lanes (configurations) that a collision check finds not free."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ FREE, UNPROVEN, CONTACT = 0, 1, 2
 
 @inner_njit
 def fail(state, lanes, mode):
-    """Mark lanes as not free; return True if no lane is left to check."""
+    """Mark configurations (SIMD lanes) as not free; return True if the check can stop."""
     state[ALIVE] &= ~lanes
     return mode & PROVE == 0 or state[ALIVE] == 0
 
 
 @inner_njit
 def touch(state, lanes, mode):
-    """Mark lanes as certainly in contact; return True if the check can stop."""
+    """Mark configurations (SIMD lanes) as in contact; return True if the check can stop."""
     state[TOUCHING] |= lanes
     return fail(state, lanes, mode) or mode & FIRST != 0

@@ -71,7 +71,10 @@ from armcell.collision.kernel.verdict import fail, touch
 
 @inner_njit
 def shape_gap(I, F, o, w, at):
-    """Return the distances of points at w[at:] to world shape o; lower bounds for cones, meshes."""
+    """Return the distances of points to a world shape; lower bounds for cones and meshes.
+
+    The points are at w[at:], one per lane; o is the index of the shape.
+    """
     kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
     cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
     zero = splat(np.float32(0.0))
@@ -107,10 +110,11 @@ def shape_gap(I, F, o, w, at):
 
 @inner_njit
 def shape_rate(I, F, o, w, at, velocity):
-    """Return the largest rate at which `shape_gap` changes for points that move at w[velocity:].
+    """Return the largest rate at which a shape's distance changes for moving points.
 
-    These gaps are convex functions of the point, so along a straight motion a gap is never below its tangent:
-    only the velocity component along the gradient of the gap brings the point closer.
+    The distance is that of `shape_gap`; the velocities are at w[velocity:]. These gaps are convex functions
+    of the point, so along a straight motion a gap is never below its tangent: only the velocity component
+    along the gradient of the gap brings the point closer.
     """
     kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
     cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
@@ -152,12 +156,11 @@ def shape_rate(I, F, o, w, at, velocity):
 
 @inner_njit(forceinline=True)
 def _near(I, F, w, state, o, i, at, radius, more, mode):
-    """Return the lanes (bits) where the ball around center i is not clear of world shape o.
+    """Return the SIMD lanes (bits) in which a ball is not clear of a world shape.
 
-    Also returns the gap and the gap that is required.
-
-    In a proof, the ball is clear if its gap, shrinking at its rate, lasts for half the interval. A ball does
-    not change by rotation, so only the velocity of its center counts.
+    The ball is around center i, the shape is o. Also returns the gap and the gap that is required. In a
+    proof, the ball is clear if its gap, shrinking at its rate, lasts for half the interval. A ball does not
+    change by rotation, so only the velocity of its center counts.
     """
     gap = shape_gap(I, F, o, w, at)
     if mode & PROVE == 0:
@@ -173,7 +176,10 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 
 @inner_njit
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Test a body against a shape that is the bounding box of a cloud; see `_body_to_shape`."""
+    """Test a body against a world shape that represents a cloud; see `_body_to_shape`.
+
+    The shape is the bounding box of the cloud.
+    """
     other = np.int64(o)  # the type that the exact tier uses; otherwise shared functions are compiled twice
     lanes = body_to_cloud(I, F, w, state, body, other, more, state[ALIVE], mode)
     if lanes == DONE:
@@ -189,7 +195,7 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Test a body against one world shape by its groups; return True if all lanes are decided."""
+    """Test a body against one world shape by its groups; return True if the check can stop."""
     if I[I[SHAPE_CLOUD] + o] >= 0:
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     f, bodies = I[I[FRAME] + body], I[BODIES]
@@ -228,7 +234,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Test all bodies against the world in 16 lanes; return True if all lanes are decided.
+    """Test all bodies against the world in 16 SIMD lanes; return True if the check can stop.
 
     See `_check_arrays`.
     """

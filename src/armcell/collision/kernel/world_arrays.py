@@ -119,7 +119,7 @@ def world_of(objects: Mapping[str, CollisionObject]) -> World:
 
 
 def _similar(items: tuple[CollisionObject, ...]) -> World:
-    """Return a cached world that shares many objects with the given objects.
+    """Return a cached world (kernel arrays) that shares many objects with the given ones.
 
     It is the first world with at least half of the objects, or else the one with the most of them.
     """

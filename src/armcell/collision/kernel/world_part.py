@@ -57,7 +57,7 @@ class _Solid(NamedTuple):
 
 
 def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
-    """Return the kernel data of objects."""
+    """Return the kernel data (tables) of world objects."""
     solids = [s for owner, item in enumerate(items) for s in _solids(owner, item)]
     owner = np.array([s.owner for s in solids], np.int64)
     T = np.array([s.T for s in solids]).reshape(-1, 4, 4)
@@ -69,7 +69,7 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
     cloud_owner = np.array([s.owner for s in solids if s.cloud is not None], np.int64)
 
     def rows(owners: I64, sizes: Sequence[int] | I64 | None = None) -> I64:
-        """Return the number of table rows of each object."""
+        """Return the number of kernel table rows of each object."""
         return np.bincount(owners, sizes, len(items)).astype(np.int64)
 
     plane_rows = [len(p) for p in planes]

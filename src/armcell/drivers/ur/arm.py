@@ -102,7 +102,7 @@ class UrArm(RealArm):
         self.restart()
 
     def restart(self) -> None:
-        """Start the robot program again, and reconnect to the arm's state if the link is lost.
+        """Start or restart the robot program, and reconnect to the arm's state if the link is lost.
 
         Raises:
             InputError: the program did not start, and the arm stays stopped; the message states the remedy.

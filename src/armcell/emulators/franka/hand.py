@@ -21,7 +21,7 @@ TEMPERATURE = 30  # [C]
 
 @dataclass
 class _Task:
-    """Running command of the hand: its goal [m], and the result that its end means."""
+    """Running command of the hand: its goal, limits, and function that receives the result."""
 
     command: Command
     answer: Callable[[Status], None]

@@ -69,7 +69,7 @@ class StopJ:
 
 
 class StopL(StopJ):
-    """Stop with a tool deceleration of `a` [m/s^2], executed as a proportional joint stop."""
+    """Stop with a tool deceleration of `a` [m/s^2]; all joints slow down in proportion."""
 
     def __init__(self, a: float, s: Setpoint):
         tool = float(np.linalg.norm((jacobian(s.dh, s.q) @ s.v)[:3]))

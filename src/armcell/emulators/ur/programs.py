@@ -1,4 +1,4 @@
-"""Start of programs and commands that clients send to an emulated UR robot as text."""
+"""Execution of programs and commands that clients send to an emulated UR robot as text."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ class Carrying:
         return self._with_record(outcome)
 
     def _object_pose(self, held: PairHold) -> SE3:
-        """Return T_world_object at the commanded joint positions, by the first hand's grasp."""
+        """Return T_world_object at the commanded joint positions, from the first hand's grasp."""
         first = self.hands.first
         return self.hands.tcp_poses_at(held.q)[first] @ held.carried.grasps[first].inv()
 

@@ -1,4 +1,7 @@
-"""Order of the objects of two arms with which both finish early and rarely wait."""
+"""Search for the order of objects per arm with which two arms finish early.
+
+With this order, the arms rarely wait for each other.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ def orders(
     settings: TaskSettings = TaskSettings(),
     cycle_times: CycleTimes = CycleTimes(),
 ) -> dict[str, list[str]]:
-    """Return orders of objects with which two arms are estimated to finish and return earliest.
+    """Estimate the orders of objects with which two arms finish and return earliest.
 
     With up to four objects per arm, all orders are compared; otherwise a local search exchanges two objects
     or reverses an order. The given order wins ties.
@@ -67,7 +70,7 @@ def earliest(
     tours: tuple[Callable[[Order], Tour], Callable[[Order], Tour]],
     conflicts: ConflictCache | None = None,
 ) -> tuple[Order, Order]:
-    """Return the orders of two streams of objects with which both arms finish first.
+    """Return the object orders of two arms with which both arms finish earliest.
 
     Args:
         tours: computes an arm's tour for an order.
@@ -97,7 +100,10 @@ def earliest(
 
 
 def _near(one: Order, two: Order) -> Iterable[tuple[Order, Order]]:
-    """Yield neighboring orders of both arms for the search: all if few, else single changes."""
+    """Yield neighboring object orders of two arms for a local search.
+
+    These are all orders if there are few, else single changes.
+    """
     if max(len(one), len(two)) <= EXHAUSTIVE:
         return product(permutations(one), permutations(two))
     return chain(((o, two) for o in _changed(one)), ((one, o) for o in _changed(two)))

@@ -89,7 +89,10 @@ def screw(
 
 
 def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> JointTrajectory:
-    """Return a trajectory that waits for `press_time`, then rotates the last joint by a quintic."""
+    """Return a trajectory that waits for `press_time`, then rotates the last joint smoothly.
+
+    The rotation is a quintic polynomial of time.
+    """
     angle = 2 * np.pi * turns
     duration = 1.875 * angle / s.speed
     x = np.linspace(0, 1, 60)
@@ -104,7 +107,7 @@ def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> J
 
 
 class _Turning:
-    """Pressing force along the tool axis, and the measurements of every control cycle."""
+    """Control of the pressing force along the tool axis, with measurements of every cycle."""
 
     def __init__(self, ctx, item, force, settings, names, gripper, tip):
         self.ctx, self.item, self.force, self.settings = ctx, item, force, settings

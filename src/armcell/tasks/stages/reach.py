@@ -66,7 +66,7 @@ class ReachEstimator:
         return sorted(found, key=lambda reach: reach.seconds)
 
     def to(self, T_world_tcp: SE3, q: Array) -> Array | None:
-        """Return arm positions (n,) with the TCP at a pose, close to q (n,), or None.
+        """Return joint positions (n,) near q (n,) that place the TCP at a pose, or None.
 
         The result is None if the pose is unreachable.
         """
@@ -76,7 +76,7 @@ class ReachEstimator:
         return next(self.ik.solutions(T_world_tcp, reference, rng), None)
 
     def seconds(self, q: Array, to: Array, speed: Speed) -> float:
-        """Return the least time [s] of a straight joint-space motion at fractions of the limits."""
+        """Return the least time [s] of a straight joint-space motion at given speed fractions."""
         if not np.any(to != q):
             return 0.0
         model, names = self.scene.model, self.ik.joint_names
