@@ -75,7 +75,7 @@ class LiveCamera:
         return gives
 
     def take(self, advance: Callable[[float], None], rgb: bool = True) -> CameraImage:
-        """Return a new image; while another process draws it, let time pass by `advance`.
+        """Return the newest image; `advance` lets time pass while another process draws it.
 
         Args:
             advance: lets the given number of seconds pass, e.g. `TaskContext.advance`.

@@ -110,10 +110,9 @@ def certify_from_rest(
 ) -> Certificate:
     """Certify that a piecewise linear motion (k, n) is collision-free, except at its start.
 
-    The motion may start in resting contact and lead out of it.
-
-    The exact checker measures pairs that touch at the start, or that are too close for a certificate with
-    slack, until they are separated. All other pairs are certified on the whole motion as usual.
+    The motion may start in resting contact and lead out of it. The exact checker measures pairs that touch at
+    the start, or that are too close for a certificate with slack, until they are separated. All other pairs
+    are certified on the whole motion as usual.
 
     Args:
         checker: the checker of the scene.

@@ -10,9 +10,8 @@ from numba import njit
 def winding_numbers(points, vertices, faces):
     """Compute the generalized winding number (m,) of points: 1 inside a closed mesh, 0 outside.
 
-    The number is robust to holes.
-
-    Van Oosterom and Strackee's solid angle (1983), summed over the triangles (Jacobson et al. 2013).
+    The number is robust to holes. It sums Van Oosterom and Strackee's solid angle (1983) over the triangles
+    (Jacobson et al. 2013).
     """
     out = np.empty(len(points))
     for p in range(len(points)):

@@ -1,10 +1,9 @@
 """Pick recipe: choose a grasp, approach, close, lift and verify, with retries.
 
-After a failure, the recipe tries the next grasp.
-
-`Pick` is the sequence of every pick. Its subclasses supply the parts that differ: `pick` an object at rest,
-`pick_moving` (`conveyor_pick.py`) one on a conveyor, `clear_bin` (`bin_clearing/`) an unknown one in a bin,
-`Carrying.grasp` (`arms/`) one with two arms, and the ROS node /pickup through a remote cell.
+After a failure, the recipe tries the next grasp. `Pick` is the sequence of every pick. Its subclasses supply
+the parts that differ: `pick` an object at rest, `pick_moving` (`conveyor_pick.py`) one on a conveyor,
+`clear_bin` (`bin_clearing/`) an unknown one in a bin, `Carrying.grasp` (`arms/`) one with two arms, and the
+ROS node /pickup through a remote cell.
 """
 
 from __future__ import annotations

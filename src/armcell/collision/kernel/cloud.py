@@ -1,11 +1,9 @@
 """Kernel tests of robot bodies against clouds, which are world shapes with very many parts.
 
-`cloud_part` describes the parts.
-
-Groups of spheres descend the cloud's bounding-box tree: first 16 boxes at a time against all lanes together,
-then each box against every lane. At a block of parts, the SIMD lanes hold 16 parts, and one sphere in one
-configuration is tested against them. The kernel does not store which parts the exact tier must test; the
-exact tier finds them again, only for the undecided configurations.
+`cloud_part` describes the parts. Groups of spheres descend the cloud's bounding-box tree: first 16 boxes at a
+time against all lanes together, then each box against every lane. At a block of parts, the SIMD lanes hold 16
+parts, and one sphere in one configuration is tested against them. The kernel does not store which parts the
+exact tier must test; the exact tier finds them again, only for the undecided configurations.
 """
 
 # pyright: reportCallIssue=false, reportGeneralTypeIssues=false

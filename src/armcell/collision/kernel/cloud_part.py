@@ -39,10 +39,8 @@ ROWS = {gjk.BALL: 4, gjk.CELL: 4, gjk.TRIANGLE: 12}
 class Cloud:
     """Kernel data of a cloud: parts in blocks (b, rows, L) under a bounding-box tree.
 
-    The leaves of the tree are blocks of parts.
-
-    `box` at the pose `T_shape_box` (4, 4) encloses all parts. `closed` is True if the triangles enclose a
-    solid.
+    The leaves of the tree are blocks of parts. `box` at the pose `T_shape_box` (4, 4) encloses all parts.
+    `closed` is True if the triangles enclose a solid.
     """
 
     kind: int

@@ -56,15 +56,13 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 def workspace(flat: Flat) -> Workspace:
     """Allocate the workspace of one thread: lanes (float32), state (int64), scratch (float64).
 
-    The lanes are 64-byte aligned.
+    The lanes are 64-byte aligned and hold, in this order:
 
-    The lanes hold, in this order:
-
-    1. positions (dof); motion of each joint per unit of the edge (dof); half the width of each lane's
-    interval in that unit; the summed rotation of all joints in the interval; 8 vectors of the exact tier; 2.
-    frames (12 each), their twists (6 each: angular velocity, velocity of the origin), centers (3 each); 3. in
-    a proof, velocities and speeds of the centers (4 each), and the margins of the bodies without speed; 4.
-    centers and velocities (6 each) of one group's spheres in a cloud's frame, and their bounding ball (4).
+    - positions (dof); motion of each joint per unit of the edge (dof); half the width of each lane's interval
+      in that unit; the joints' summed rotation in the interval; 8 vectors of the exact tier
+    - frames (12 each), their twists (6 each: angular velocity, velocity of the origin), centers (3 each)
+    - in a proof: velocities and speeds of the centers (4 each), and margins of the bodies without speed
+    - centers and velocities (6 each) of one group's spheres in a cloud's frame, and their bounding ball (4)
     """
     I = flat[0]
     centres = int(I[BODIES] + I[GROUPS] + I[SPHERES])

@@ -1,11 +1,10 @@
 """Exact distance of convex solids by the GJK algorithm, the second tier of the kernel.
 
-The computation is scalar and in float64.
-
-A solid has a kind and numbers. Kinds: 0 points (convex hull of vertices), 1 sphere, 2 box, 3 capsule, 4
-cylinder, 5 cone, 6 half space. The parts of clouds have their numbers in the scratch memory: 7 ball, 8 cell
-(cube), 9 triangle. The algorithm is that of Gilbert, Johnson and Keerthi with Ericson's closest points of
-simplices ("Real-Time Collision Detection", 5.1 and 9.5); the tests compare it with coal.
+The computation is scalar and in float64. A solid has a kind and numbers. Kinds: 0 points (convex hull of
+vertices), 1 sphere, 2 box, 3 capsule, 4 cylinder, 5 cone, 6 half space. The parts of clouds have their
+numbers in the scratch memory: 7 ball, 8 cell (cube), 9 triangle. The algorithm is that of Gilbert, Johnson
+and Keerthi with Ericson's closest points of simplices ("Real-Time Collision Detection", 5.1 and 9.5); the
+tests compare it with coal.
 """
 
 # pyright: reportCallIssue=false
@@ -140,9 +139,8 @@ def _copy(s, src, dst):
 def _segment(s, v):
     """Compute the point of a segment that is nearest to the origin, for GJK's simplex.
 
-    The segment is s[0:3], s[3:6]; the point is written to s[v:].
-
-    Returns the number of points in the reduced simplex.
+    The segment is s[0:3], s[3:6]; the point is written to s[v:]. Returns the number of points in the reduced
+    simplex.
     """
     bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
     t = -(s[0] * bx + s[1] * by + s[2] * bz)

@@ -47,10 +47,9 @@ class RealGripper(Protocol):
 class RealArm(ABC):
     """Interface of one real arm: its connection, state, motion and faults.
 
-    The constructor performs no I/O.
-
-    `RealDriver` calls `connect` once, `beat` every 10 ms from its own thread, and `close` at the end. The arm
-    calls `on_state`, which it receives from its `RobotKind`, after each new state, from any thread.
+    The constructor performs no I/O. `RealDriver` calls `connect` once, `beat` every 10 ms from its own
+    thread, and `close` at the end. The arm calls `on_state`, which it receives from its `RobotKind`, after
+    each new state, from any thread.
 
     Attributes:
         name: planning group of the arm.
@@ -111,9 +110,8 @@ class RealArm(ABC):
     def measured_at(self, when: float) -> tuple[Array, Array]:
         """Return measured positions [rad] and velocities [rad/s], each (n,), at a given time.
 
-        The time is monotonic [s].
-
-        Values are interpolated between two states and clamped at the ends of the history.
+        The time is monotonic [s]. Values are interpolated between two states and clamped at the ends of the
+        history.
         """
 
     @abstractmethod

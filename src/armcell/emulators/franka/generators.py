@@ -1,9 +1,7 @@
 """Motion generators of the emulated Franka arm, which turn commands into checked references.
 
-There is one reference per millisecond.
-
-A missing command is replaced by extrapolation with constant acceleration, as Franka's documentation
-describes. A command outside the limits raises a `Reflex`.
+There is one reference per millisecond. A missing command is replaced by extrapolation with constant
+acceleration, as Franka's documentation describes. A command outside the limits raises a `Reflex`.
 """
 
 from __future__ import annotations

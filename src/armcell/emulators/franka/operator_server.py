@@ -1,8 +1,7 @@
 """Text port of the emulated Franka arm for operator actions and injected faults.
 
-Operator actions are those at the robot and in Desk.
-
-A real robot has no such port. One command per line; each gets one line as its answer.
+Operator actions are those at the robot and in Desk. A real robot has no such port. One command per line; each
+gets one line as its answer.
 """
 
 from __future__ import annotations

@@ -24,9 +24,7 @@ T_F_NE = np.array(  # nominal end effector of a Franka Hand: turned by -45 degre
 class Thresholds:
     """Contact (lower) and collision (upper) thresholds: torques (7,) [Nm], wrenches (6,).
 
-    Wrenches are in [N, Nm].
-
-    The defaults are those of Franka's ROS packages.
+    Wrenches are in [N, Nm]. The defaults are those of Franka's ROS packages.
     """
 
     torque: dict[str, Array] = field(default_factory=lambda: _both((25, 25, 22, 20, 19, 17, 14), 10.0))

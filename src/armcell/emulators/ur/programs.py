@@ -40,10 +40,8 @@ def run_command(robot: Robot, text: str) -> bool:
 def run_script(robot: Robot, network: Network, text: str, name: str = "") -> bool:
     """Compile and start a URScript program, which replaces a running program.
 
-    A secondary program runs beside the running program.
-
-    If the text does not compile, the robot reports the error as a pendant does, and the running program ends
-    as well.
+    A secondary program runs beside the running program. If the text does not compile, the robot reports the
+    error as a pendant does, and the running program ends as well.
 
     Args:
         name: program name that overrides the name in the text.

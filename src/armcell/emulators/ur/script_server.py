@@ -1,8 +1,7 @@
 """Primary, secondary and real-time ports of the emulated UR controller.
 
-They receive URScript, and send robot state and messages.
-
-Ports 30001 to 30003 accept programs; ports 30011 to 30013 send the same data and are read-only.
+They receive URScript, and send robot state and messages. Ports 30001 to 30003 accept programs; ports 30011 to
+30013 send the same data and are read-only.
 """
 
 from __future__ import annotations

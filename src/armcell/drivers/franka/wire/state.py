@@ -1,9 +1,8 @@
 """UDP messages of the Franka Control Interface, version 10: robot state and motion command.
 
-The robot sends a state every millisecond.
-
-The state's numbers are float32, the command's float64; matrices are column-major. Source: Franka's public
-headers `libfranka-common` (Apache-2.0), checked with the clients `pylibfranka` and `franky-control`.
+The robot sends a state every millisecond. The state's numbers are float32, the command's float64; matrices
+are column-major. Source: Franka's public headers `libfranka-common` (Apache-2.0), checked with the clients
+`pylibfranka` and `franky-control`.
 """
 
 from __future__ import annotations
