@@ -286,7 +286,7 @@ class Driver(ABC):
 
     # --- twin ---
     def calibrations(self) -> Mapping[str, str]:
-        """Return the checksum of each connected real arm's factory calibration; else empty."""
+        """Return the factory calibration checksum of each connected real arm; else an empty mapping."""
         return {}
 
     def _incapable(self, capability: Capability) -> InputError:

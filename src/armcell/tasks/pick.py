@@ -97,7 +97,7 @@ class Pick(ABC):
         """Perform a planned attempt and verify that the hand holds the object."""
 
     def keeps_object(self) -> bool:
-        """Return whether the hand keeps the object when a scene change stops the lift."""
+        """Return whether the hand holds the object and keeps it if a scene change stops the lift."""
         return False
 
     def recover(self, outcome: Outcome) -> None:

@@ -339,7 +339,7 @@ class UrArm(RealArm):
 
     # --- force ---
     def zero_force(self) -> None:
-        """Zero the force measurement of the arm at the mean of the latest readings."""
+        """Zero the arm's force measurement: later readings are relative to the mean of the latest."""
         self._no_force = np.mean([s.actual_TCP_force for s in list(self._rtde.history)], axis=0)
 
     def force(self) -> tuple[Array, Array, Array]:

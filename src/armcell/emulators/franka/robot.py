@@ -402,7 +402,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def guide(self, on: bool) -> None:
-        """Press or release the enabling button of hand guiding."""
+        """Press or release the enabling button, with which a person guides the arm by hand."""
         if on and self.mode is RobotMode.IDLE:
             self.mode = RobotMode.GUIDING
         elif not on and self.mode is RobotMode.GUIDING:
