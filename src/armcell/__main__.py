@@ -1,4 +1,4 @@
-"""`armcell` and `python -m armcell`: signals and output errors are handled from the first moment on."""
+"""Entry point of `armcell` and `python -m armcell`: handles signals and output errors early."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from armcell import _interrupts, _streams
 
 
 def main() -> None:
-    """The command line; ends the process with its status."""
+    """Run the command line, then end the process with its exit status."""
     _streams.install()
     _interrupts.install()
     code = 1
@@ -23,7 +23,7 @@ def main() -> None:
         except SystemExit as over:
             code = over.code if isinstance(over.code, int) else 1
         _interrupts.uninstall()
-    except _interrupts.Interrupted:  # on the last steps
+    except _interrupts.Interrupted:  # interrupted during the last steps
         pass
     if _interrupts.asked():
         with contextlib.suppress(Exception):

@@ -26,7 +26,7 @@ def key_of(*parts: NDArray | str) -> str:
 
 
 def recall(kind: str, key: str) -> dict[str, NDArray] | None:
-    """Return cached arrays, or None if there is no readable and trusted file.
+    """Return arrays from the disk cache, or None if no readable and trusted cache file exists.
 
     A file is trusted if only the current user can have written it.
     """

@@ -1,11 +1,12 @@
-"""Where compiled kernels and computed arrays are kept between runs.
+"""Folders in which compiled kernels and computed arrays are cached between runs.
 
-Numba's files are pickles and machine code: loading them runs code, and a changed array makes collision
-checks wrong. So armcell reads them only from a folder that no other user can write, by owner and mode.
+Numba's cache files are pickles and machine code: loading them executes code, and a manipulated array makes
+collision checks wrong. Therefore armcell reads cache files only from a folder that no other user can write,
+judged by its owner and mode.
 
-Numba does not notice that a function which a cached one has inlined was changed, and would run the old
-machine code. So the cache folder's name is a hash of every source that holds compiled code and of the
-versions: changed sources never meet an old entry.
+Numba does not notice when a function is changed that a cached function has inlined, and would run the old
+machine code. The name of the cache folder is therefore a hash of the versions and of every source file that
+contains compiled code, so changed sources never use an old cache entry.
 """
 
 from __future__ import annotations
@@ -27,14 +28,17 @@ from pathlib import Path
 
 KEPT_DAYS = 30
 COMPILES = re.compile(rb"^\s*(from|import)\s+numba\b|@(numba\.)?(inner_)?njit", re.MULTILINE)
-"""Of sources that hold compiled code; a file that only speaks of numba may change without compiling anew."""
+"""Matches sources with compiled code; changes of files that only mention numba do not cause recompilation."""
 
 
 log = logging.getLogger("armcell")
 
 
 def chosen_root() -> Path:
-    """`ARMCELL_CACHE_DIR`, or `armcell` in the user's cache folder; perhaps not trusted."""
+    """Return the configured cache folder, without a check that it is trusted.
+
+    The folder is `ARMCELL_CACHE_DIR`, or `armcell` in the user's cache folder.
+    """
     if chosen := os.environ.get("ARMCELL_CACHE_DIR"):
         return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -42,14 +46,17 @@ def chosen_root() -> Path:
 
 
 def cache_root() -> Path:
-    """The folder that caches are in: the chosen one, or a private one if others can write there."""
+    """Return the root folder of all caches: the configured folder, or a safe private one.
+
+    The configured folder is unsafe if other users can write there.
+    """
     return _trusted_root(chosen_root())
 
 
 @cache
 def _trusted_root(chosen: Path) -> Path:
     if not writable(chosen) and not chosen.is_dir():
-        return chosen  # nothing is kept
+        return chosen  # nothing is cached
     reason = doubt(chosen)
     if reason is None:
         return chosen.resolve()
@@ -59,7 +66,7 @@ def _trusted_root(chosen: Path) -> Path:
 
 @cache
 def private_folder() -> Path:
-    """A folder below the temporary one that only this user can write; the same for later runs if possible."""
+    """Return a temporary folder that only this user can write; later runs reuse it if possible."""
     folder = Path(tempfile.gettempdir()) / f"armcell-{_user()}"
     if writable(folder) and doubt(folder) is None:
         return folder.resolve()
@@ -81,16 +88,16 @@ def _user() -> int:
 
 
 def doubt(folder: Path, contents: bool = False) -> str | None:
-    """Why another user may have written into a folder, in words; None if none can have.
+    """Return the reason why another user may have written into a folder, or None.
 
-    Links are followed first. The folder and all above it must belong to this user or root and be writable by
-    nobody else; above the folder the sticky bit will do, as of /tmp.
+    Links are resolved first. The folder and all its parents must belong to this user or root, and no other
+    user may have write access; for the parents, the sticky bit (as on /tmp) is sufficient.
 
     Args:
-        contents: look at every file and folder in it, too: no links, and the same owner and mode.
+        contents: also check every file and folder inside: no links, and the same owner and mode.
     """
     if not hasattr(os, "geteuid"):
-        return None  # Windows: the user's own folders are
+        return None  # Windows: the user's folders are private
     real = folder.resolve()
     try:
         for place in (real, *real.parents):
@@ -108,7 +115,7 @@ def doubt(folder: Path, contents: bool = False) -> str | None:
 def _doubt_inside(folder: str) -> str | None:
     hidden = not os.lstat(folder).st_mode & 0o077
     forbidden = 0o002 if hidden else 0o022  # with umask 002 Numba's files are writable by the group
-    for entry in os.scandir(folder):  # thousands: no Path for each
+    for entry in os.scandir(folder):  # thousands of entries: creating a Path for each is slow
         try:
             status = entry.stat(follow_symlinks=False)
         except FileNotFoundError:
@@ -132,7 +139,10 @@ def _doubt_of(path: Path | str, status: os.stat_result, forbidden: int) -> str |
 
 
 def trusted_file(file: Path) -> bool:
-    """Whether a file of a cache and its folder are this user's alone. False as well if it does not exist."""
+    """Return whether only this user can write a cache file and its folder.
+
+    A missing file is not trusted.
+    """
     try:
         status, around = file.lstat(), file.parent.lstat()
     except OSError:
@@ -148,7 +158,7 @@ def trusted_file(file: Path) -> bool:
 
 
 def source_hash() -> str:
-    """Of all sources with compiled functions, Python, Numba and the processor."""
+    """Return a hash of Python, Numba, the processor, and all sources with compiled functions."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         source = file.read_bytes()
@@ -164,7 +174,10 @@ def source_hash() -> str:
 
 
 def writable(folder: Path) -> bool:
-    """Whether files can be made in a folder; it is made, for this user alone, if it does not exist."""
+    """Return whether files can be created in a folder; create the folder if it does not exist.
+
+    Only this user has access to a created folder.
+    """
     try:
         make(folder)
         with tempfile.TemporaryFile(dir=folder):
@@ -174,29 +187,30 @@ def writable(folder: Path) -> bool:
 
 
 def make(folder: Path) -> None:
-    """Make a folder and what is missing above it, with access for this user alone."""
+    """Create a folder and its missing parents, with access for this user only."""
     if not folder.is_dir():
         make(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)
 
 
 def _drop_old(used: Path) -> None:
-    """Delete kernels of other sources that no process has started with for `KEPT_DAYS`."""
+    """Delete kernels of other source versions that no process has used for `KEPT_DAYS`."""
     try:
         if time.time() - used.stat().st_mtime < 86400 and any(used.iterdir()):
-            return  # looked at today
+            return  # already checked today
         os.utime(used)
         for other in used.parent.iterdir():
             if other != used and time.time() - other.stat().st_mtime > KEPT_DAYS * 86400:
                 shutil.rmtree(other, ignore_errors=True)
     except OSError:
-        pass  # another process was quicker, or they are not ours to delete
+        pass  # another process deleted them first, or they belong to another user
 
 
 def use_cache() -> Path:
-    """Point Numba at the folder for these sources, or that of NUMBA_CACHE_DIR, or a private one.
+    """Set Numba's cache folder for the current sources, and return the folder.
 
-    A folder that another user may have written is not used: one line says so.
+    `NUMBA_CACHE_DIR` has priority. If another user may have written into the folder, a private folder is used
+    instead, and a warning is logged.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(given) if given else cache_root() / "kernels" / source_hash()
@@ -207,7 +221,7 @@ def use_cache() -> Path:
         folder = private_folder() / "kernels" / source_hash()
         if not writable(folder) or doubt(folder, contents=True) is not None:
             folder = Path(tempfile.mkdtemp(prefix="once-", dir=folder.parent))
-    folder = folder.resolve()  # Numba is not to follow a link that is changed later
+    folder = folder.resolve()  # Numba must not follow a link that is changed later
     if not given:
         _drop_old(folder)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)

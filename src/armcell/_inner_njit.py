@@ -1,9 +1,9 @@
-"""`inner_njit`: compile functions that only other compiled functions call.
+"""`inner_njit`: compiles functions that only other compiled functions call.
 
 Numba optimizes every function and translates it to machine code before it links the function into its
-callers, which are then optimized again: code that is six calls deep is compiled six times. Inner functions
-are linked into their callers as they are; only the outermost function is optimized and translated, once,
-with all that it calls.
+callers, which are then optimized again: a function six calls deep is compiled six times. `inner_njit` links
+inner functions into their callers without optimization. Only the outermost function is optimized and
+translated, once, together with all functions that it calls.
 """
 
 # pyright: reportIncompatibleMethodOverride=false, reportAttributeAccessIssue=false
@@ -19,7 +19,7 @@ from numba.core.typed_passes import NativeLowering
 
 
 class _LinkedLibrary(JITCodeLibrary):
-    """A library that is linked into others and never executed by itself."""
+    """Code library that is linked into other libraries and never executed by itself."""
 
     def _optimize_final_module(self) -> None:
         pass  # the outermost caller's library is optimized
@@ -31,7 +31,7 @@ class _LinkedLibrary(JITCodeLibrary):
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _OfferToCallers(LoweringPass):
-    """Let compiled functions link and call the function; calls from Python raise an error."""
+    """Compiler pass that lets compiled functions call the function; Python calls raise an error."""
 
     _name = "offer_to_callers"
 

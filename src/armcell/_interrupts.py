@@ -1,13 +1,14 @@
-"""Orderly shutdown on SIGINT (Ctrl-C) and SIGTERM. Imports nothing slow: it works from the first moment on.
+"""Orderly shutdown of the program on SIGINT (Ctrl-C) and SIGTERM.
 
-The command line calls `install`; a program that uses armcell as a library keeps its own handlers, and
-everything here then does nothing.
+The module imports nothing slow, so signals are handled from the start of the program. The command line calls
+`install`. A program that uses armcell as a library keeps its own signal handlers, and the functions of this
+module then have no effect.
 
-A signal raises `Interrupted` in the main thread. Python swallows an exception that lands in a destructor, a
-garbage-collection callback or a ctypes callback, and so does a bare `except:`. Therefore a watcher thread,
-which the C-level signal handler wakes through a pipe, also sets an event that `sleep` and `wait` watch,
-raises the exception again while the main thread does not handle it, and ends the process when the orderly
-end takes too long. A second signal ends the process at once.
+A signal raises `Interrupted` in the main thread. Python swallows an exception that is raised in a destructor,
+a garbage-collection callback or a ctypes callback, and so does a bare `except:`. Therefore a watcher thread,
+which the C-level signal handler wakes through a pipe, also sets an event that `sleep` and `wait` observe,
+raises the exception again while the main thread does not handle it, and ends the process if the orderly
+shutdown takes too long. A second signal ends the process at once.
 """
 
 from __future__ import annotations
@@ -23,23 +24,23 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-GRACE = 1.5  # [s] until the main thread handles the exception; it may be in compiled code
-WITH_ARMS = 15.0  # [s] until arms rest, and a record and its report are written
+GRACE = 1.5  # [s] for the main thread to handle the exception; it may run compiled code
+WITH_ARMS = 15.0  # [s] for arms to come to rest, and for a record and its report to be written
 SCRIPT = 3.0  # [s] for a user's script to end by itself
-LAST = 2.0  # [s] for last wills, all together
+LAST = 2.0  # [s] for all last-will actions together
 ONE_SIGNAL = 0.5  # [s]: `timeout`, systemd and docker send a signal to a process and again to its group
-LOOK = 0.05  # [s] between two looks whether the exception was swallowed
-UNHANDLED = 3  # looks in a row without the exception: it was swallowed
+LOOK = 0.05  # [s] between two checks whether the exception was swallowed
+UNHANDLED = 3  # checks in a row without the exception: it was swallowed
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGPIPE: ""}
 
 
 class Interrupted(KeyboardInterrupt):
-    """The program was asked to end."""
+    """Exception in the main thread after a signal has asked the program to end."""
 
 
 class _Will:
-    """What must still happen where the orderly end does not come."""
+    """Action that must still run if the orderly shutdown does not finish."""
 
     def __init__(self, act: Callable[[], object], urgent: bool):
         self.act, self.urgent = act, urgent
@@ -47,15 +48,15 @@ class _Will:
 
 class _State:
     def __init__(self) -> None:
-        self.event = threading.Event()  # set by the watcher: `set` takes a lock, no handler may
-        self.signal = 0  # that asked first
-        self.at = 0.0  # [s, monotonic] when
-        self.raised = False  # the main thread has had the exception
+        self.event = threading.Event()  # set by the watcher: a handler must not take a lock
+        self.signal = 0  # number of the first signal
+        self.at = 0.0  # [s, monotonic] time of the first signal
+        self.raised = False  # the exception was raised in the main thread
         self.again = False  # the watcher asks the handler to raise again
-        self.sent = 0  # signals of the watcher's own that are on their way to `_count`
-        self.swallowed = False  # Python said so
-        self.limit: float | None = None  # [s, monotonic] of an end that a program took over
-        self.held, self.due = 0, False  # depth of `deferred`; an exception waits for its end
+        self.sent = 0  # signals that the watcher itself sent and `_count` has not yet seen
+        self.swallowed = False  # Python reported that it swallowed the exception
+        self.limit: float | None = None  # [s, monotonic] time limit of an orderly shutdown, see `take_time`
+        self.held, self.due = 0, False  # depth of `deferred`; whether an exception is deferred
         self.owner: Callable[[], object] | None = None
         self.wills: list[_Will] = []
         self.wake = -1  # file descriptor that wakes the watcher
@@ -65,7 +66,7 @@ _state = _State()
 
 
 def install() -> None:
-    """Take both signals; for the command line, in the main thread."""
+    """Install the handlers of SIGINT and SIGTERM for the command line, in the main thread."""
     wakes, _state.wake = os.pipe()
     os.set_blocking(_state.wake, False)
     threading.Thread(target=_watch, args=(wakes,), name="armcell-signals", daemon=True).start()
@@ -76,25 +77,29 @@ def install() -> None:
 
 
 def uninstall() -> None:
-    """Both signals end the process at once from here on: the command is over."""
+    """Let SIGINT and SIGTERM end the process at once, because the command has finished."""
     if _state.wake >= 0:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_DFL)
 
 
-# --- what the program asks ---
+# --- queries of the program ---
 def asked() -> int:
-    """The signal that asked the program to end, else 0."""
+    """Return the number of the signal that asked the program to end, or 0."""
     return _state.signal
 
 
 def status() -> int:
-    """The exit status of an interrupted program: 130 for SIGINT, 143 for SIGTERM."""
+    """Return the exit status of an interrupted program: 130 for SIGINT, 143 for SIGTERM."""
     return 128 + (_state.signal or signal.SIGINT)
 
 
 def check() -> None:
-    """Raise the exception where it was swallowed: in the main thread, unless the end has been taken on."""
+    """Raise `Interrupted` again in the main thread if Python has swallowed it.
+
+    Nothing is raised after `take_time`, inside `owned` or `deferred`, or while the exception is being
+    handled.
+    """
     if (
         _state.signal
         and _state.limit is None
@@ -103,12 +108,12 @@ def check() -> None:
         and threading.current_thread() is threading.main_thread()
         and not _is_ours(sys.exc_info()[1])
     ):
-        _state.raised = True  # the handler, which may still come, need not
+        _state.raised = True  # the handler, which may still run, need not raise
         raise Interrupted
 
 
 def sleep(seconds: float) -> None:
-    """`time.sleep` that does not outlast a signal.
+    """Sleep like `time.sleep`, but end the sleep when a signal arrives.
 
     Raises:
         Interrupted: see `check`.
@@ -117,7 +122,7 @@ def sleep(seconds: float) -> None:
         time.sleep(seconds)
         return
     check()
-    if _state.event.is_set():  # an orderly end may wait
+    if _state.event.is_set():  # an orderly shutdown may sleep
         time.sleep(seconds)
     else:
         _state.event.wait(seconds)
@@ -125,7 +130,9 @@ def sleep(seconds: float) -> None:
 
 
 def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bool:
-    """Wait with `condition(seconds)`, such as `Event.wait`; no signal is lost meanwhile.
+    """Call `condition(seconds)`, such as `Event.wait`, until it is true or a timeout passes.
+
+    Signals interrupt the wait.
 
     Raises:
         Interrupted: see `check`.
@@ -141,26 +148,34 @@ def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bo
             return False
 
 
-# --- what the program says ---
+# --- requests and declarations of the program ---
 def ask(number: int) -> None:
-    """Ask the program to end as by a signal, from any thread; nothing where no command line runs."""
+    """Ask the program to end as if by a signal, from any thread.
+
+    Without a command line, the function has no effect.
+    """
     if _state.wake >= 0:
         _request(number)
         _wake()
 
 
 def take_time(seconds: float = WITH_ARMS) -> None:
-    """The exception has been caught, and the orderly end takes longer; nothing where there was none."""
+    """Give the orderly shutdown more time after `Interrupted` was caught.
+
+    Without a signal, the function has no effect.
+    """
     if _state.signal:
         _state.limit = time.monotonic() + seconds
 
 
 @contextlib.contextmanager
 def owned(on_signal: Callable[[], object]) -> Iterator[None]:
-    """A user's script runs inside. It may catch the exception: then it gets `SCRIPT` seconds to end.
+    """Run a user's script in the `with` block; after a signal it gets `SCRIPT` seconds to end.
+
+    The script may catch `Interrupted`.
 
     Args:
-        on_signal: called when a signal comes, in another thread; quickly.
+        on_signal: called in another thread when a signal arrives; must return quickly.
     """
     _state.owner = on_signal
     try:
@@ -173,7 +188,7 @@ def owned(on_signal: Callable[[], object]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def deferred() -> Iterator[None]:
-    """The exception is raised at the end of the block, not inside."""
+    """Defer `Interrupted` to the end of the `with` block."""
     main = threading.current_thread() is threading.main_thread()
     _state.held += main
     try:
@@ -187,8 +202,10 @@ def deferred() -> Iterator[None]:
 
 @contextlib.contextmanager
 def unsignaled() -> Iterator[None]:
-    """Neither signal reaches a process that is started inside: Ctrl-C goes to a whole process group, and
-    this program decides when its helpers end."""
+    """Shield processes that are started inside the `with` block from SIGINT and SIGTERM.
+
+    Ctrl-C sends SIGINT to the whole process group, but this program decides when its helper processes end.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -198,8 +215,10 @@ def unsignaled() -> Iterator[None]:
 
 @contextlib.contextmanager
 def silent_helpers() -> Iterator[None]:
-    """Neither signal reaches a process that is started inside, and its errors are not printed: glfw's import
-    starts one that prints a traceback if this process ends first."""
+    """Shield processes that are started inside the block from signals, and discard their errors.
+
+    The import of glfw starts a process that prints a traceback if this process ends first.
+    """
     import subprocess
 
     class Silent(subprocess.Popen):  # type: ignore[type-arg]
@@ -216,7 +235,7 @@ def silent_helpers() -> Iterator[None]:
 
 
 class SteadyLock:
-    """A reentrant lock whose holder is not interrupted: what it guards is never left half done."""
+    """Reentrant lock that defers `Interrupted` while it is held, so guarded work is completed."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -235,13 +254,16 @@ class SteadyLock:
 
 
 def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], None]:
-    """Have something done where the orderly end does not come in time; returns what revokes it.
+    """Register an action that runs if the orderly shutdown takes too long.
 
-    Nothing is kept where no command line runs.
+    Without a command line, nothing is registered.
 
     Args:
-        act: from another thread, while the rest of the program may still run; it may be done already.
-        urgent: also at a second signal, as for arms that must stop.
+        act: called from another thread, possibly while the rest of the program still runs, or after the
+            program has already done the same work.
+        urgent: also run the action at a second signal; for arms that must stop.
+    Returns:
+        A function that revokes the action.
     """
     will = _Will(act, urgent)
     if _state.wake >= 0:
@@ -255,19 +277,22 @@ def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], N
 
 
 def end(number: int | None = None) -> None:
-    """Say why and end: not through libraries' exit handlers, which may wait."""
+    """Print why the program ends, and end the process without libraries' exit handlers.
+
+    An exit handler could block.
+    """
     if number is None:
         number = _state.signal or signal.SIGINT
     if word := WORDS.get(signal.Signals(number), ""):
-        with contextlib.suppress(OSError):  # not through sys.stderr: who holds its lock may be stuck
+        with contextlib.suppress(OSError):  # not by sys.stderr: a thread that holds its lock may be blocked
             os.write(2, f"armcell: {word}\n".encode())
     os._exit(128 + number)
 
 
 # --- the handler ---
 def _handler(number: int, frame: FrameType | None) -> None:
-    """What a signal does in the main thread."""
-    if not _state.wills and _importing(frame):  # libraries that try an import swallow whatever it raises
+    """Handle a signal in the main thread: raise `Interrupted`, or defer it (see `deferred`)."""
+    if not _state.wills and _importing(frame):  # libraries with optional imports swallow all exceptions
         end(number)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs the interrupts that it swallows
     _request(number)
@@ -291,7 +316,7 @@ def _wake() -> None:
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Whether an import statement is among what is being executed."""
+    """Return whether the interrupted code is inside an import statement."""
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
             return True
@@ -300,7 +325,7 @@ def _importing(frame: FrameType | None) -> bool:
 
 
 def _is_ours(error: BaseException | None) -> bool:
-    """Whether an exception is `Interrupted`, or was raised while that was handled."""
+    """Return whether an exception is `Interrupted` or was raised while handling `Interrupted`."""
     seen = 0
     while error is not None and seen < 100:
         if isinstance(error, Interrupted):
@@ -310,7 +335,7 @@ def _is_ours(error: BaseException | None) -> bool:
 
 
 def _unraisable(report: Any) -> None:
-    """Python swallows an exception, in a destructor or a callback."""
+    """Record that Python swallowed `Interrupted` in a destructor or callback (unraisable hook)."""
     if _is_ours(report.exc_value):
         _state.swallowed = True
     else:
@@ -319,7 +344,7 @@ def _unraisable(report: Any) -> None:
 
 # --- the watcher ---
 def _watch(wakes: int) -> None:
-    """Wait for the first signal, then see to it that the program ends."""
+    """Wait for the first signal, then make sure that the program ends (watcher thread)."""
     while not _state.signal:
         for number in os.read(wakes, 64):
             if _ours(number):
@@ -343,12 +368,12 @@ def _watch(wakes: int) -> None:
 
 
 def _ours(number: int) -> bool:
-    """Whether a byte from the pipe is a signal that the program has not taken for itself."""
+    """Return whether a byte from the wake-up pipe is a signal with armcell's own handler."""
     return number in SIGNALS and signal.getsignal(number) is _handler
 
 
 def _count(wakes: int) -> None:
-    """A second signal ends the process. What `_raise_again` sends is not one."""
+    """End the process when a second signal arrives; signals of `_raise_again` do not count."""
     while True:
         for number in os.read(wakes, 64):
             if _ours(number):
@@ -368,13 +393,16 @@ def _deadline() -> float:
 
 
 def _handled() -> bool:
-    """Whether the main thread handles the exception: it is in an `except`, a `finally` or an `__exit__`."""
+    """Return whether the main thread is handling `Interrupted`.
+
+    The thread is then in an `except`, a `finally` or an `__exit__`.
+    """
     now = sys._current_exceptions().get(threading.main_thread().ident or 0)
     return _is_ours(now[1] if isinstance(now, tuple) else now)  # a tuple until Python 3.11
 
 
 def _raise_again() -> None:
-    """Interrupt what the main thread waits in, and have the handler raise."""
+    """Interrupt the main thread by a signal, so that the handler raises `Interrupted` again."""
     number = next((n for n in SIGNALS if signal.getsignal(n) is _handler), None)
     if number is not None:
         _state.again = True
@@ -383,7 +411,7 @@ def _raise_again() -> None:
 
 
 def _do(which: Callable[[_Will], bool], seconds: float) -> None:
-    """Carry out wills, each in a thread: any may hang."""
+    """Run the selected last-will actions, each in its own thread, because any may hang."""
 
     def run(act: Callable[[], object]) -> threading.Thread:
         def quietly() -> None:

@@ -1,8 +1,9 @@
-"""Standard output and standard error of the command line: the one place where writing to them can fail.
+"""Standard output and standard error of the command line, with handling of write errors.
 
-A write that fails raises nothing. Output whose reader has gone (`armcell cells | head -1`) asks the program
-to end, as SIGPIPE would; output that cannot be written (a full disk) gives a message and exit status 1 at
-the end. Failures of standard error are ignored: there is no place left to report them.
+A failed write raises no exception. If the reader of the output has closed the pipe (`armcell cells | head
+-1`), the program is asked to end, as SIGPIPE would. If the output cannot be written (a full disk), the
+program prints a message at its end and returns exit status 1. Failures of standard error are ignored, because
+they cannot be reported anywhere.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from armcell import _interrupts
 
 
 class _Raw(io.FileIO):
-    """A descriptor that keeps the first error of a write and drops everything after it."""
+    """File descriptor that stores the first write error and discards all later output."""
 
     error: OSError | None = None
 
@@ -40,9 +41,9 @@ _out: _Raw | None = None
 
 
 def install() -> None:
-    """Replace `sys.stdout` and `sys.stderr`; open what the caller has closed."""
+    """Replace `sys.stdout` and `sys.stderr`, and reopen streams that the caller has closed."""
     global _out
-    for number in (0, 1, 2):  # else the next file that is opened would get what libraries print
+    for number in (0, 1, 2):  # otherwise the next opened file would receive the output of libraries
         try:
             os.fstat(number)
         except OSError:
@@ -51,11 +52,11 @@ def install() -> None:
         sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
     _out, sys.stdout = _stream(1, sys.stdout)
     _, sys.stderr = _stream(2, sys.stderr)
-    logging.raiseExceptions = False  # logging prints a traceback where standard error cannot be written
+    logging.raiseExceptions = False  # logging would print a traceback if standard error cannot be written
 
 
 def close() -> int:
-    """Write out what is left; the exit status that failed output asks for, else 0."""
+    """Flush the output streams; return the exit status for a failed output, or 0."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(Exception):
             stream.flush()
@@ -70,7 +71,7 @@ def close() -> int:
 
 
 def _stream(number: int, before: TextIO | None) -> tuple[_Raw, io.TextIOWrapper]:
-    """A text stream on a descriptor, with the encoding that Python chose.
+    """Return a text stream on a file descriptor, with the encoding that Python chose.
 
     A character that the terminal does not have is written as "?".
     """

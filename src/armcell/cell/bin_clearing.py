@@ -1,4 +1,7 @@
-"""Clears a bin with the arm and cameras of a cell, and counts the objects in the true state."""
+"""Bin clearing with the arm and cameras of a cell, including a count of the cleared objects.
+
+In physics, the count uses the true object poses.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ def clear_with(
     ctx: TaskContext, scene: PlanningScene, gripper: Gripper, bin: str, tray: str, table: str,
     eye: LiveCamera, eye_on_tray: LiveCamera, settings: ClearSettings = ClearSettings(),
 ) -> Outcome:  # fmt: skip
-    """Clear a bin; in physics, count the objects in the tray, in the bin and beside both.
+    """Clear a bin into a tray; in physics, count the objects in the tray, the bin and elsewhere.
 
     The evidence has the true counts `cleared`, `left` and `beside`. In physics, the outcome is also a FAILURE
     if the cameras see no more objects but an object is not in the tray.

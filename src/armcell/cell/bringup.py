@@ -36,7 +36,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Step:
-    """A bring-up step of real arms, as stored in the record."""
+    """One bring-up step of real arms, as the record stores it."""
 
     name: str
     arm: str
@@ -46,7 +46,7 @@ class Step:
 
 
 class BringUp:
-    """A guided bring-up of a cell's real arms, step by step.
+    """Guided bring-up of a cell's real arms, step by step.
 
     Args:
         confirm: called before each step with the step's name and a description; False ends the bring-up.

@@ -12,7 +12,7 @@ CELL_FILE = "cell.yaml"
 
 
 def cell_names() -> list[str]:
-    """Return the names of the built-in cells, sorted."""
+    """Return the sorted names of the built-in cells."""
     return sorted(p.parent.name for p in LIBRARY.glob(f"*/{CELL_FILE}"))
 
 

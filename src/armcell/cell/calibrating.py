@@ -1,4 +1,7 @@
-"""Applies the robots' factory calibration to a cell's model: `real: {calibration: apply}`."""
+"""Application of the robots' factory calibration to the model of a cell.
+
+A cell file requests it by `real: {calibration: apply}`.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from armcell.scene import PlanningScene
 
 
 def as_the_robots_are(scene: PlanningScene, real: dict) -> PlanningScene:
-    """Return the scene with the robots' calibrated kinematics if the cell file requests it.
+    """Return the scene with the robots' calibrated kinematics if the cell file requests them.
 
     Raises:
         InputError: a robot does not answer, is another robot than named in the cell file, or its kinematics

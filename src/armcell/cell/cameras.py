@@ -1,4 +1,4 @@
-"""Creates simulated cameras and markers from the entries of a cell file."""
+"""Construction of simulated cameras and markers from the entries of a cell file."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def camera_of(name: str, spec: CameraSpec, model: RobotModel, positions: ArrayLi
 
 
 def pinhole_of(spec: CameraSpec, folder: Path) -> Pinhole | None:
-    """Return the explicit intrinsics of a camera entry, if any.
+    """Return the explicit intrinsics of a camera entry, or None if the entry has none.
 
-    None if the image size and the field of view define the camera.
+    Without explicit intrinsics, the image size and the field of view define the camera.
     """
     if spec.info is not None:
         return load_camera_info(resolve_uri(spec.info, folder)).rectified()
@@ -77,7 +77,7 @@ def decal_of(name: str, spec: MarkerSpec, known: Iterable[str]) -> Decal:
 
 
 def in_view(camera: Camera, scene: PlanningScene) -> list[str]:
-    """Return the objects whose center is in a camera's picture, ignoring occlusion."""
+    """Return the objects whose center is in a camera's image; occlusion is ignored."""
     found = []
     for name, item in scene.objects.items():
         low, high = item.bounds()

@@ -26,7 +26,7 @@ ENDINGS = {
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller that moves some of the robot's joints.
+    """External controller that moves some of the robot's joints.
 
     Attributes:
         name: the name in the cell file.
@@ -47,7 +47,7 @@ class Controller:
 def controllers_of(
     specs: Mapping[str, ControllerSpec], model: RobotModel, file: Path
 ) -> tuple[Controller, ...]:
-    """Return the controllers of a cell file.
+    """Return the external trajectory controllers that a cell file defines.
 
     Raises:
         UnknownNameError: a joint does not exist.
@@ -80,7 +80,7 @@ def controllers_of(
 
 
 def _joints_of(name: str, spec: ControllerSpec, model: RobotModel, where: dict[str, Any]) -> tuple[str, ...]:
-    """Return the joints of a controller, found by its name.
+    """Return the joints of an external controller by the controller's name.
 
     A group or gripper with the same name has priority; otherwise the joints of the only arm or gripper.
 

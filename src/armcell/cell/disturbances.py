@@ -1,4 +1,4 @@
-"""Converts the block `disturbances` of a cell file to SI units and checks it."""
+"""Conversion of the block `disturbances` of a cell file to SI units, with checks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armcell.model import RobotModel
 
 
 def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbances:
-    """Return the disturbances of a cell file in SI units.
+    """Return the disturbances of the simulated robot that a cell file defines, in SI units.
 
     Raises:
         UnknownNameError: a joint, link or object does not exist.

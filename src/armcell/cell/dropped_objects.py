@@ -1,4 +1,4 @@
-"""Drops objects into a bin in physics; a seed determines their resting poses."""
+"""Dropping of objects into a bin in physics; a seed determines their resting poses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FENCES = ("fence 1", "fence 2", "fence 3", "fence 4", "shelf")
 
 
 def dropped(scene: PlanningScene, names: Sequence[str], into: str, seed: int) -> PlanningScene:
-    """Return the scene with objects at rest in a bin, each dropped with a random pose.
+    """Return the scene with objects at rest in a bin, after each was dropped at a random pose.
 
     The poses are cached on disk per seed.
 
@@ -95,7 +95,7 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
 
 
 def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
-    """Return a fence above a rectangle's edges, and a shelf for objects that wait to drop.
+    """Return a fence above a rectangle's edges, and a shelf for objects before their drop.
 
     Args:
         frame: center of the rectangle, T_world_frame.
@@ -114,7 +114,7 @@ def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
 
 
 def _above(item: CollisionObject, frame: SE3, half: np.ndarray, top: float, rng: np.random.Generator) -> SE3:
-    """Return a random pose above the objects in the bin.
+    """Return a random pose above the objects that are already in the bin.
 
     Args:
         frame: center of the bin's floor, T_world_frame.

@@ -1,4 +1,4 @@
-"""Validates the predicted grasp success P by simulated picks with random grasps.
+"""Validation of the predicted grasp success P by simulated picks with random grasps.
 
 The true pose, friction and mass of the object differ from the believed ones by the noise that the
 prediction assumes.
@@ -32,7 +32,7 @@ IN_VAIN = 3  # draws per wanted trial: some grasps are unreachable
 
 @dataclass(frozen=True)
 class Held:
-    """The result of picking and holding an object."""
+    """Result of one simulated pick: whether and how firmly the hand held the object."""
 
     to_the_end: bool
     slip_m: float | None = None  # of the object's point between the pads, since the hand closed
@@ -41,7 +41,7 @@ class Held:
 
     @property
     def firmly(self) -> bool:
-        """Whether the object was held to the end within the slip and turn limits of the grasp proof."""
+        """Return whether the object was held to the end, within the slip and turn limits of proofs."""
         if not self.to_the_end or self.slip_m is None or self.turn_rad is None:
             return False
         return self.slip_m <= MAX_SLIP and self.turn_rad <= MAX_TURN
@@ -49,7 +49,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Prediction:
-    """The predicted success of a grasp and the observed result."""
+    """The predicted success of one grasp and its observed result."""
 
     grasp: str
     probability: float  # predicted by trials of the hand alone
@@ -62,7 +62,7 @@ def predictions(
     scene: PlanningScene, item: CollisionObject, gripper: Gripper, grasps: Sequence[Grasp],
     settings: TaskSettings, count: int, duration: float, seed: Sequence[int],
 ) -> list[Prediction]:  # fmt: skip
-    """Run up to `count` trials, each with a randomly drawn grasp; skip unreachable grasps.
+    """Run up to `count` pick trials with randomly drawn grasps; skip unreachable grasps.
 
     Args:
         scene: the believed planning scene, with the object.
@@ -119,21 +119,24 @@ def held_in_truth(
 
 
 def _stages(ctx: TaskContext, item: str, gripper: Gripper, grasp: Grasp, hand: _Hand) -> list[Stage]:
-    """Return the stages of a pick with one grasp; a step records the object's pose in the hand."""
+    """Return the stages of a pick with one given grasp.
+
+    One step records the pose of the object in the hand.
+    """
     stages = pick_stages(ctx.scene(), item, gripper, ctx.settings, among=(grasp.name,))
     closed = next(i for i, stage in enumerate(stages) if isinstance(stage, Close))
     return [*stages[: closed + 1], RunSteps("closed", (hand,)), *stages[closed + 1 :]]
 
 
 class _Hand:
-    """Measures the true pose of an object in a hand; planners do not see it."""
+    """Measurement of the true pose of an object in a hand, which planners do not see."""
 
     def __init__(self, world: SimWorld, gripper: Gripper, item: str):
         self._world, self._gripper, self._item = world, gripper, item
         self._closed: SE3 | None = None  # T_tcp_object
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        """Record the pose of the object in the hand as the reference (a task step)."""
+        """Record the pose of the object in the hand as the reference (step of a task)."""
         self._closed = self._now()
         return DONE
 
@@ -141,7 +144,7 @@ class _Hand:
         return self._world.link_pose(self._gripper.tcp_link).inv() @ self._world.object_pose(self._item)
 
     def held(self, outcome: Outcome) -> Held:
-        """Return the result after the lift and the hold: whether the object is held, slip and turn."""
+        """Return whether the object is held after lift and hold, with its slip and turn in the hand."""
         if self._closed is None:
             return Held(False, reason=outcome.message)
         moved = self._now() @ self._closed.inv()  # in the TCP frame

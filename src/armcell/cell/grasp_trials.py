@@ -80,7 +80,7 @@ class Row:
 
 # --- objects ---
 def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
-    """Yield the library objects, unscaled: name, object, scale 1."""
+    """Yield the objects of armcell's library for the grasp benchmark: name, object, scale 1."""
     for kind in object_names():
         yield kind, library_object(kind), 1.0
 
@@ -88,7 +88,7 @@ def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
 def objects_of(
     folder: Path, gripper: Gripper, count: int, scale: float = 1.0, skip: int = 0
 ) -> Iterator[tuple[str, CollisionObject | InputError, float]]:
-    """Yield the objects of a folder's URDF or mesh files, scaled down to fit the gripper.
+    """Yield objects from a folder's URDF or mesh files, scaled down to fit the gripper.
 
     If the folder has URDFs, mesh files are ignored. An unreadable file yields its error as the object.
 
@@ -161,7 +161,7 @@ class Bench:
         )  # fmt: skip
 
     def run(self, name: str, item: CollisionObject | InputError, scale: float) -> Row:
-        """Run the grasp benchmark for one object: grasps, attempts and predictions; return the row."""
+        """Run the grasp benchmark for one object: grasps, attempts and predictions."""
         if isinstance(item, InputError):
             return Row(name, scale, False, str(item))
         began = time.process_time()
@@ -203,13 +203,13 @@ class Bench:
     def _predictions(
         self, scene: PlanningScene, item: CollisionObject, name: str, grasps: Sequence[Grasp]
     ) -> list[Prediction]:
-        """Run trials with randomly drawn grasps of one object; its name determines the seed."""
+        """Run pick trials with randomly drawn grasps of one object; its name determines the seed."""
         o, settings = self.options, replace(self.settings, prove_grasps=0)
         seed = o.seed, zlib.crc32(name.encode())
         return predictions(scene, item, self.gripper, grasps, settings, o.predictions, HOLD, seed)
 
     def _attempt(self, scene: PlanningScene, settings: TaskSettings, tries: int = 1) -> Outcome:
-        """Pick, lift, hold and place the object by friction only; the evidence has the measurements."""
+        """Pick, lift, hold and place the object by friction only; return measurements as evidence."""
         driver = drivers["sim"](scene, DriverOptions(self.options.seed, physics=PhysicsSettings()))
         with LiveCell("grasp trial", scene, driver, settings, (), self.options.seed) as live:
             outcome = Outcome(ErrorCode.FAILURE, "not tried")
@@ -249,7 +249,7 @@ class Bench:
         return Outcome(ErrorCode.SUCCESS, "", evidence)
 
     def _picked(self, ctx: TaskContext) -> Outcome:
-        """Pick with a grasp that can also reach the goal placement, else with any grasp."""
+        """Pick the object with a grasp that also reaches the goal placement, else with any grasp."""
         s = self.settings
         goal = ChoosePlacement(OBJECT, TABLE, self.gripper, s.near, s.lower_distance, self.goal)
         picked = pick(ctx, OBJECT, self.gripper, ahead=[goal])

@@ -1,4 +1,4 @@
-"""Starts the layers of a cell in order, checks each layer, and reports their state.
+"""Startup of a cell's layers in order, with checks and a report of their state.
 
 Order: description (model, objects), controllers (which control which joints), drivers (connected and
 publishing states), planner, task. A layer starts only if all earlier layers are ok, so a failure is reported
@@ -28,7 +28,7 @@ OK, WAITING = "ok", "waiting"
 
 
 class Health:
-    """The start state of each layer of a cell: "waiting", "ok", or "failed: reason".
+    """Start state of each layer of a cell: "waiting", "ok", or "failed: reason".
 
     Args:
         tell: receives one line for every layer that has started or failed.
@@ -40,7 +40,9 @@ class Health:
 
     @contextmanager
     def layer(self, name: str) -> Iterator[list[str]]:
-        """Start a layer in a `with` block and report it, with texts appended to the yielded list.
+        """Start a layer of the cell in a `with` block and report its result.
+
+        Texts that the block appends to the yielded list become part of the report.
 
         Raises:
             InputError: an earlier layer has not started.
@@ -60,7 +62,7 @@ class Health:
         self.tell(f"{name}: ok" + (f" ({', '.join(said)})" if said else ""))
 
     def now(self, live: LiveCell) -> dict[str, str]:
-        """Return the state of each layer of a running cell.
+        """Return the current state of each layer of a running cell.
 
         The state of "drivers" has the reason if the driver has stopped its arms.
         """
@@ -69,7 +71,7 @@ class Health:
 
 
 def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tuple[Cell, Health]:
-    """Start the layers that need no connection, description and controllers; report both.
+    """Start and report the layers that need no connection: description and controllers.
 
     Raises:
         InputError: see `check_description` and `check_controllers`.
@@ -87,7 +89,7 @@ def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tu
 
 
 def check_description(cell: Cell) -> str:
-    """Return a summary of the robot: name, number of joints and planning groups.
+    """Return a summary of the robot model: name, number of joints and planning groups.
 
     Raises:
         InputError: the model has no planning group with a tip, so nothing can be planned.
@@ -103,7 +105,7 @@ def check_description(cell: Cell) -> str:
 
 
 def check_controllers(cell: Cell, mode: str) -> str:
-    """Return a summary of the joint control in a mode ("sim", "fake" or "real").
+    """Return a summary of which controllers move the joints in a mode ("sim", "fake" or "real").
 
     Raises:
         UnknownNameError: the mode does not exist, or the block `real` names an arm that the model lacks.
@@ -145,10 +147,10 @@ def check_driver(live: LiveCell) -> str:
 
 
 def check_planner(live: LiveCell) -> str:
-    """Plan for every arm from its present state to itself, and return a summary.
+    """Check that the planner can start from every arm's present state; return a summary.
 
-    This finds start states from which the planner cannot start. They are only reported: a task may begin with
-    steps that need no planner.
+    The check plans from the present state to the same state. Start states from which the planner cannot start
+    are only reported, because a task may begin with steps that need no planner.
     """
     name, faults = live.ctx.settings.planner_id, []
     scene = live.scene()

@@ -1,4 +1,4 @@
-"""Identity of a cell: content hashes, part by part, and versions of what influences a run."""
+"""Identity of a cell: content hashes of its parts, and versions of the software it uses."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _fields(value: Any) -> dict[str, Any]:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Feed the type and the content of a value into a hash, unambiguously."""
+    """Feed the type and the content of a value into a hash without ambiguity."""
     if isinstance(value, np.ndarray):
         digest.update(f"array {value.dtype} {value.shape} ".encode())
         digest.update(np.ascontiguousarray(value).tobytes())
@@ -124,7 +124,10 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value in a form that is equal in all processes: sorted sets, no memory addresses."""
+    """Return a value in a form that is equal in all processes, for hashing.
+
+    Sets are sorted, and memory addresses are removed.
+    """
     if isinstance(value, frozenset):
         return tuple(sorted(value))
     if isinstance(value, Enum):

@@ -1,4 +1,4 @@
-"""A connected cell: its arms by name, with methods to pick, place and move."""
+"""A connected cell, `LiveCell`: its arms by name, with methods to pick, place and move."""
 
 from __future__ import annotations
 
@@ -66,16 +66,16 @@ from armcell.tasks.steps import Motion, perform_all
 
 
 class Arm:
-    """One arm of a connected cell.
+    """One arm of a connected cell, with methods that command it.
 
-    The methods that command the arm return an `Outcome`, which is true if the command succeeded.
+    Each command returns an `Outcome`, which is true if the command succeeded.
     """
 
     def __init__(self, ctx: TaskContext, group: str):
         self._ctx, self.group = ctx, group
 
     def pick(self, item: str) -> Outcome:
-        """Grasp an object and lift it."""
+        """Grasp an object with this arm and lift it."""
         model = self._ctx.scene().model
         return pick(self._ctx, item, model.gripper(arm_group=self.group))
 
@@ -122,7 +122,7 @@ class Arm:
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
 
     def execute(self, motion: PlanResult | JointTrajectory) -> Outcome:
-        """Execute a planned motion of this arm: a `PlanResult` or a trajectory.
+        """Execute a planned motion of this arm, given as a `PlanResult` or a trajectory.
 
         The motion gate checks the motion against the current scene. If the motion would collide, the gate
         does not start it, and the outcome names the colliding pair, the place and the time.
@@ -140,12 +140,12 @@ class Arm:
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
-        """Grasp an object that moves at a constant speed, e.g. on a conveyor belt, and lift it."""
+        """Grasp an object that moves at constant speed, e.g. on a conveyor belt, and lift it."""
         gripper = self._ctx.scene().model.gripper(arm_group=self.group)
         return pick_moving(self._ctx, item, gripper, settings)
 
     def grasp(self, item: str) -> Outcome:
-        """Grasp an object where it is, without lifting it."""
+        """Grasp an object at its present pose without lifting it."""
         return grasp(self._ctx, item, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def let_go(self, item: str) -> Outcome:
@@ -155,17 +155,20 @@ class Arm:
     def screw(
         self, item: str, turns: float, force: float = 8.0, settings: ScrewSettings = ScrewSettings()
     ) -> Outcome:
-        """Turn a held object clockwise about the tool's axis and press it with `force` [N]."""
+        """Screw a held object: turn it clockwise about the tool axis, pressing with `force` [N]."""
         return screw(self._ctx, item, turns, force, settings)
 
     @property
     def joints(self) -> JointGoal:
-        """The measured joint positions as a goal: `ready = arm.joints; ...; arm.move_to(ready)`."""
+        """Return the measured joint positions of the arm as a goal for `move_to`.
+
+        Example: `ready = arm.joints; ...; arm.move_to(ready)`
+        """
         names = self._ctx.scene().model.group(self.group).joint_names
         return JointGoal(self._ctx.driver.joint_state().reindexed(names))
 
     def open(self) -> Outcome:
-        """Open the gripper fully and release the object that it held."""
+        """Open the gripper fully and release any held object."""
         return release(self._ctx, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def hold(self, duration: float) -> Outcome:
@@ -173,7 +176,7 @@ class Arm:
         return hold(self._ctx, duration)
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """Reserve a zone: inside `with arm.reserve("bin"):` the other arm cannot hold the zone."""
+        """Reserve a zone for this arm: `with arm.reserve("bin"):` excludes the other arm from it."""
         return self._ctx.reserve(zone)
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
@@ -184,12 +187,12 @@ class Arm:
         return self._ctx.choose(items, zone)
 
     def rendezvous(self, name: str) -> None:
-        """Wait until the other arm's program reaches the rendezvous with the same name."""
+        """Wait until the other arm's program reaches the rendezvous point with the same name."""
         self._ctx.rendezvous(name)
 
 
 class LiveCell:
-    """A cell with a connected driver, for use in a `with` block.
+    """A cell with a connected driver, used in a `with` block.
 
     Attributes:
         driver: the driver of the robot, simulated or real.
@@ -245,23 +248,23 @@ class LiveCell:
             self._inside.close()
 
     def release(self) -> None:
-        """Give the simulation's memory back for the next cell, after the `with` block.
+        """Free the simulation's memory for the next cell; call it after the `with` block.
 
-        Optional. Afterwards, the state of this cell cannot be read.
+        The call is optional. Afterwards, the state of this cell cannot be read.
         """
         if self.driver.world is not None:
             self.driver.world.close()
 
     @property
     def arms(self) -> dict[str, Arm]:
-        """The arms by planning group: the arms that carry a gripper; without grippers, every chain."""
+        """Return the arms by planning group: those with a gripper, or every chain without grippers."""
         groups = [g.arm_group for g in self.model.grippers.values()]
         groups = groups or [g.name for g in self.model.groups.values() if g.tip_link]
         return {name: Arm(self.ctx, name) for name in groups}
 
     @property
     def arm(self) -> Arm:
-        """The only arm of the cell.
+        """Return the only arm of the cell.
 
         Raises:
             InputError: the cell has no arm or several arms.
@@ -279,7 +282,7 @@ class LiveCell:
         return self.arms[group]
 
     def side_by_side(self, **programs: Callable[[Arm], Outcome | None]) -> SideBySide:
-        """Run one program per arm, each at its own pace. A program is a function of its `Arm`.
+        """Run one program (a function of its `Arm`) per arm, each at its own pace.
 
         Example: `cell.side_by_side(left_arm=sort_left, right_arm=sort_right)`
         """
@@ -294,7 +297,7 @@ class LiveCell:
     def orders(
         self, to: Callable[[str], str], cycle_times: CycleTimes = CycleTimes(), **streams: Sequence[str]
     ) -> dict[str, list[str]]:  # fmt: skip
-        """Return for each arm the order of its objects with which both arms finish early.
+        """Return for each arm an order of its objects such that both arms finish early.
 
         With these orders, the arms rarely wait for each other at a zone.
 
@@ -309,7 +312,7 @@ class LiveCell:
         return orders(self.scene(), streams, to, self.ctx.settings, cycle_times)
 
     def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> Carrying:
-        """Return a task with which two arms carry one object.
+        """Return a `Carrying` task, with which two arms carry one object together.
 
         Example: `cell.carry("rod", left_arm="left_end", right_arm="right_end")`
 
@@ -321,7 +324,7 @@ class LiveCell:
         return Carrying(self.ctx, self._both(ends), item, ends, settings)
 
     def hand_over(self, item: str, to: str, at: Sequence[SE3] = ()) -> Outcome:
-        """Hand an object from the arm that holds it to another arm, in the air.
+        """Hand an object over in the air from the arm that holds it to another arm.
 
         Args:
             to: the planning group of the receiving arm.
@@ -331,7 +334,7 @@ class LiveCell:
         return hand_over(self.ctx, item, self.model.gripper(arm_group=to), at)
 
     def move_together(self, **targets: Target) -> Outcome:
-        """Move two arms, each to its own target; both start and arrive at the same time."""
+        """Move two arms to one target each, such that both start and arrive at the same time."""
         scene = self.ctx.scene()
         goals = {group: goal_of(scene.model, group, target) for group, target in targets.items()}
         return move_together(self.ctx, self._both(targets), goals)
@@ -350,15 +353,18 @@ class LiveCell:
 
     @property
     def reports(self) -> list[StageReport]:
-        """The reports of the stages performed so far."""
+        """Return the reports of all task stages performed so far."""
         return self.ctx.reports
 
     def stop(self) -> None:
-        """Stop the running motion, from any thread. Until `resume()`, every call returns PREEMPTED."""
+        """Stop the running motion; until `resume()`, every call returns PREEMPTED.
+
+        Any thread may call this method.
+        """
         self.ctx.cancel.set()
 
     def resume(self) -> Outcome:
-        """Make a stopped cell ready for motions: after `stop()`, a fault or a lost connection.
+        """Make a stopped cell ready for motions, after `stop()`, a fault or a lost connection.
 
         Call it from any thread. It reconnects real arms whose connection was lost. It starts no motion and
         discards old goals. If the cell is not stopped, it does nothing, also during a motion.
@@ -379,7 +385,7 @@ class LiveCell:
         return Outcome(ErrorCode.SUCCESS)
 
     def scene(self) -> PlanningScene:
-        """Return the planning scene as measured now. Call it from any thread."""
+        """Return the planning scene with the measured state; any thread may call this method."""
         return self.ctx.scene()
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
@@ -403,7 +409,7 @@ class LiveCell:
 
     # --- cameras ---
     def camera(self, name: str | None = None) -> LiveCamera:
-        """Return a camera by name; without a name, the only camera of the cell.
+        """Return the camera with a given name, or the only camera of the cell.
 
         Raises:
             UnknownNameError: no camera has this name.
@@ -435,7 +441,7 @@ class LiveCell:
         self, bin: str, into: str, table: str, camera: str, tray_camera: str,
         settings: ClearSettings = ClearSettings(),
     ) -> Outcome:  # fmt: skip
-        """Move all objects from a bin into another container, using only two cameras.
+        """Move all objects from a bin into another container, found only by two cameras.
 
         Args:
             into: the container for the objects.
@@ -453,7 +459,7 @@ class LiveCell:
         self, into: Mapping[str, str], camera: str, by: str | Kind = "colour",
         settings: SortSettings = SortSettings(),
     ) -> Outcome:  # fmt: skip
-        """Place every object that a camera sees on the target for its color (or "shape").
+        """Place every object that a camera sees on the target for its color (or shape).
 
         Example: `cell.sort({"red": "red_mat", "blue": "blue_mat"}, camera="above")`
         """

@@ -1,4 +1,7 @@
-"""Loads cells, and reports a wrong name or file before the planner and physics are imported."""
+"""Loading of cells, with early errors for wrong names and files.
+
+Errors are reported before the planner and physics are imported.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
-    """Load a cell by built-in name, by folder that contains cell.yaml, or by YAML file.
+    """Load a cell by the name of a built-in cell, by folder with cell.yaml, or by YAML file.
 
     Args:
         allow_env: lets the robot's xacro files read environment variables, see `load_robot`.

@@ -1,4 +1,4 @@
-"""Reads and writes objects as YAML: the block `objects` of a cell file, or a separate file."""
+"""Objects as YAML: the block `objects` of a cell file, or a separate file."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from armcell.scene import (
 
 
 def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
-    """Return the object for a validated cell file entry.
+    """Return the scene object for a validated entry of a cell file.
 
     Args:
         folder: folder for relative file names in the entry.
@@ -113,7 +113,7 @@ def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
 
 
 def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> CollisionObject:
-    """Return an object with a thread, with its pose converted to the world frame.
+    """Return an object with a screw thread, with its pose converted to the world frame.
 
     The given pose is in the frame of the object into which it is screwed, as in a cell file.
 
@@ -133,7 +133,7 @@ def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> Col
 
 
 def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
-    """Write objects to a YAML file for `load_objects` or for the block `objects` of a cell.
+    """Write objects to a YAML file, for `load_objects` or the block `objects` of a cell.
 
     Meshes and clouds are written to files in the same folder, named after the file, the object and the
     shape's index. Of a material, only the static and dynamic friction are written, as cell files have no
@@ -228,7 +228,7 @@ def _friction_entry(material: Material) -> float | dict[str, float]:
 
 
 def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
-    """Return a shape as a cell file entry; write a mesh or cloud to a file.
+    """Return a shape as a cell file entry; write a mesh or point cloud to its own file.
 
     Args:
         beside: path of that file without the suffix.

@@ -1,4 +1,4 @@
-"""A driver that reports object poses only after a camera has detected the objects."""
+"""Driver wrapper that reports object poses only after a camera has detected the objects."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _REACH = 0.03  # [m] largest distance from a closed gripper's TCP to the object 
 
 @dataclass
 class Seen:
-    """Poses of the objects that only cameras measure.
+    """Detected poses of the objects that only cameras measure.
 
     Attributes:
         known: the objects to detect, with their shapes, by name.
@@ -45,12 +45,12 @@ class Seen:
 
     @property
     def unknown(self) -> dict[str, CollisionObject]:
-        """The objects without an initial pose, at their last detected poses."""
+        """Return the objects without an initial pose, at their last detected poses."""
         names = (n for n in self.known if n not in self.initial)
         return {n: self.known[n].at(self.poses.get(n, SE3.identity())) for n in names}
 
     def taken_from(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene without the objects that have no pose yet."""
+        """Return the scene without the objects whose pose is still unknown."""
         for name in self.known:
             if name in scene.objects and name not in self.poses:
                 scene = scene.without_object(name)
@@ -65,7 +65,7 @@ class Seen:
 
 
 class PerceivingDriver(DriverProxy):
-    """A driver that reports an object at its last detected pose or in the gripper holding it.
+    """Driver that reports objects at their last detected poses, or in the gripper holding them.
 
     As with a real gripper, the held object is inferred from the gripper's width and force and from the last
     detected poses.
@@ -105,7 +105,7 @@ class PerceivingDriver(DriverProxy):
         return replace(reading, held=held[0] if held else None)
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object by name: detected poses, else the driver's poses."""
+        """Return T_world_object by object name: detected poses, else the wrapped driver's poses."""
         self._follow()
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
         return {**others, **self._seen.poses}
@@ -115,7 +115,7 @@ class PerceivingDriver(DriverProxy):
             self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object
 
     def _near(self, gripper: str) -> str | None:
-        """Return the object that contains or is nearest to a gripper's TCP; None if too far away."""
+        """Return the object that contains a gripper's TCP or is nearest to it, or None if too far."""
         tcp, best, found = self._tcp(gripper).translation, _REACH, None
         for name, T in self._seen.poses.items():
             low, high = self._seen.known[name].bounds()

@@ -1,4 +1,4 @@
-"""Pictures of a run for reports: at the end of each stage, and at the first contact."""
+"""Images of a run for reports, taken at the end of each stage and at the first contact."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FIELD = 45.0  # [deg]
 
 
 def overview(scene: PlanningScene) -> Camera:
-    """Return a camera in front and to the side that shows the robot and all objects around it."""
+    """Return a camera, in front and to the side, that shows the robot and all objects near it."""
     middle, radius = extent(scene)
     away = 1.3 * radius / np.sin(np.deg2rad(FIELD / 2))
     eye = middle + away * FROM / np.linalg.norm(FROM)
@@ -32,7 +32,7 @@ def overview(scene: PlanningScene) -> Camera:
 
 
 class Pictures:
-    """An observer that takes pictures of a run in physics.
+    """Observer that takes images of a run in physics.
 
     It uses the cell's first camera that is not mounted on a link; without such a camera, an overview from the
     side in front. If the driver runs in real time, another process draws the pictures and they arrive later,

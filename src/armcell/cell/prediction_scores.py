@@ -24,7 +24,7 @@ RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the l
 def scores(
     objects: Sequence[str], probability: Sequence[float], epsilon: Sequence[float], success: Sequence[bool]
 ) -> dict[str, Any]:
-    """Score three predictors of grasp success: P of proofs, epsilon alone, and the base rate.
+    """Score three predictors of grasp success: P of proofs, quality epsilon alone, base rate.
 
     `brier_lead` is the Brier score of epsilon minus that of P, and `brier_lead_interval` its 95 % bootstrap
     interval over objects. An area under the curve is None without successes or without failures.
@@ -52,7 +52,7 @@ def scores(
 
 
 def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
-    """Return the edges, count, mean prediction and success share of each non-empty bin of P."""
+    """Return edges, count, mean prediction and success share of each non-empty bin of P."""
     rows = []
     bins = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
     for k in np.unique(bins):
@@ -67,9 +67,9 @@ def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
 
 
 def area_under_curve(score: Array, happened: Array) -> float | None:
-    """Return the probability that a success has a higher score than a failure; ties count half.
+    """Return the probability (AUC) that a success has a higher score than a failure.
 
-    None if there are no successes or no failures.
+    Ties count half. The result is None without successes or without failures.
     """
     good, bad = score[happened > 0.5], score[happened <= 0.5]
     if not len(good) or not len(bad):
@@ -80,7 +80,7 @@ def area_under_curve(score: Array, happened: Array) -> float | None:
 
 
 def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
-    """Return per trial the share of successes among all other objects; 0.5 if there are none."""
+    """Return for each trial the share of successes among all other objects (0.5 without any)."""
     found = np.full(len(happened), 0.5)
     for name in np.unique(objects):
         own = objects == name
@@ -90,7 +90,7 @@ def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
 
 
 def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
-    """Return P(success) per trial from epsilon alone, by a logistic fit to all other objects."""
+    """Return P(success) of each trial from epsilon alone, by a logistic fit to other objects."""
     from scipy.optimize import minimize
 
     x = (epsilon - epsilon.mean()) / max(float(epsilon.std()), 1e-12)
@@ -108,7 +108,10 @@ def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -
 
 
 def _interval(objects: NDArray[np.str_], lead: Array) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of the mean lead, resampling objects with all trials."""
+    """Return the 95 % bootstrap interval of a mean score lead over resampled objects.
+
+    Each resampled object keeps all its trials.
+    """
     names, index = np.unique(objects, return_inverse=True)
     total, count = np.bincount(index, lead), np.bincount(index)
     drawn = np.random.default_rng(0).integers(len(names), size=(RESAMPLED, len(names)))

@@ -1,4 +1,4 @@
-"""Draws the cameras of a real-time cell in another process, without blocking the cell."""
+"""Rendering of a real-time cell's cameras in another process, without blocking the cell."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class _Request:
 
 
 class CellRenderer:
-    """Draws camera pictures of a driver's state in another process.
+    """Renderer of camera images of a driver's state, in another process.
 
     The thread and the process start with the first request.
 
@@ -53,14 +53,14 @@ class CellRenderer:
 
     @property
     def pid(self) -> int | None:
-        """The process id of the drawing process; None if it does not run."""
+        """Return the process id of the rendering process, or None if it does not run."""
         return self._process.pid
 
     def ask(
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Request a picture of the present state and return at once.
+        """Request a camera image of the present state and return at once.
 
         Call this method from the thread that steps the driver.
 
@@ -84,7 +84,7 @@ class CellRenderer:
             self._wake.notify()
 
     def close(self) -> None:
-        """End the process after the waiting key moments are drawn."""
+        """End the rendering process after it has drawn the waiting key moments."""
         with self._wake:
             self._closing = True
             self._waiting = {k: r for k, r in self._waiting.items() if r.keep}
@@ -111,7 +111,10 @@ class CellRenderer:
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 
     def _run(self) -> None:
-        """Draw the requests; the process draws the next picture while `give` handles the last one."""
+        """Draw the requested images in sequence.
+
+        The process draws the next image while `give` handles the last one.
+        """
         try:
             request = self._next(wait=True)
             while request is not None:
@@ -124,7 +127,7 @@ class CellRenderer:
             self._process.close()
 
     def _next(self, wait: bool) -> _Request | None:
-        """Start to draw the oldest waiting request and return it.
+        """Start to draw the oldest waiting image request and return the request.
 
         Args:
             wait: wait for a request.

@@ -35,7 +35,7 @@ SHAPE_KEYS = (*_SIZED, "mesh", "cloud")
 
 
 def _value_type(kind: ShapeKind) -> Any:
-    """Return the type of a shape's value: a list of sizes [m], one size, or `true` without sizes."""
+    """Return the type of a shape's value: a list of sizes [m], one size, or `true` (no sizes)."""
     if not kind.sizes:
         return Literal[True]
     return float if len(kind.sizes) == 1 else tuple[(float,) * len(kind.sizes)]
@@ -46,7 +46,7 @@ _Sized: Any = create_model("_Sized", __base__=Strict, **_SIZED_FIELDS)
 
 
 class SomeShape(_Sized, Strict):
-    """At most one shape. The keys of armcell's shapes are fields.
+    """Schema of at most one shape; armcell's shape names are its keys.
 
     Attributes:
         package_shape: value by name of a shape of an installed package; cell files have the name as key.
@@ -70,7 +70,7 @@ class SomeShape(_Sized, Strict):
         return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
 
     def given(self) -> dict[str, Any]:
-        """Return the values of all given shape keys, by key."""
+        """Return the values of all shape keys that the cell file gives, by key."""
         own = {key: value for key in SHAPE_KEYS if (value := getattr(self, key)) is not None}
         return {**own, **self.package_shape}
 
@@ -86,7 +86,7 @@ class SomeShape(_Sized, Strict):
 
 
 class ShapeSpec(SomeShape):
-    """One shape of an object: exactly one of the shape keys. Lengths in meters, full lengths."""
+    """Schema of one shape of an object: exactly one shape key; full lengths in meters."""
 
     pose: Any = (0.0, 0.0, 0.0)
 
@@ -101,14 +101,14 @@ class ShapeSpec(SomeShape):
 
 
 class TypeSpec(Strict):
-    """The type of an object: a key in a database, as in ROS's object_recognition_msgs."""
+    """Object type: a key in a database, as in ROS's object_recognition_msgs."""
 
     key: str = ""
     db: str = ""
 
 
 class ThreadSpec(Strict):
-    """A screw thread: the object turns about its z axis and advances by `pitch` per turn."""
+    """Screw thread of an object, which turns about its z axis and advances by `pitch` per turn."""
 
     into: str  # an object defined earlier in the file
     pitch: float = Field(gt=0)  # [m]
@@ -137,7 +137,7 @@ Friction = Annotated[
 
 
 class ObjectSpec(SomeShape):
-    """An object: one shape, several under `shapes`, or a library object by `model`."""
+    """Object of a cell: one shape, several under `shapes`, or a library object by `model`."""
 
     shapes: list[ShapeSpec] = []
     model: str | None = None  # name of a library object
@@ -174,7 +174,7 @@ class ObjectSpec(SomeShape):
 
 
 class RandomSpec(Strict):
-    """Ranges [low, high] for the random values of an object, drawn uniformly per seed.
+    """Ranges [low, high] of an object's random values, drawn uniformly for each seed.
 
     The offsets are added to the object's pose.
     """
@@ -203,7 +203,10 @@ class RobotSpec(Strict):
 
 
 class IntrinsicsSpec(Strict):
-    """Focal lengths and principal point [px]; pixel centers have integer coordinates."""
+    """Camera intrinsics: focal lengths and principal point [px].
+
+    Pixel centers have integer coordinates.
+    """
 
     fx: float = Field(gt=0)
     fy: float = Field(gt=0)
@@ -212,7 +215,7 @@ class IntrinsicsSpec(Strict):
 
 
 class NoiseSpec(Strict):
-    """Depth noise of a camera; the fields are those of `sim.DepthNoise`."""
+    """Depth noise of a camera, with the fields of `sim.DepthNoise`."""
 
     floor: float = Field(0.0, ge=0)  # [m]
     growth: float = Field(0.0, ge=0)  # [1/m]
@@ -225,7 +228,7 @@ class NoiseSpec(Strict):
 
 
 class CameraSpec(Strict):
-    """A camera given by `eye` and `target` [m] or by a `pose`.
+    """Camera of a cell, given by `eye` and `target` [m] or by a `pose`.
 
     The pose is that of the optical frame (z forward, y down).
 
@@ -260,7 +263,7 @@ class CameraSpec(Strict):
 
 
 class MarkerSpec(Strict):
-    """An ArUco marker or AprilTag for cameras.
+    """Visual marker for cameras: ArUco or AprilTag.
 
     Marker frame: x to the right and y up in the picture, z out of the picture.
     """
@@ -273,7 +276,7 @@ class MarkerSpec(Strict):
 
 
 class PerceptionSpec(Strict):
-    """Objects whose poses come only from a camera; unknown before the first `look`."""
+    """Objects whose poses only a camera measures; they are unknown before the first `look`."""
 
     camera: str
     objects: list[str] = Field(min_length=1)
@@ -281,7 +284,7 @@ class PerceptionSpec(Strict):
 
 
 class DropSpec(Strict):
-    """Objects that physics drops into a bin before the task begins; each seed gives other poses."""
+    """Objects that physics drops into a bin before the task begins; the seed sets their poses."""
 
     into: str  # fixed object with a level floor
     objects: list[str] = Field(min_length=1)
@@ -299,7 +302,7 @@ class TransferSpec(PlaceSpec):
 
 
 class StepSpec(Strict):
-    """One step of a cell's task: exactly one of the keys."""
+    """One step of a cell's task; exactly one of its keys must be given."""
 
     pick: str | None = None
     place: PlaceSpec | None = None
@@ -318,17 +321,20 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """The placement that this step must achieve; None for other steps."""
+        """Return the placement that this task step must achieve, or None for other steps."""
         return self.place or self.transfer
 
     @property
     def camera(self) -> str | None:
-        """The camera that this step uses; None if it uses none."""
+        """Return the camera that this task step uses, or None."""
         return self.transfer.look if self.transfer else self.look
 
 
 class PushSpec(Strict):
-    """An external force on a link or movable object, at the center of mass, in world axes."""
+    """Disturbance by an external force on a link or movable object.
+
+    The force acts at the center of mass, in world axes.
+    """
 
     on: str
     at: float = Field(ge=0)  # [s]
@@ -337,7 +343,7 @@ class PushSpec(Strict):
 
 
 class MovedSpec(Strict):
-    """A displacement of an object at time `at` that planners are not informed of."""
+    """Disturbance that displaces an object at time `at` without the planners' knowledge."""
 
     by: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in world axes
     turn_deg: float = 0.0  # about the vertical axis through the object's origin
@@ -365,7 +371,7 @@ class ControllerSpec(Strict):
 
 
 class RosSpec(Strict):
-    """ROS names, sensors and planners of the cell, for all connections (Unity, ROS 1, ROS 2)."""
+    """ROS names, sensors and planners of the cell, for Unity, ROS 1 and ROS 2 connections."""
 
     namespace: str = ""
     remap: dict[str, str] = {}  # armcell's names -> external names
@@ -409,7 +415,7 @@ class CellSpec(Strict):
 
 
 def validated(data: dict[str, Any], file: Path) -> CellSpec:
-    """Return the validated cell of a parsed YAML file.
+    """Return the validated cell of a parsed cell file.
 
     Raises:
         InputError: the file is invalid; the error has the file, the key and the reason of the first fault.
@@ -437,7 +443,7 @@ def _shape_keys(model: type[SomeShape]) -> list[str]:
 
 
 def _known_keys(location: tuple) -> list[str]:
-    """Return the keys that are valid at the location of an unknown key."""
+    """Return the valid keys at the location of an unknown key in a cell file."""
     tables = {
         "randomize": RandomSpec,
         "cameras": CameraSpec,

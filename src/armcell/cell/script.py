@@ -1,4 +1,4 @@
-"""A task as a Python script: a file beside cell.yaml with a function `task(cell)`.
+"""Tasks as Python scripts: a file beside cell.yaml with a function `task(cell)`.
 
 A script is the only code that armcell runs from a cell, and only `load_script` runs it. `load_script` logs
 the file name first. Commands that start other processes or connect arms before they load the script call
@@ -28,7 +28,7 @@ _announced: set[Path] = set()
 
 
 def announce_code(cell: Cell, origin: str = "") -> None:
-    """Log which Python file of a cell will run; once per process, not for built-in cells.
+    """Log once per process which Python file of a cell will run; silent for built-in cells.
 
     Args:
         origin: the source of the cell, if another user created it.
@@ -39,7 +39,7 @@ def announce_code(cell: Cell, origin: str = "") -> None:
 
 
 def load_script(name: str, cell_file: Path) -> Script:
-    """Return the function `task` of a script.
+    """Return the function `task` of a task script.
 
     Loading runs the top-level code of the file, like an import.
 

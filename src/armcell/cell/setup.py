@@ -1,4 +1,4 @@
-"""The setup assistant: proposes groups, states and link pairs for a URDF; writes a cell."""
+"""Setup assistant: proposes groups, states and link pairs for a URDF, and writes a cell."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ LIMITS_NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A proposed robot setup.
+    """Proposed setup of a robot: a model with groups, grippers, states and link pairs.
 
-    `model` has the planning groups, end effectors, named states and link pairs that are not checked.
+    `model` has the planning groups, end effectors, named states and the link pairs that are not checked.
     """
 
     model: RobotModel
@@ -50,7 +50,7 @@ class Proposal:
 
     @property
     def loose_joints(self) -> tuple[str, ...]:
-        """The driven joints that belong to no planning group."""
+        """Return the driven joints that belong to no planning group."""
         driven = {n for g in self.model.groups.values() for n in g.joint_names}
         return tuple(n for n in self.model.joint_names if n not in driven)
 
@@ -60,7 +60,7 @@ class Proposal:
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
 
     def disabling(self, pair: frozenset[str]) -> Proposal:
-        """Return the proposal with collision checking of a link pair disabled at the user's request."""
+        """Return the proposal without collision checks of a link pair, at the user's request."""
         found = next(p for p in self.pairs if p.links == pair)
         disabled = {**self.model.disabled_collisions, pair: found.reason or "User"}
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
@@ -73,7 +73,7 @@ def propose(
     name: str | None = None,
     progress: Callable[[str, int], None] | None = None,
 ) -> Proposal:
-    """Propose the setup of one robot, or of several robots combined into one model.
+    """Propose the setup of a robot, or of several robots combined into one model.
 
     Args:
         parts: URDF or xacro files with prefixes and poses.
@@ -118,7 +118,7 @@ def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
 
 
 def propose_from_package(folder: Path) -> Proposal:
-    """Propose a cell for an existing MoveIt package with its groups, states, pairs and limits.
+    """Propose a cell for an existing MoveIt package, with its groups, states, pairs and limits.
 
     Raises:
         InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type.
@@ -128,7 +128,7 @@ def propose_from_package(folder: Path) -> Proposal:
 
 
 def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
-    """Write a MoveIt package and its cell into a folder, atomically: all files or none.
+    """Write a MoveIt package and its cell atomically into a folder: all files or none.
 
     Args:
         force: write into a folder that is not empty.
@@ -221,7 +221,7 @@ def _cell_yaml(model: RobotModel) -> str:
 
 
 def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
-    """Return a task for a cell without objects: named states that all arms have, else a hold."""
+    """Return a task for a cell without objects: moves to named states of all arms, else a hold."""
     tables = [model.named_states.get(arm, {}) for arm in arms]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]
     names = [name for name in ("ready", "home") if name in shared] or shared[:2]

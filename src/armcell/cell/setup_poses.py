@@ -1,4 +1,4 @@
-"""Generates named states: home and ready for arms, open and close for grippers."""
+"""Generator of named states: home and ready for arms, open and close for grippers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TURN = np.pi / 2  # [rad] largest offset of "ready" from the middle of a joint's
 
 
 def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
-    """Return the model with named states: open, close (grippers), home and ready (arms).
+    """Return the model with the named states open, close (grippers), home and ready (arms).
 
     Home is the first candidate with enough self-clearance, else the candidate with the largest. Candidates:
     the zero state, the middle of the joint ranges, the zero state with one or two joints turned by a quarter
@@ -63,7 +63,7 @@ def _checker(model: RobotModel) -> ExactChecker:
 
 
 def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]]:
-    """Return the states "open" and "close" of a gripper: the two ends of its joint ranges.
+    """Return the named states "open" and "close" of a gripper: the two ends of its joint ranges.
 
     Open is the end with the larger mean gap between the moving links. Empty if a joint has no limits.
     """
@@ -98,7 +98,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
 
 
 def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
-    """Return whether a link moves with one of the given joints or with a joint that mimics one."""
+    """Return whether a link moves with given joints, or with joints that mimic them."""
     tree = kinematic_tree(model)
     columns = set(model.columns(names))
     return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
@@ -152,7 +152,7 @@ def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> 
 
 
 class _Judge:
-    """Evaluates states of a robot: whether they are collision-free, and their self-clearance."""
+    """Evaluator of robot states: freedom from collision, and self-clearance."""
 
     def __init__(self, model: RobotModel, samples: Array):
         checker = _checker(model)
@@ -176,9 +176,9 @@ class _Judge:
         return self.checker.is_free(q)
 
     def room(self, q: Array) -> float:
-        """Return the distance [m] of the nearest link pair that can touch; negative in a collision.
+        """Return the distance [m] of the nearest link pair at a state; negative in a collision.
 
-        At most 1 m is measured.
+        Only pairs that can touch count. Distances above 1 m are not measured.
         """
         if not self.is_free(q):
             return -1.0
@@ -187,7 +187,7 @@ class _Judge:
 
 
 def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
-    """Return the least manipulability of the groups, sqrt(det(J J^T)) (Yoshikawa 1985)."""
+    """Return the smallest manipulability of the groups, sqrt(det(J J^T)) (Yoshikawa 1985)."""
     tree = kinematic_tree(model)
     values = [1.0]
     for group in groups:

@@ -1,4 +1,4 @@
-"""A first cell for a robot: a table, an object, a camera and a task, as commented YAML."""
+"""First cell file for a robot: a table, an object, a camera and a task, as commented YAML."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ PICK = """  - pick: cube
 
 
 def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> Iterator[str]:
-    """Yield cell files for a robot, the most comfortable first; the start of each is free of contacts.
+    """Yield cell files for a robot with collision-free start states, most comfortable first.
 
     A robot with a gripper gets a cube to pick; other robots move between their named states. The positions of
     the cube differ from file to file; `armcell check` tells whether the robot reaches it.
@@ -111,7 +111,7 @@ def _arms(model: RobotModel) -> list[Group]:
 
 
 def _reach(model: RobotModel) -> float:
-    """Return the largest distance [m] of an arm's tip from the vertical axis of the robot's base."""
+    """Return the largest horizontal distance [m] of an arm's tip from the robot base's z axis."""
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
@@ -123,7 +123,7 @@ def _reach(model: RobotModel) -> float:
 
 
 def _bottom(model: RobotModel) -> float:
-    """Return the lowest point [m] of the links that do not move, or 0 if they have no geometry."""
+    """Return the lowest point [m] of the links that do not move, or 0 without geometry."""
     fixed = next(links for links in model.rigid_groups if model.root_link in links)
     tree, q, lowest = kinematic_tree(model), model.default_positions(), [0.0]
     for name in fixed:
@@ -135,7 +135,7 @@ def _bottom(model: RobotModel) -> float:
 
 
 def _choices(model: RobotModel) -> Iterator[dict[str, str]]:
-    """Yield named states by group to start from: home first, grippers open."""
+    """Yield candidate start states, as named states by group: home first, grippers open."""
     arms = [arm.name for arm in _arms(model)]
     named = model.named_states
     others = [state for arm in arms for state in named.get(arm, {})]
@@ -161,7 +161,7 @@ def _free(model: RobotModel, states: dict[str, str], table: float, side: float) 
 
 
 def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str, str], float]:
-    """Return start states and the height [m] of the base above the table at which nothing touches."""
+    """Return collision-free start states and the height [m] of the base above the table."""
     for height in HEIGHTS:
         for states in _choices(model):
             if _free(model, states, bottom - GAP - height, side):
@@ -170,7 +170,7 @@ def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str
 
 
 def _task_states(model: RobotModel, table: float, side: float) -> list[str]:
-    """Return the named states that all arms have and that touch nothing, "home" last."""
+    """Return the collision-free named states that all arms have, "home" last."""
     tables = [model.named_states.get(arm.name, {}) for arm in _arms(model)]
     shared = [s for s in (tables[0] if tables else {}) if all(s in t for t in tables)]
     free = [s for s in shared if _free(model, {a.name: s for a in _arms(model)}, table, side)]

@@ -1,4 +1,4 @@
-"""The simulated twin of a cell's real arms: learn normal deviations, and guard the arms."""
+"""Simulated twin of a cell's real arms: learns normal deviations, and guards the arms."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TRIES = 30  # random goals tried per motion
 
 
 def bands_file(cell: Cell) -> Path:
-    """Return the path of a cell's twin thresholds file, in the folder of the cell file."""
+    """Return the path of a cell's file with twin thresholds, in the folder of the cell file."""
     return cell.file.with_name(f"{cell.file.stem}.twin.json")
 
 
@@ -122,7 +122,7 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """Raised if no motion to a goal can be planned, or if the twin rejects the motion."""
+    """Error for a goal to which no motion can be planned, or whose motion the twin rejects."""
 
 
 def _go(live: LiveCell, group: str, q: np.ndarray, speed: float, tell: Callable[[str], None]) -> None:

@@ -1,4 +1,4 @@
-"""Changes values of a cell by path, e.g. `objects.cube.mass` or `physics.arm_kp`."""
+"""Changes of a cell's values by path, e.g. `objects.cube.mass` or `physics.arm_kp`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NOISES = ("none", "stereo")  # named noise models of a camera
 
 
 def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
-    """Return a cell with changed values, validated like the cell file.
+    """Return a cell with changed values, validated like a cell file.
 
     Args:
         values: new values by path. A path joins the keys of the cell file with dots; x, y, z, roll, pitch,
@@ -54,7 +54,7 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
 
 
 def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
-    """Return the values that replace the joint gains of a cell by a gain set or gain file.
+    """Return the cell values that set the joint gains to those of a gain set or gain file.
 
     The values contain the gains themselves, so a record of the run does not depend on the file.
 
@@ -68,7 +68,7 @@ def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
 
 
 def parsed(setting: str) -> tuple[str, Any]:
-    """Split `PATH=VALUE` into the path and the value, parsed as YAML.
+    """Split a text `PATH=VALUE` into the path and the value, parsed as YAML.
 
     Raises:
         InputError: the text has no '=', or the value is not valid YAML.
@@ -83,7 +83,7 @@ def parsed(setting: str) -> tuple[str, Any]:
 
 
 def place_of(path: str) -> tuple[str, ...]:
-    """Return the parts of a path in normal form: `pose.x` and `pose.0` give the same parts."""
+    """Return the parts of a value path in normal form: `pose.x` and `pose.0` become equal."""
     return tuple(str(COMPONENTS.get(part, part)) for part in path.split("."))
 
 
@@ -110,7 +110,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Expand named or default values that a path leads into, so that a part of them can change."""
+    """Expand a named or default value on a path, so that a part of it can be changed."""
     match path.split("."):
         case ["cameras", name, "noise", _]:
             camera = _table(data, "cameras").get(name)
@@ -129,7 +129,7 @@ def _write_out(data: dict[str, Any], path: str) -> None:
 
 
 def _table(data: Any, *keys: str) -> dict[str, Any]:
-    """Return the mapping under nested keys; create missing mappings.
+    """Return the mapping under nested keys of a cell file; create missing mappings.
 
     If a key holds another type, return an empty mapping.
     """
@@ -139,7 +139,7 @@ def _table(data: Any, *keys: str) -> dict[str, Any]:
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
-    """Fix the random draw of a value that is now given; the other draws of a seed do not change."""
+    """Pin a given value in the random draw; the other random values of a seed do not change."""
     block, name, key, *more = [*path.split("."), "", ""]
     drawn = data.get("randomize", {}).get(name, {})
     if isinstance(value, Mapping):  # the draw replaces the static friction
@@ -163,7 +163,7 @@ def _index(at: list[Any], part: str, path: str) -> int:
 
 
 def _known(data: dict[str, Any]) -> Iterator[str]:
-    """Yield all valid paths: those of the cell file and those with a default."""
+    """Yield all valid value paths: those in the cell file and those with a default value."""
     yield from _paths(data)
     yield "physics.gains"
     for block, settings in BLOCKS.items():
@@ -178,7 +178,7 @@ def _known(data: dict[str, Any]) -> Iterator[str]:
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:
-    """Yield the dotted path of every key in nested dicts."""
+    """Yield the dotted path of every key in nested mappings, such as `objects.cube.mass`."""
     for key, value in data.items() if isinstance(data, dict) else ():
         yield f"{before}{key}"
         yield from _paths(value, f"{before}{key}.")

@@ -1,4 +1,4 @@
-"""Imports Gazebo worlds as objects of a new cell file or an existing cell."""
+"""Import of Gazebo worlds as objects of a new cell file or an existing cell."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def import_world(
     prefix: str = "",
     T_cell_world: SE3 | None = None,
 ) -> SdfWorld:
-    """Return an SDF world with its objects in the cell frame, see `load_sdf`.
+    """Load an SDF world and return it with its objects in the cell frame; see `load_sdf`.
 
     Args:
         folders, skip: see `load_sdf`.
@@ -46,7 +46,7 @@ def import_world(
 def write_imported(
     objects: Iterable[CollisionObject], file: Path, robot: str | None, force: bool = False
 ) -> None:
-    """Write objects to a file: a cell with a robot, or without a robot an objects file.
+    """Write imported objects to a file: a cell with a robot, or an objects file without one.
 
     The file is written only if it can be loaded. Meshes are written to the same folder. `load_objects` reads
     an objects file.
@@ -64,7 +64,7 @@ def write_imported(
 
 
 def add_to_cell(objects: Sequence[CollisionObject], cell: str | Path) -> Path:
-    """Add objects to a cell file, keep all other lines and comments, and return the file.
+    """Add objects to a cell file and return the file; other lines and comments stay.
 
     Raises:
         InputError: the cell is built in or does not exist, or it already contains an object's name.
@@ -112,7 +112,7 @@ def with_objects(text: str, entries: dict) -> str:
 
 
 def _write_checked(file: Path, text_of, objects: Iterable[CollisionObject], is_cell: bool) -> None:
-    """Write a temporary file, check that it can be loaded, and rename it to `file`.
+    """Write a temporary file, check that it can be loaded, and rename it to the target file.
 
     Args:
         text_of: returns the text of the file for the entries of the objects.

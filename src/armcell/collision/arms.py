@@ -1,4 +1,4 @@
-"""Two arms of one robot: scenes without one arm, and clearance between their motions.
+"""Collision checks of two arms of one robot: scenes without one arm, clearance of motions.
 
 When the motion of one arm is planned, a scene "without" the other arm serves to certify it against the world
 and the arm itself. This module certifies the rest: two motions on one clock keep the arms and their held
@@ -45,14 +45,14 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
-    """Return the model with collisions disabled between the given links and all other links."""
+    """Return the model with collisions disabled between given links and all other links."""
     pairs = {frozenset((a, b)): "Other arm" for a in links for b in model.links if a != b}
     return replace(model, disabled_collisions={**model.disabled_collisions, **pairs})
 
 
 @lru_cache(maxsize=64)
 def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> RobotModel:
-    """Return the model with collisions enabled only between links of set a and links of set b."""
+    """Return the model in which only links of set a can collide with links of set b."""
     pairs = combinations(model.links, 2)
     never = {
         frozenset((p, q)): "One arm" for p, q in pairs if not ((p in a and q in b) or (p in b and q in a))
@@ -62,7 +62,7 @@ def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> R
 
 @lru_cache(maxsize=64)
 def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the groups of the arms that a group consists of, or an empty tuple.
+    """Return the groups of the arms that a planning group consists of, or an empty tuple.
 
     The result has two or more groups, and no arm moves a link of another.
     """
@@ -77,7 +77,7 @@ def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
 
 
 def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
-    """Return the index of the arm that moves each body, for the arms' links and held objects.
+    """Return for each body (link or held object) the index of the arm that moves it.
 
     Args:
         groups: the arms' groups; the result maps a body's name to an index of this tuple.
@@ -87,7 +87,7 @@ def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
 
 
 def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
-    """Return the nearest pair of bodies on different sides at q (n,).
+    """Return the nearest pair of bodies that belong to different arms (sides) at q (n,).
 
     Pairs whose contact the scene allows are ignored.
 
@@ -111,7 +111,7 @@ def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike)
 
 
 def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
-    """Raise an InputError unless two groups have joints and share none."""
+    """Check that two planning groups have joints and share none; raise an InputError otherwise."""
     names = [set(model.group(g).joint_names) for g in groups]
     if not all(names):
         raise InputError(f"group {groups[0] if not names[0] else groups[1]!r} has no joints")
@@ -120,7 +120,7 @@ def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
 
 
 def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
-    """Return the scene without an arm and its held objects, for planning other arms.
+    """Return the scene without one arm and its held objects, for planning of other arms.
 
     The arm is placed at its model's default state, so that cached data of one plan can be reused for the
     next, wherever the arm is.
@@ -140,14 +140,14 @@ def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Return the columns of all joints whose child link is one of the given links."""
+    """Return the columns (indices) of all joints whose child link is one of the given links."""
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
 
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """Collision checks between two arms of a scene's robot and their held objects only.
+    """Collision checker for two arms of a robot and their held objects, against each other only.
 
     Positions `q` are those of the first group followed by those of the second. The gripper fingers are
     assumed fully open, which is conservative.
@@ -192,11 +192,11 @@ class Arms:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """The exact checker (coal) of the same pairs; slow, one configuration at a time."""
+        """Return the exact checker (coal) of the same pairs; slow, one configuration at a time."""
         return ExactChecker(self._bare, self.joint_names)
 
     def find_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Return where on a motion the two arms are closer than `clearance`, or -1.0 if nowhere.
+        """Return a position on a motion where two arms are closer than `clearance`, or -1.0.
 
         The position is counted in edges: 2.5 is the middle of the third edge. -1.0 is a certificate for the
         whole motion.
@@ -213,7 +213,7 @@ class Arms:
         return float(first_below_clearance(self.checker.handle, points, room, float(clearance)))
 
     def first_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Return where on a motion the two arms are first closer than `clearance`, or -1.0.
+        """Return the first position on a motion where two arms are closer than `clearance`, or -1.0.
 
         Like `find_too_close`, but the position is on the first edge where the arms are too close.
         """
@@ -227,7 +227,7 @@ class Arms:
         return found
 
     def contact(self, q: ArrayLike) -> Contact | None:
-        """Return the nearest pair of bodies of the two arms at q (n,)."""
+        """Return the nearest pair of bodies of the two arms at configuration q (n,)."""
         return self.exact.nearest(q)
 
     def certify(
@@ -240,7 +240,7 @@ class Arms:
         until: float | None = None,
         evidence: bool = True,
     ) -> TimedCertificate:
-        """Certify that two motions on one clock keep the arms apart, or find the pair and the time.
+        """Certify that two motions on one clock keep the arms apart, or find the pair and time.
 
         Each arm stays still before and after its motion.
 
@@ -274,7 +274,7 @@ class Arms:
     def certify_any_time(
         self, first: JointTrajectory, second: JointTrajectory, clearance: float = 0.0
     ) -> bool:
-        """Certify that two motions keep the arms apart, whenever and at whatever speed each runs.
+        """Certify that two motions keep the arms apart at any start times and speeds.
 
         The function tests every position of one motion against every position of the other: it tests boxes of
         joint positions of the second motion against the whole first motion, and splits boxes that are too

@@ -1,4 +1,7 @@
-"""Broad phase: boxes around every geometry, gaps between the boxes of each pair (Numba)."""
+"""Broad phase of collision checking: boxes around all geometries, and gaps between boxes.
+
+The functions are compiled by Numba.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from numba import njit
 
 @njit(cache=True)
 def world_boxes(Ts, link, centre, R_half, is_static, out_centre, out_half):
-    """World axis-aligned boxes of geometries that move with a link.
+    """Compute the axis-aligned world boxes of geometries that move with their links.
 
     Args:
         Ts: T_world_link (links, 4, 4).
@@ -33,7 +36,10 @@ def world_boxes(Ts, link, centre, R_half, is_static, out_centre, out_half):
 
 @njit(cache=True)
 def box_gaps(pairs, centre, half, out):
-    """Distance between the boxes of each pair (p, 2), 0 where they overlap: never above the true one."""
+    """Compute the distance between the boxes of each pair (p, 2), 0 where boxes overlap.
+
+    The distance is never above the true one.
+    """
     for p in range(len(pairs)):
         a, b = pairs[p, 0], pairs[p, 1]
         total = 0.0

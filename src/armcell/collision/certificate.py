@@ -1,4 +1,4 @@
-"""The result of certifying a motion."""
+"""`Certificate`: the result of certifying that a motion is collision-free."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from armcell.core import Contact
 
 @dataclass(frozen=True)
 class Certificate:
-    """Result of certifying a motion.
+    """Result of certifying that a motion is collision-free.
 
     Attributes:
         free: True if the motion is certified collision-free.

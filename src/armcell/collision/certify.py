@@ -27,7 +27,7 @@ MIN_INTERVAL_RAD = 2e-4
 
 
 class Measures(Protocol):
-    """Interface of a checker for `certify_path`: body placement, pairs, and pair distances."""
+    """Interface of a checker for `certify_path`: places bodies, and measures pairs of them."""
 
     model: RobotModel
     tree: KinematicTree
@@ -43,7 +43,7 @@ class Measures(Protocol):
 
 
 class MotionBound:
-    """Upper bounds of the relative motion of geometry pairs per unit of each joint [m/rad].
+    """Upper bounds of the relative motion of geometry pairs, per unit of each joint [m/rad].
 
     Args:
         checker: the checker with the geometries and the group's joints.

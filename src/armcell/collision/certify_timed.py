@@ -30,7 +30,7 @@ SHORT = 1e-3
 
 @dataclass(frozen=True)
 class TimedCertificate:
-    """Result of certifying a timed motion.
+    """Result of certifying a timed motion against moving obstacles.
 
     Attributes:
         free: True if the motion is certified collision-free.
@@ -81,7 +81,7 @@ def certify_timed(
 
 
 class _Moving:
-    """Robot and obstacles at a given time, with their pairs and motion bounds."""
+    """Robot and moving obstacles at a given time, with their pairs and motion bounds."""
 
     def __init__(self, scene, trajectory, moving, start_time, clearance):
         others = {k: v for k, v in scene.objects.items() if k not in {m.name for m in moving}}

@@ -1,4 +1,4 @@
-"""Convex decomposition of objects along their reflex edges, to a given excess of volume.
+"""Convex decomposition of objects along their reflex edges, up to a given excess volume.
 
 The algorithm cuts the piece whose convex hull exceeds its solid most, until the total excess is below
 `EXCESS` of the mesh's volume. A candidate plane contains a reflex edge and halves its dihedral angle, or
@@ -33,14 +33,17 @@ _FLAT = np.deg2rad(1.0)  # a smaller reflex angle counts as flat
 
 @dataclass(frozen=True, eq=False)
 class _Reflex:
-    """Reflex edges of a mesh: ends (e, 2, 3), planes (e, 3, 4) as normal and offset, weights (e,)."""
+    """Reflex edges of a mesh: ends (e, 2, 3), planes (e, 3, 4) and weights (e,).
+
+    A plane is a normal and an offset.
+    """
 
     ends: Array
     planes: Array
     weights: Array
 
     def below(self, plane: Array) -> _Reflex:
-        """Return the parts of the edges with n x + d < 0."""
+        """Return the parts of the reflex edges with n x + d < 0, below a plane."""
         height = self.ends @ plane[:3] + plane[3]  # (e, 2)
         rows = height.min(1) < -1e-7
         ends, height = self.ends[rows], height[rows]
@@ -58,7 +61,7 @@ class _Reflex:
 
 @dataclass(eq=False)
 class _Piece:
-    """The part of a solid in a convex cell.
+    """Part of a solid in a convex cell, produced by the decomposition.
 
     `caps` closes the surface for volumes only: its triangles may reach beyond the solid, where they cancel.
     """
@@ -76,18 +79,18 @@ class _Piece:
 
     @property
     def excess(self) -> float:
-        """Volume [m^3] of the hull outside the solid."""
+        """Return the volume [m^3] of the piece's convex hull outside the solid."""
         return self.hull - _volume(self.triangles) - _volume(self.caps)
 
 
 class _Work:
-    """The solid, and the number of points that may still be processed."""
+    """Working state of a decomposition: the solid, and the remaining budget of points."""
 
     def __init__(self, points: int, vertices: Array, faces: NDArray[np.int32]):
         self.left, self._vertices, self._faces = points, vertices, faces
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
-        """Return which points (n, 3) are inside the solid."""
+        """Return a mask of the points (n, 3) that are inside the solid."""
         if not len(points):
             return np.zeros(0, bool)
         self.left -= len(points) * len(self._faces) // 10
@@ -107,7 +110,7 @@ class _Work:
 
 
 def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[Array]:
-    """Cut a closed mesh until the hulls of its pieces fill little more than the mesh.
+    """Cut a closed mesh into pieces until their convex hulls fill little more than the mesh.
 
     Args:
         vertices: (v, 3) [m].
@@ -144,12 +147,12 @@ def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[A
 
 
 def _volume(triangles: Array) -> float:
-    """Signed volume [m^3] between triangles (n, 3, 3) and the origin."""
+    """Return the signed volume [m^3] between triangles (n, 3, 3) and the origin."""
     return float(np.einsum("ni,ni->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2]))) / 6
 
 
 def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:
-    """Return both sides of the best cut of a piece, None if no plane divides it.
+    """Return both sides of the best cut of a piece, or None if no plane divides the piece.
 
     The first cuts of a cup or a bin save no volume, because a ring has the same hull as its disk. The score
     therefore also counts how far the reflex edges are resolved and distributed.
@@ -186,7 +189,7 @@ def _half(piece: _Piece, plane: Array, work: _Work) -> _Piece:
 
 
 def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
-    """Return the corners (n, 3) of a piece's cell inside the solid after a cut."""
+    """Return the corners (n, 3) of a piece's cell that are inside the solid after a cut."""
     cell, n = piece.cell, len(piece.cell)
     old = piece.corners[piece.corners @ plane[:3] + plane[3] < 0]
     pairs = np.array([(i, j) for i in range(n) for j in range(i)], int).reshape(-1, 2)
@@ -200,7 +203,7 @@ def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
 
 
 def _candidates(piece: _Piece) -> Array:
-    """Return candidate planes (k, 4): normal and offset, n x + d = 0."""
+    """Return candidate cutting planes (k, 4) of a piece: normal and offset, n x + d = 0."""
     points = piece.triangles.reshape(-1, 3)
     low, high = points.min(0), points.max(0)
     planes = [
@@ -223,7 +226,7 @@ def _candidates(piece: _Piece) -> Array:
 
 
 def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
-    """Return the edges at which the angle inside the solid exceeds 180 degrees."""
+    """Return the edges of a mesh at which the angle inside the solid exceeds 180 degrees."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)

@@ -40,7 +40,7 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def stored_pieces(key: str, make: Callable[[], tuple[Mesh, ...]]) -> tuple[Mesh, ...]:
-    """Return the pieces stored on disk under a key; the first time, make and store them."""
+    """Return the convex pieces that are cached on disk under a key; make them if missing."""
     stored = recall("pieces", key)
     if stored is None:
         pieces = make()

@@ -1,4 +1,4 @@
-"""Convex pieces of objects, for physics: closed meshes keep their cavities and openings.
+"""Convex pieces of objects for physics; closed meshes keep their cavities and openings.
 
 Robot links always use `convex_pieces`, which divides a link into at most 12 pieces.
 """
@@ -28,7 +28,7 @@ VERSION = 2  # increase when the same mesh yields different pieces, to invalidat
 
 @lru_cache(maxsize=256)
 def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Return convex meshes whose union contains `mesh`, cached on disk.
+    """Return convex meshes whose union contains an object's mesh, cached on disk.
 
     The pieces of a closed mesh do not overlap. Their total volume exceeds the mesh's volume by at most
     `concave.EXCESS`, unless the budget of `concave.cut` ends first. An open mesh has no volume:

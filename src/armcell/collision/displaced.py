@@ -1,4 +1,4 @@
-"""Upper bound of the displacement of a scene's bodies from their poses in the planned scene."""
+"""Upper bound of how far a scene's bodies are displaced from the planned scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Solids = tuple[tuple[Shape, SE3], ...]
 
 
 def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> float:
-    """Return by how much [m] two bodies can be closer in a scene than in the planned scene.
+    """Return how much closer [m] two bodies can be in a scene than in the planned scene.
 
     The result is an upper bound: a motion that keeps this distance from everything in the planned scene is
     collision-free in the other scene.
@@ -88,7 +88,7 @@ def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
 
 @lru_cache(maxsize=64)
 def _link_radii(model: RobotModel) -> Array:
-    """Return the distances (links,) [m] from each link's origin to its farthest point.
+    """Return the distances (links,) [m] from each link's origin to the link's farthest point.
 
     The order is that of the kinematic tree.
     """
@@ -98,7 +98,7 @@ def _link_radii(model: RobotModel) -> Array:
 
 @lru_cache(maxsize=256)
 def _radius(shapes: Solids) -> float:
-    """Return an upper bound [m] of the distance from the origin to the farthest point of shapes."""
+    """Return an upper bound [m] of the distance from the origin to any point of shapes."""
     reach = 0.0
     for shape, T in shapes:
         centre, half = local_bounds(shape)

@@ -26,7 +26,7 @@ MANY = 1000  # largest number of contacts of two surfaces among which the deepes
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """One solid of a body; `link` is -1 for an object in the world."""
+    """Solid of a body in the exact checker; `link` is -1 for an object in the world."""
 
     body: str
     link: int
@@ -36,7 +36,7 @@ class Geometry:
 
 
 class ExactChecker:
-    """Exact collision and distance queries on one scene for the joints of one group.
+    """Exact collision and distance checker for one scene and the joints of one group.
 
     Configurations `q` (n,) contain the group's joints; the other joints keep the scene's positions.
     `contacts` reports all pairs. `is_free`, which planners call, ignores pairs whose relative pose the group
@@ -141,7 +141,7 @@ class ExactChecker:
         self._query += 1
 
     def place_object(self, i: int, T_world_solid: SE3) -> None:
-        """Move a world geometry, given by index, to a pose until it is moved again."""
+        """Move a world geometry, given by index, to a pose that it keeps until the next call."""
         R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
         self._transforms[i].setTransform(R, T_world_solid.translation)
         self._world_centre[i] = T_world_solid.apply(g.centre)
@@ -182,7 +182,7 @@ class ExactChecker:
         return bool(hit) or self._one_inside(a, b)
 
     def _one_inside(self, a: int, b: int) -> bool:
-        """Return True if one of two geometries without surface contact encloses the other."""
+        """Return whether one of two geometries without surface contact encloses the other."""
         for outer, inner in ((a, b), (b, a)):
             around, other = self.geometries[outer].solid, self.geometries[inner].solid
             if around.hollow is None or not self._solid_inside(outer):
@@ -195,14 +195,14 @@ class ExactChecker:
         return False
 
     def _solid_inside(self, i: int) -> bool:
-        """Return True if the interior of a mesh is solid.
+        """Return whether the interior of a geometry's mesh is solid.
 
         Links are always solid; a world object is solid if its mesh is watertight.
         """
         return self._link[i] >= 0 or self.geometries[i].solid.closed
 
     def pair_touches(self, a: int, b: int) -> bool:
-        """Return True if two geometries, given by index, touch; faster than `pair_distance`."""
+        """Return whether two geometries, given by index, touch; faster than `pair_distance`."""
         return self._touch(a, b, 0.0)
 
     def pair_distance(self, a: int, b: int, outer: bool = False) -> float:
@@ -247,7 +247,7 @@ class ExactChecker:
         return float(min(depths, default=0.0))
 
     def contact_of(self, a: int, b: int, distance: float | None = None) -> Contact:
-        """Return two geometries by index as a contact, with distance and location.
+        """Return the contact of two geometries, given by index, with distance and location.
 
         Args:
             distance: result [m] of `pair_distance(a, b)` if that was this checker's last call.
@@ -262,7 +262,7 @@ class ExactChecker:
 
     # --- queries ---
     def is_free(self, q: ArrayLike) -> bool:
-        """Return True if no body that the group can move touches another body (with padding)."""
+        """Return whether no body that the group can move touches another body (with padding)."""
         self.checks += 1
         self.place(q)
         box_gaps(self.pairs, self._world_centre, self._world_half, self._gaps)
@@ -272,7 +272,7 @@ class ExactChecker:
         return True
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the padding of pairs that are closer than their padding at q but do not touch.
+        """Reduce the padding of pairs that are within their padding at q (n,) but do not touch.
 
         The new padding is 0.1 mm less than the current distance, so a motion can start at q and leave, but
         cannot come closer.

@@ -39,7 +39,7 @@ SAME = 2e-3  # [rad or m] samples that exceed the smallest distance by at most t
 
 @dataclass(frozen=True)
 class Conflict:
-    """The first contact on the remaining part of a motion.
+    """First contact on the remaining part of a motion.
 
     Attributes:
         time: time of the contact on the motion's own clock [s].
@@ -54,7 +54,7 @@ class Conflict:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A running motion, evaluated from the current instant on.
+    """Running motion, evaluated from the current instant on.
 
     Attributes:
         trajectory: the planned trajectory.
@@ -69,7 +69,7 @@ class Moving:
 
     @property
     def remaining(self) -> float:
-        """Time until the motion ends [s]."""
+        """Return the time until the motion ends [s]."""
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: Array) -> Array:
@@ -78,7 +78,10 @@ class Moving:
         return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
 
     def accelerations(self) -> Array:
-        """Return upper bounds (n,) of each joint's acceleration [rad/s^2 or m/s^2]."""
+        """Return upper bounds (n,) of each joint's acceleration during the motion.
+
+        Units are [rad/s^2 or m/s^2].
+        """
         most = acceleration_bounds(self.trajectory)
         return most if self.blend is None else most + acceleration_bounds(self.blend)
 
@@ -154,7 +157,7 @@ def _conflict(
 
 
 def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certificate) -> Certificate:
-    """Return the certificate of the first contact, by bisection from any contact found."""
+    """Return the certificate of a motion's first contact, by bisection from any contact."""
     edges = len(points) - 1
     free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # last waypoints of a free and a failed prefix
     while not_free - free > 1:
@@ -174,7 +177,7 @@ def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certifi
 def _timed(
     here: Array, motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Return the piecewise linear path of all motions, starting at the measured positions.
+    """Return the piecewise linear path of all motions, which starts at the measured positions.
 
     Args:
         here: (n,) measured positions, which become the first waypoint.
@@ -189,7 +192,7 @@ def _timed(
 def _pieces(
     motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Convert all motions to one piecewise linear path.
+    """Convert all running motions to one piecewise linear path with deviations.
 
     Returns:
         Times (k,) [s] from now, positions (k, n), and the largest deviation of each joint (n,) [rad or m].
@@ -210,7 +213,7 @@ def _pieces(
 
 
 def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) -> bool:
-    """Return True if two arms could touch when each runs its motion at any time and speed.
+    """Return whether two arms could touch if each runs its motion at any time and speed.
 
     A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
     result is also True if no certificate is possible, because the motions do not belong to two arms without

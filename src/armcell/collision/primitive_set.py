@@ -1,4 +1,4 @@
-"""Point clouds and octrees for the exact checker, with a broad phase that selects parts.
+"""Point clouds and octrees in the exact checker, with a broad phase that selects parts.
 
 A part is one sphere of a point cloud or one cube of an octree.
 """
@@ -27,7 +27,10 @@ CHUNK = 512
 
 @dataclass(frozen=True, eq=False)
 class PrimitiveSet:
-    """Spheres (sizes are radii) or cubes (sizes are half edges), in chunks of `CHUNK` neighbors."""
+    """Spheres (sizes are radii) or cubes (sizes are half edges) of a cloud or an octree.
+
+    They are stored in chunks of `CHUNK` neighbors.
+    """
 
     cubes: bool
     centres: Array  # (n, 3)
@@ -52,7 +55,7 @@ class PrimitiveSet:
         return PrimitiveSet(cubes, centres, sizes, low, high)
 
     def near(self, centre: Array, half: Array, R: Array, t: Array, within: float) -> tuple[Array, Index]:
-        """Return the parts that may be within a distance [m] of an oriented box, nearest first.
+        """Return the parts of the set that may be near an oriented box, nearest first.
 
         Args:
             centre: (3,) center of the box, box frame.
@@ -76,7 +79,7 @@ class PrimitiveSet:
         return bound[order], index[order]
 
     def solids(self, index: Index, T: coal.Transform3s) -> Iterator[tuple]:
-        """Yield parts, given by index, as coal geometries with transforms; T is the parts' frame."""
+        """Yield given parts as coal geometries with transforms; T is the pose of the parts' frame."""
         R, t, here = T.getRotation(), T.getTranslation(), coal.Transform3s()
         known: dict[float, coal.CollisionGeometry] = {}
         for k in index:
@@ -96,14 +99,14 @@ def _near(
 
 
 def _holds(solid: Solid, T: coal.Transform3s, part: coal.Transform3s) -> bool:
-    """Return True if the center of a part is inside a nonconvex mesh."""
+    """Return whether the center of a part of the set is inside a nonconvex mesh."""
     return solid.holds(T.getRotation().T @ (part.getTranslation() - T.getTranslation()))
 
 
 def touches_primitives(solid: Solid, T: coal.Transform3s,
                        primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                  request: coal.CollisionRequest, result: coal.CollisionResult) -> bool:  # fmt: skip
-    """Return True if a solid comes within the request's security margin of any part."""
+    """Return whether a solid is within the request's security margin of any part of a set."""
     _, index = _near(solid, T, primitives, T_primitives, request.security_margin)
     return any(
         coal.collide(solid.exact, T, part, there, request, result) or _holds(solid, T, there)
@@ -115,9 +118,9 @@ def distance_to_primitives(solid: Solid, T: coal.Transform3s,
                            primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                      request: coal.DistanceRequest, result: coal.DistanceResult,
                      outer: bool = False) -> float:  # fmt: skip
-    """Return the signed distance [m] of a solid to the nearest part, infinite without parts.
+    """Return the signed distance [m] of a solid to the nearest part of a set.
 
-    `result` holds coal's result for this part.
+    The distance is infinite if the set is empty. `result` holds coal's result for the nearest part.
 
     Args:
         outer: measure from the solid's convex outer shape instead of its exact shape.

@@ -81,7 +81,7 @@ def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) 
 
 
 def touching(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
-    """Return the contacts at q (n,) of bodies that the group moves, deepest first.
+    """Return the contacts at q (n,) of bodies that the group moves, deepest contact first.
 
     If only the kernel reports a contact, the result is the nearest pair of the exact checker.
     """
@@ -108,10 +108,11 @@ def certify_from_rest(
     *,
     evidence: bool = True,
 ) -> Certificate:
-    """Certify a piecewise linear motion (k, n) that may lead out of resting contact.
+    """Certify that a piecewise linear motion (k, n) is collision-free, except at its start.
 
-    The exact checker measures pairs that touch at the start, or that are too close for a certificate with
-    slack, until they are separated. All other pairs are certified on the whole motion as usual.
+    The motion may start in resting contact and lead out of it. The exact checker measures pairs that touch at
+    the start, or that are too close for a certificate with slack, until they are separated. All other pairs
+    are certified on the whole motion as usual.
 
     Args:
         checker: the checker of the scene.
@@ -174,7 +175,7 @@ def certify_from_rest(
 
 
 def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact]) -> Iterable[Pair]:
-    """Return the near pairs whose distances must be measured along the motion out of contact.
+    """Return the near pairs whose distances must be measured while a motion leaves contact.
 
     These are the touching pairs if the kernel certifies all others, else all near pairs.
     """
@@ -225,7 +226,7 @@ def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
 
 
 class Leaving:
-    """Pairs of bodies in resting contact, with tests whether a motion leads out of the contact.
+    """Tests of whether a motion leads given pairs of bodies out of resting contact.
 
     Args:
         exact: the exact checker.
@@ -245,7 +246,7 @@ class Leaving:
         self._bound: MotionBound | None = None
 
     def refuses(self, q: ArrayLike) -> Contact | None:
-        """Return the contact that forbids configuration q (n,) while the robot leaves, or None.
+        """Return the contact that forbids configuration q (n,) while leaving contact, or None.
 
         The robot leaves resting contact; the configuration must not cause a new, deeper, or dragged contact.
         """
@@ -360,7 +361,7 @@ class Leaving:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a pair in forbidden contact, or None.
+        """Return the index of a near pair that has come into forbidden contact, or None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 
@@ -382,9 +383,9 @@ class Leaving:
         return None
 
     def _travel(self, k: int) -> float:
-        """Return how far [m] the bodies of pair k moved relative to each other since the start.
+        """Return how far [m] the two bodies of pair k have moved relative to each other.
 
-        The value is the smaller of the two motions seen from either body.
+        The motion counts from the start. The value is the smaller of the two motions seen from either body.
         """
         now = self._corners(k)
         return min(
@@ -416,7 +417,7 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _from(points: Array, at: float) -> Array:
-    """Return the rest of a motion (k, n) from a position on.
+    """Return the rest of a motion (k, n) that follows a given position.
 
     The position is counted in edges: 2.5 is the middle of the third edge.
     """
@@ -425,9 +426,9 @@ def _from(points: Array, at: float) -> Array:
 
 
 def _places(points: Array, at: float) -> Iterable[float]:
-    """Yield positions along a motion with joint steps of at most `COARSE`, from `at` to the end.
+    """Yield positions along a motion, with joint steps of at most `COARSE`, up to its end.
 
-    Positions are counted in edges: 2.5 is the middle of the third edge.
+    The positions begin at `at` and are counted in edges: 2.5 is the middle of the third edge.
     """
     i = min(int(at), len(points) - 2)
     for k in range(i, len(points) - 1):

@@ -1,4 +1,4 @@
-"""Computation of the link pairs whose collisions can be disabled (SRDF collision matrix).
+"""Search for the link pairs whose collisions can be disabled (SRDF collision matrix).
 
 Sampling alone reports "never in contact" for a pair that touches once in a million states. Pairs with few
 joints between them are therefore proven apart (`kernel.near`). For the other pairs, samples in which the
@@ -33,7 +33,7 @@ collision-free state."""
 
 @dataclass(frozen=True)
 class LinkPair:
-    """A pair of links with its sampled contacts and the reason to disable its collisions.
+    """Pair of links with its sampled contacts and the reason to disable its collisions.
 
     `reason` has the SRDF's values: "Adjacent" (joined by a joint); "Always" and "Never" (in contact in all or
     none of the samples); "Default" (in contact in the default state, in a named state of the gripper that
@@ -83,7 +83,7 @@ def disabled_collision_pairs(
 
 
 def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
-    """Return pairs of links joined by a joint; links without geometry in between are skipped."""
+    """Return the pairs of links joined by a joint; links without geometry are skipped."""
     adjacent, solid_parent = set(), {}
     for joint in model.joints.values():
         parent = joint.parent
@@ -96,7 +96,7 @@ def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
 
 
 def random_states(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
-    """Return states (count, dof), uniformly distributed within the joint limits.
+    """Return random robot states (count, dof), uniformly distributed within the joint limits.
 
     Joints without limits take values from -pi to pi.
     """
@@ -147,7 +147,7 @@ class _Survey:
         return found
 
     def _count(self, progress: Progress | None) -> tuple[dict[frozenset[str], int], dict[frozenset, Array]]:
-        """Count the contact samples of each pair, and collect near states of pairs without contact.
+        """Count the contact samples of each pair, and collect states in which a pair is near.
 
         Returns:
             Number of contact samples by pair, and states (k, dof) in which the links are near, by pair; the
@@ -176,7 +176,7 @@ class _Survey:
         return dict(zip(names, counts.tolist(), strict=True)), unproven
 
     def _default(self, every: Iterable[tuple[str, str]]) -> set[frozenset[str]]:
-        """Return the pairs in contact in the default state or, within a gripper, in a named state."""
+        """Return the pairs in contact in the default state or in a named state of one gripper."""
         model = self.model
         q = model.default_positions()
         found = {frozenset((c.body_a, c.body_b)) for c in self.exact.contacts(q)}
@@ -193,7 +193,7 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the groups of grippers: those of end effectors and those without joints of a chain."""
+        """Return the gripper groups: those of end effectors, and those without joints of a chain."""
         model = self.model
         hands = {e.group for e in model.end_effectors.values()}
         driven = {n for g in model.groups.values() if g.tip_link for n in g.joint_names}

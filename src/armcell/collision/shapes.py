@@ -24,7 +24,7 @@ fraction `CONVEX_EXCESS` and no vertex is deeper than `CONVEX_DENT` [m] inside t
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A shape prepared for coal: its exact geometry and a convex outer geometry around it.
+    """Shape prepared for coal: exact geometry, and a convex outer geometry around it.
 
     For a convex shape, `outer` is `exact`. For a nonconvex mesh, coal sees only the surface: `hollow` is the
     mesh, for tests whether a point is inside, and `closed` is True if it is watertight. For a point cloud or
@@ -40,7 +40,7 @@ class Solid:
     closed: bool = True
 
     def holds(self, point: Array) -> bool:
-        """Return True if a point (3,) [m, shape frame] is inside a nonconvex mesh."""
+        """Return whether a point (3,) [m, shape frame] is inside a nonconvex mesh."""
         if self.hollow is None or np.any(np.abs(point - self.centre) > self.half):
             return False
         return bool(abs(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0]) > 0.5)
@@ -78,7 +78,7 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
 
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
-    """Return True if a watertight mesh fills its convex hull up to `CONVEX_EXCESS`.
+    """Return whether a watertight mesh fills its convex hull up to `CONVEX_EXCESS`.
 
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """
@@ -98,7 +98,7 @@ def is_convex(mesh: Mesh) -> bool:
 
 @lru_cache(maxsize=1024)
 def is_closed(mesh: Mesh) -> bool:
-    """Return True if a mesh is watertight, so that its interior is solid."""
+    """Return whether a mesh is watertight, so that its interior is solid."""
     import trimesh
 
     return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)

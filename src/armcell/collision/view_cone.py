@@ -39,7 +39,7 @@ def view_cone(origin: ArrayLike, T_world_disc: SE3, radius: float, sides: int) -
 def link_hull_distances(
     scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()
 ) -> dict[str, float]:
-    """Return signed distances [m] of the robot's links from the convex hull of points (k, 3).
+    """Return the signed distances [m] of robot links from the convex hull of points (k, 3).
 
     A negative value is the penetration depth. Attached objects and padding are not included.
 

@@ -1,4 +1,4 @@
-"""Inside or outside of a mesh."""
+"""Winding numbers, which decide whether points are inside or outside a mesh."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from numba import njit
 
 @njit(cache=True)
 def winding_numbers(points, vertices, faces):
-    """Generalised winding number of each point (m,): 1 inside a closed mesh, 0 outside; robust to holes.
+    """Compute the generalized winding number (m,) of points: 1 inside a closed mesh, 0 outside.
 
-    Van Oosterom and Strackee's solid angle (1983), summed over the triangles (Jacobson et al. 2013).
+    The number is robust to holes. It sums Van Oosterom and Strackee's solid angle (1983) over the triangles
+    (Jacobson et al. 2013).
     """
     out = np.empty(len(points))
     for p in range(len(points)):

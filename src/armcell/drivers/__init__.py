@@ -1,4 +1,4 @@
-"""Robot drivers: the Driver base class, drivers by mode (sim, fake, real), and the safety supervisor."""
+"""Robot drivers: base class Driver, drivers by mode (sim, fake, real), safety supervisor."""
 
 from armcell.drivers import fake, franka, real, sim, ur
 from armcell.drivers.driver import (

@@ -1,4 +1,4 @@
-"""Disturbances of a simulated cell: robot errors and events that test campaigns vary."""
+"""Disturbances of a simulated cell: robot errors and events that a test campaign varies."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Push:
-    """A force on a link or a movable object, applied at its center of mass, in world axes.
+    """External force on a link or a movable object, at its center of mass, in world axes.
 
     Attributes:
         on: name of the link or object.
@@ -25,7 +25,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Move:
-    """A displacement of an object during a run that only cameras can observe.
+    """Displacement of an object during a run that only cameras can observe.
 
     Attributes:
         object: name of a fixed or movable object.
@@ -42,7 +42,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Disturbances of one simulated cell; the default contains none.
+    """Disturbances of one simulated cell; by default there are none.
 
     Attributes:
         joint_offsets: joint name to offset [rad] of the true joint position from the encoder's reading.

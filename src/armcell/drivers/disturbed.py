@@ -1,4 +1,4 @@
-"""The simulated robot with disturbances: encoder offsets, noise, latency, pushes, moves.
+"""Simulated robot with disturbances: encoder offsets, noise, latency, pushes, moved objects.
 
 The physics stays correct; the driver reads and commands joints as a real controller would, with joint
 positions in the encoders' frame and delayed commands. Object poses and slip are reported without error.
@@ -22,9 +22,9 @@ from armcell.scene import PlanningScene
 
 
 class DisturbedSim(SteppedSim):
-    """Simulation driver with `Disturbances`, which apply to every command and joint reading.
+    """Simulation driver that applies `Disturbances` to every command and joint reading.
 
-    The driver cannot play parts of a trajectory itself, so that no command bypasses the disturbances.
+    The driver cannot play parts of a trajectory itself, so no command bypasses the disturbances.
     """
 
     def __init__(self, scene: PlanningScene, options: DriverOptions, disturbances: Disturbances):
@@ -87,7 +87,7 @@ class DisturbedSim(SteppedSim):
         self.command(names, state.reindexed(names).positions, np.zeros(len(names)))
 
     def _act(self) -> None:
-        """Send the delayed joint commands that are due to the simulation."""
+        """Send joint commands to the simulation whose delay has passed."""
         while self._late and self._late[0][0] <= self._steps:
             _, names, q, v = self._late.popleft()
             self.world.set_arm_target(names, q, v)
@@ -106,7 +106,7 @@ class DisturbedSim(SteppedSim):
         self._pacer.wait_until(self.world.time)
 
     def _events(self) -> Iterator[int]:
-        """Yield the steps at which a command, a push or a displacement takes effect."""
+        """Yield the simulation steps at which a command, a push or a displacement takes effect."""
         if self._late:
             yield self._late[0][0]
         for first, last, _ in self._pushes:
@@ -123,7 +123,7 @@ class DisturbedSim(SteppedSim):
                 forces[self.world.built.body[push.on], :3] += push.force
 
     def _move(self) -> None:
-        """Apply the object displacements that are due."""
+        """Displace objects of the simulation whose displacement time has come."""
         while self._moved < len(self._moves) and self._moves[self._moved][0] <= self._steps:
             move = self._moves[self._moved][1]
             T = self.world.object_pose(move.object)

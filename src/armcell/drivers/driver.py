@@ -1,4 +1,4 @@
-"""The Driver base class: the interface that every robot, simulated or real, implements."""
+"""The `Driver` base class: the interface of every robot, simulated or real."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class Capability(Enum):
-    """What a driver can do beyond the basic commands; the value completes "the driver can ..."."""
+    """Optional abilities of a driver; each value completes the sentence "the driver can ..."."""
 
     PLAY_TRAJECTORY = "play a whole trajectory itself"  # follow
     PLAY_PARTS = "play a part of a trajectory in one call"  # play
@@ -37,7 +37,7 @@ class Capability(Enum):
 
 @dataclass(frozen=True)
 class GripperReading:
-    """State that a gripper reports: its opening, its force, and the object it holds."""
+    """Reported state of a gripper: its opening, its force, and the object that it holds."""
 
     width: float  # [m]
     force_per_finger: float  # [N]
@@ -46,7 +46,7 @@ class GripperReading:
 
 @dataclass(frozen=True)
 class ContactRecord:
-    """An unexpected contact that a driver observed."""
+    """Unexpected contact that a driver observed."""
 
     body_a: str
     body_b: str
@@ -57,7 +57,7 @@ class ContactRecord:
 
 @dataclass(frozen=True)
 class WeldRecord:
-    """An object that a constraint other than friction attached to a gripper."""
+    """Object that a constraint other than friction attached to a gripper."""
 
     object: str
     gripper: str
@@ -69,7 +69,7 @@ class WeldRecord:
 @dataclass(frozen=True)
 @checked()
 class DriverOptions:
-    """Options that a cell passes to every driver; each driver reads the ones it needs."""
+    """Options that a cell passes to every driver; each driver reads only some of them."""
 
     seed: int = 0
     time_scale: float | None = None  # None: lock-step; 1.0: real time
@@ -80,7 +80,7 @@ class DriverOptions:
 
 
 class Driver(ABC):
-    """A connection to a robot, real or simulated; `with driver:` connects and disconnects.
+    """Connection to a robot, real or simulated; `with driver:` connects and disconnects.
 
     The constructor performs no I/O. Time is the driver's own clock [s]; only `advance` moves it forward, so
     callers never sleep. One thread drives the robot. Other threads may read the state while they hold `lock`.
@@ -118,7 +118,7 @@ class Driver(ABC):
     @property
     @abstractmethod
     def now(self) -> float:
-        """Return the driver's time [s]."""
+        """Return the time [s] of the driver's clock."""
 
     @abstractmethod
     def advance(self, duration: float) -> None:
@@ -144,14 +144,14 @@ class Driver(ABC):
         """Stop the robot immediately and hold its measured joint positions."""
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the arms that own these joints and hold their measured positions; other arms continue."""
+        """Stop the arms that own the given joints at their measured positions; other arms continue."""
         names = tuple(joint_names)
         q = self.joint_state().reindexed(names).positions
         self.command(names, q, np.zeros(len(q)))
 
     # --- faults ---
     def fault(self) -> Fault | None:
-        """Return the fault that prevents motion of the robot, or None."""
+        """Return the fault that currently prevents motion of the robot, or None."""
         return None
 
     def resume(self) -> None:
@@ -184,7 +184,10 @@ class Driver(ABC):
         """Return T_world_object of the movable objects that the driver knows."""
 
     def true_poses(self) -> dict[str, SE3]:
-        """Return T_world_object without the errors of cameras: from physics, where there is physics."""
+        """Return T_world_object of the objects from physics, without camera errors.
+
+        Without physics, the poses are those that the driver reports.
+        """
         return self.object_poses()
 
     def welds(self) -> list[WeldRecord]:
@@ -193,11 +196,11 @@ class Driver(ABC):
 
     # --- contacts: Capability.KNOW_CONTACTS ---
     def contacts(self) -> list[Contact]:
-        """Return the current contacts; an empty list from a driver that cannot detect contacts."""
+        """Return the current contacts of the robot; empty if the driver cannot detect contacts."""
         return []
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare that contacts of `body` with `others` are part of the task, or no longer are."""
+        """Declare that contacts of a body with others are part of the task, or no longer are."""
         return None
 
     def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
@@ -205,16 +208,16 @@ class Driver(ABC):
         return None
 
     def unwatch_object(self, name: str) -> None:
-        """Report contacts of an object no longer."""
+        """Stop reporting the contacts of an object that was watched."""
         return None
 
     def unwanted_contacts(self) -> list[ContactRecord]:
-        """Return the contacts so far that the task did not declare."""
+        """Return all contacts so far that the task did not declare as expected."""
         return []
 
     # --- forces: Capability.MEASURE_FORCE ---
     def wrench(self, gripper: str) -> Array:
-        """Return the external wrench on a gripper: force [N], then torque [Nm] (6,).
+        """Return the external wrench on a gripper: force [N], then torque [Nm], as (6,).
 
         The torque is about the TCP, the axes are the world's, and the hand's own weight is excluded. The
         wrench is zero for a robot without force sensing.
@@ -249,7 +252,7 @@ class Driver(ABC):
 
     # --- dry runs: Capability.DRY_RUN ---
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Simulate the trajectory; return the reason not to execute it, or None."""
+        """Dry-run a trajectory in simulation; return the reason not to execute it, or None."""
         raise self._incapable(Capability.DRY_RUN)
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
@@ -268,22 +271,22 @@ class Driver(ABC):
 
     @property
     def tick(self) -> float:
-        """Return the driver time [s] of the next command: the total duration passed to `advance`."""
+        """Return the driver time [s] of the next command, the total duration passed to `advance`."""
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     @property
     def speed_fraction(self) -> float:
-        """Return the speed fraction, 0..1, that sliders and pauses allow; the value of the slowest arm."""
+        """Return the speed fraction, 0..1, of the slowest arm that sliders and pauses allow."""
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     # --- modes: Capability.REPORT_MODES ---
     def arm_modes(self) -> Mapping[str, tuple[int, int]]:
-        """Return (robot mode, safety mode) by arm, in the numbers of ROS's `ur_dashboard_msgs`."""
+        """Return robot mode and safety mode by arm, in the numbers of ROS's `ur_dashboard_msgs`."""
         raise self._incapable(Capability.REPORT_MODES)
 
     # --- twin ---
     def calibrations(self) -> Mapping[str, str]:
-        """Return the checksum of the factory calibration by connected real arm; empty without real arms."""
+        """Return the factory calibration checksum of each connected real arm; else an empty mapping."""
         return {}
 
     def _incapable(self, capability: Capability) -> InputError:

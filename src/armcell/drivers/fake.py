@@ -1,4 +1,4 @@
-"""The fake robot: follows every command exactly, without physics, to test plans and scripts.
+"""Fake robot that follows every command exactly, without physics, to test plans and scripts.
 
 A gripper that closes around an object holds it; when the gripper opens, the object stays at its pose.
 """
@@ -79,7 +79,7 @@ class FakeDriver(Driver):
         return GripperReading(width, force, held[0] if held else None)
 
     def resume(self) -> None:
-        """Do nothing: no event ever stops the fake robot."""
+        """Do nothing, because no event ever stops the fake robot."""
 
     def wrench(self, gripper: str) -> Array:
         self._model.gripper(gripper)
@@ -107,7 +107,7 @@ class FakeDriver(Driver):
         return self._tree.link_pose(self._q, self._model.gripper(gripper).tcp_link)
 
     def _between(self, gripper: str) -> str | None:
-        """Return the object whose bounding box contains the TCP, or None."""
+        """Return the object whose bounding box contains a gripper's TCP, or None."""
         point = self._tcp(gripper).translation
         for name, pose in self._poses.items():
             low, high = self._scene.object(name).bounds()

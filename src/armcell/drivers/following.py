@@ -1,4 +1,4 @@
-"""Handle of a trajectory that a robot plays itself, and the history of streamed setpoints."""
+"""Handle of a trajectory that a robot plays itself, and history of streamed setpoints."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Following(Protocol):
         ...
 
     def state(self) -> str:
-        """Return "running", "done", "cancelled", or the reason for which the robot aborted."""
+        """Return the trajectory's state: "running", "done", "cancelled", or the reason of an abort."""
         ...
 
     def paused(self) -> bool: ...

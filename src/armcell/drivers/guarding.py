@@ -1,4 +1,7 @@
-"""Interfaces of the guard that dry-runs motions of real arms; `twin.TwinGuard` implements them."""
+"""Interfaces of the motion guard, which dry-runs motions of real arms before they start.
+
+`twin.TwinGuard` implements them.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +20,10 @@ Array = NDArray[np.float64]
 
 
 class Watch(Protocol):
-    """Monitor of a motion that the caller streams point by point."""
+    """Interface of a monitor for a motion that the caller streams point by point."""
 
     def sent(self, clock: float, off: Array) -> None:
-        """Record a point that the caller has commanded, for comparison with the dry run.
+        """Record a streamed point for comparison with the dry run.
 
         Args:
             clock: time of the point on the trajectory [s].
@@ -37,7 +40,7 @@ class Watch(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ArmSample:
-    """One measurement of a real arm, as the guard compares it with the dry run.
+    """One measurement of a real arm, which the guard compares with the dry run.
 
     Attributes:
         positions: (n,) [rad].
@@ -55,7 +58,7 @@ class ArmSample:
 
 
 class GuardedArm(Protocol):
-    """Interface of a real arm, as the guard needs it; `real.RealArm` implements it."""
+    """Interface of a real arm as the motion guard needs it; `real.RealArm` implements it."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -72,7 +75,7 @@ class GuardedArm(Protocol):
 
 
 class DryRunStage(Protocol):
-    """The contact declarations of the simulation in which a guard dry-runs motions; see `Driver`."""
+    """Interface to declare contacts in the simulation of a guard's dry runs; see `Driver`."""
 
     def expect_contact(self, body: str, others: tuple[str, ...], expected: bool) -> None: ...
 
@@ -82,7 +85,7 @@ class DryRunStage(Protocol):
 
 
 class MotionGuard(Protocol):
-    """Dry-runs the motions of real arms and compares the arms with the dry run.
+    """Interface of a guard that dry-runs motions of real arms and compares the arms with them.
 
     Attributes:
         trips: shortest recent network round trip [s], by arm.

@@ -1,4 +1,4 @@
-"""The safety supervisor: a fault of one arm stops all arms until an explicit call clears it.
+"""Safety supervisor: a fault of one arm stops all arms until an explicit call clears it.
 
 The supervisor is not a safety system in the sense of a standard. It runs on an ordinary computer and can fail
 with that computer; the robot controllers' own safety functions, emergency stops, fences and a risk assessment
@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Fault:
-    """The reason for which an arm must not move."""
+    """Reason for which an arm must not move."""
 
     arm: str
     kind: str  # "protective stop", "emergency stop", "stale state", ...
@@ -48,7 +48,7 @@ def cannot_resume(reason: str, hint: str | None) -> InputError:
 
 @dataclass(frozen=True)
 class SafetyEvent:
-    """One entry of the safety supervisor's event log."""
+    """Entry of the safety supervisor's event log."""
 
     time: float  # [s] monotonic clock
     wall: float  # [s] since the epoch
@@ -58,7 +58,7 @@ class SafetyEvent:
 
 
 class Supervised(Protocol):
-    """Interface of an arm, as the safety supervisor needs it."""
+    """Interface of an arm as the safety supervisor needs it."""
 
     def fault(self) -> Fault | None:
         """Return the arm's current fault, or None."""
@@ -70,7 +70,10 @@ class Supervised(Protocol):
 
 
 class Supervisor:
-    """Stops all arms when one has a fault; call `check` often (on every state and periodically)."""
+    """Safety supervisor, which stops all arms when one arm has a fault.
+
+    Call `check` often: on every state, and periodically.
+    """
 
     def __init__(self, arms: Mapping[str, Supervised], on_trip: Callable[[Fault], None] | None = None):
         self._arms, self._on_trip = dict(arms), on_trip

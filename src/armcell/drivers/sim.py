@@ -1,4 +1,4 @@
-"""The simulated robot: a Driver implementation on MuJoCo."""
+"""Simulated robot: an implementation of Driver on MuJoCo."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PERIOD = 0.004  # [s] between commands, rounded to whole physics steps
 
 
 class SteppedSim(Driver):
-    """Simulation driver that is commanded every period, in lock-step or paced by wall time.
+    """Simulation driver with one command per period, in lock-step or paced by wall time.
 
     Lock-step runs as fast as the computer allows.
     """
@@ -54,7 +54,7 @@ class SteppedSim(Driver):
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
-        """Lock for reading joints and objects in a thread other than the one that advances time."""
+        """Return the lock for reading joints and objects outside the thread that advances time."""
         return self.world.lock
 
     @property
@@ -96,7 +96,7 @@ class SteppedSim(Driver):
         self.world.set_arm_target(arm.joint_names, arm.positions)
 
     def resume(self) -> None:
-        """Check that the simulation can continue; only diverged physics stops it permanently."""
+        """Check that the simulation can continue; only diverged physics stops it for good."""
         try:
             self._connected().check()
         except ArmcellError as error:

@@ -1,4 +1,4 @@
-"""Emulated robot controllers, which speak the vendors' own protocols."""
+"""Emulated robot controllers that speak the vendors' own network protocols."""
 
 from armcell.emulators.ur import ControllerSettings, Rack
 

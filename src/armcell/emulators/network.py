@@ -1,4 +1,4 @@
-"""Non-blocking sockets of the emulated controller, in one thread, with fault injection."""
+"""Non-blocking sockets of an emulated controller, in one thread, with fault injection."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Faults:
 
 
 class Link:
-    """One TCP connection with buffers for received and unsent data."""
+    """TCP connection with buffers for received and unsent data."""
 
     def __init__(self, sock: socket.socket, network: Network):
         sock.setblocking(False)
@@ -51,7 +51,7 @@ class Link:
 
     @property
     def behind(self) -> bool:
-        """Whether the client reads too slowly, so that periodic state messages should be skipped."""
+        """Return whether the client reads so slowly that periodic state messages should be skipped."""
         return self._waiting > MAX_BEHIND
 
     def send(self, data: bytes) -> None:
@@ -85,7 +85,7 @@ class Link:
             self._out.pop(0)
 
     def read(self) -> None:
-        """Move the received data into the buffer; close the link if the other side closed it."""
+        """Move received data into the link's buffer; close the link if the other side closed it."""
         try:
             data = self.socket.recv(65536)
         except BlockingIOError:
@@ -105,7 +105,7 @@ class Link:
 
 
 class Datagrams:
-    """A UDP socket of the emulated controller, with the network's faults; it is read by polling.
+    """UDP socket of an emulated controller, with injected network faults; read by polling.
 
     Attributes:
         loss: fraction of the datagrams, in both directions, that the fault "loss" drops.
@@ -141,7 +141,7 @@ class Datagrams:
         return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
 
     def receive(self, size: int) -> list[bytes]:
-        """Return the datagrams of up to `size` bytes that have arrived since the last call."""
+        """Return the datagrams of at most `size` bytes that have arrived since the last call."""
         found = []
         while True:
             try:
@@ -174,7 +174,7 @@ class Network:
         self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
         service: str,
     ) -> int:  # fmt: skip
-        """Reserve a port, to be served after `open`, and return its number.
+        """Reserve a port that will be served after `open`, and return its number.
 
         Args:
             begin: called with each new connection.
@@ -221,7 +221,7 @@ class Network:
             self._selector.register(sock, selectors.EVENT_READ, accept)
 
     def connect(self, host: str, port: int) -> Link | None:
-        """Open an outgoing connection, for URScript's socket_open; None if the host does not answer."""
+        """Open an outgoing connection for URScript's socket_open; None if the host does not answer."""
         try:
             sock = socket.create_connection((host, port), timeout=0.05)
         except OSError:
@@ -251,7 +251,7 @@ class Network:
             link.flush()
 
     def drop(self, seconds: float) -> None:
-        """Close every connection and refuse new ones for a time [s]."""
+        """Close every connection of the controller and refuse new ones for a time [s]."""
         self.faults.refused_until = time.monotonic() + seconds
         for link in list(self.links):
             link.close()

@@ -1,4 +1,4 @@
-"""Emulated controllers that run in one thread, paced by wall time."""
+"""Rack of emulated controllers that run in one thread, paced by wall time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger 
 
 
 class Controller(Protocol):
-    """An emulated controller with its ports.
+    """Interface of an emulated controller with its ports.
 
     Attributes:
         period: control period [s].
@@ -30,26 +30,29 @@ class Controller(Protocol):
 
     @property
     def in_use(self) -> bool:
-        """Whether a client is connected, or only an injected network fault disconnects it."""
+        """Return whether a client is connected, or disconnected only by an injected network fault."""
         ...
 
     def step(self) -> None:
-        """Run one control step of the robot and the ports."""
+        """Run one control step of the emulated robot and its ports."""
         ...
 
     def reset(self) -> None:
-        """Put the arm and its world back to their start."""
+        """Reset the arm and its world to their initial state."""
         ...
 
     def trace(self) -> bytes:
-        """Return the record of the last control step for a trace file."""
+        """Return the record of the controller's last step for a trace file."""
         ...
 
     def close(self) -> None: ...
 
 
 def selector() -> selectors.BaseSelector:
-    """Return a selector for a rack; epoll would round up timeouts to whole milliseconds."""
+    """Return an I/O selector for a rack that keeps timeouts below a millisecond.
+
+    epoll would round timeouts up to whole milliseconds.
+    """
     return selectors.SelectSelector()
 
 
@@ -81,7 +84,7 @@ class Rack(Generic[AnyController]):
         self._opened = False
 
     def open(self) -> None:
-        """Open the ports; `run` serves clients that connect. `run` also calls this method."""
+        """Open the controllers' ports; `run` also calls this method, and serves the clients."""
         if not self._opened:
             self._opened = True
             for controller in self.controllers:
@@ -90,7 +93,7 @@ class Rack(Generic[AnyController]):
                 controller.network.open()
 
     def run(self) -> None:
-        """Serve clients until `stop`.
+        """Run the controllers and serve their clients until `stop`.
 
         The controllers' cycles are evenly offset within a period, because real controllers are not
         synchronized either.

@@ -1,4 +1,4 @@
-"""Containers of stages, as in MoveIt Task Constructor: serial, alternatives, fallbacks.
+"""Containers of stages, as in MoveIt Task Constructor: serial, alternatives and fallbacks.
 
 Görner, Haschke, Ritter, Zhang, MoveIt! Task Constructor for Task-Level Motion Planning (ICRA 2019).
 """
@@ -20,7 +20,7 @@ from armcell.tasks.search import Branch, PartialSolution, Planning, Stage, in_or
 @stage_types.register("serial")
 @dataclass(frozen=True, eq=False)
 class Serial:
-    """Stages in sequence under one name, for example picking as a part of a task."""
+    """Container that runs its stages in sequence, for example a pick as a part of a task."""
 
     name: str
     stages: tuple[Stage, ...]
@@ -36,7 +36,7 @@ class Serial:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Alternatives:
-    """Container that plans all of several alternatives and proposes the cheapest first."""
+    """Container of alternatives that are all planned; the cheapest solution is proposed first."""
 
     name: str
     stages: tuple[Stage, ...]
@@ -89,7 +89,7 @@ def _need_some(name: str, stages: tuple[Stage, ...]) -> None:
 
 
 def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Return the names available after any of the stages, and all problems."""
+    """Return the interface names available after any one of several stages, and all problems."""
     results = [single(stage, have, scene) for stage in stages]
     return InterfaceCheck(
         frozenset.intersection(*(each.have for each in results)),

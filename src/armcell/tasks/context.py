@@ -23,7 +23,7 @@ from armcell.tasks.stage_statistics import reason_in_short
 
 
 class World:
-    """Planning scene without measurements.
+    """Planning scene without measurements, shared by threads.
 
     Attributes:
         scene: may be read at any time. It is replaced while `editing` is held, never mutated.
@@ -41,7 +41,7 @@ class World:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """Return the changed scene with measured values reset to those of the base scene.
+    """Return a changed scene in which measured values are reset to those of the base scene.
 
     Args:
         base: the scene before the change.
@@ -74,7 +74,7 @@ UNWATCHED = 0.02  # [s] step size without observers
 
 @dataclass
 class StageReport:
-    """One row of the stage table."""
+    """Row of the stage table: one stage of a task."""
 
     name: str
     planner: str = ""
@@ -92,7 +92,7 @@ class StageReport:
 
 @dataclass
 class Holding:
-    """Object in a gripper, as the task and the planning scene assume."""
+    """Object in a gripper, as assumed by the task and the planning scene."""
 
     object: str
     gripper: Gripper
@@ -136,7 +136,7 @@ class TaskContext:
         return self.whole_scene()
 
     def belief(self, name: str) -> str:
-        """Describe the assumed pose of an object; for real arms also how to correct it."""
+        """Return a description of an object's assumed pose; for real arms, also how to correct it."""
         x, y, z = self.scene().object(name).T_world_object.translation
         text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
         if self.driver.is_simulated:
@@ -148,7 +148,7 @@ class TaskContext:
         )
 
     def whole_scene(self) -> PlanningScene:
-        """Return the current scene with all arms; with two arms, `scene` contains only one."""
+        """Return the current scene with all arms; with two arms, `scene` contains only one arm."""
         return self._measured(self.base)
 
     def _measured(self, scene: PlanningScene) -> PlanningScene:
@@ -165,13 +165,13 @@ class TaskContext:
         return scene
 
     def hands(self) -> Iterable[Holding]:
-        """Return the objects in all hands."""
+        """Return the objects that all hands hold."""
         contexts = self.at_work or (self,)
         return [held for ctx in contexts for held in list(ctx.holding.values())]
 
     @property
     def base(self) -> PlanningScene:
-        """Planning scene without measurements."""
+        """Return the planning scene without measurements."""
         return self.world.scene
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
@@ -202,7 +202,7 @@ class TaskContext:
         return self.scene()
 
     def _tell_changes(self) -> None:
-        """Report scene changes in their order, from one thread at a time."""
+        """Report scene changes to observers in order, from one thread at a time."""
         while self.world.news and self.world.telling.acquire(blocking=False):
             try:
                 while self.world.news:
@@ -219,7 +219,7 @@ class TaskContext:
                 self.world.telling.release()
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Allow (or forbid again) contacts of a body with others, for physics and the motion gate."""
+        """Allow contacts of a body with others, for physics and the motion gate, or forbid them."""
         others = tuple(others)
         pairs = {frozenset((body, other)) for other in others}
         self.expected = self.expected | pairs if expected else self.expected - pairs
@@ -239,7 +239,7 @@ class TaskContext:
 
     @property
     def keeps_time(self) -> bool:
-        """True if motions follow their timing exactly; real arms may be slowed down."""
+        """Return whether motions follow their timing exactly; real arms may be slowed down."""
         return self.driver.is_simulated
 
     def slip_of(self, held: Holding) -> float:
@@ -252,7 +252,7 @@ class TaskContext:
 
     # --- coordination with the other arm ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:
-        """Return a motion's trajectory if it may start, else the reason.
+        """Return a motion's trajectory if the motion may start, else the reason why not.
 
         A single arm may always start.
 
@@ -262,25 +262,28 @@ class TaskContext:
         return motion.trajectory
 
     def rested(self) -> None:
-        """Called when the arm has come to rest after a motion."""
+        """Record that the arm has come to rest after a motion."""
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """Reserve a zone that one arm at a time may hold; a single arm gets it at once."""
+        """Reserve a zone that one arm at a time may hold; a single arm gets the zone at once."""
         return nullcontext()
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the next item whose zone the other arm does not use; for a single arm, the first."""
+        """Return the next item whose zone the other arm does not use.
+
+        For a single arm, this is the first item.
+        """
         return items[0]
 
     def rendezvous(self, name: str) -> None:
-        """Wait until the other arm's program reaches the same named point.
+        """Wait until the other arm's program reaches the rendezvous point with the same name.
 
         A single arm does not wait.
         """
 
     # --- time ---
     def advance(self, duration: float) -> None:
-        """Let time [s] pass while observers are updated; ends early on cancellation."""
+        """Let time [s] pass while observers are updated; return early if the task is canceled."""
         driver, end = self.driver, self.driver.now + duration
         alone = driver.is_simulated and not self.observers
         at_once = max(round(UNWATCHED / driver.period), 1) * driver.period if alone else driver.period
@@ -290,11 +293,11 @@ class TaskContext:
 
     @property
     def progress(self) -> Callable[[float], None] | None:
-        """Callback for `execute` after each command, or None without observers."""
+        """Return the callback that `execute` calls after each command, or None without observers."""
         return (lambda _: self.observe()) if self.observers else None
 
     def observe(self) -> None:
-        """Send a sample to the observers if one is due, and report new physics events."""
+        """Send a sample to the observers if one is due, and report new events of physics."""
         if not self.observers or self.driver.now < self._next_sample:
             return
         self.report_news()
@@ -359,7 +362,7 @@ class TaskContext:
 
 @dataclass
 class Rejections:
-    """Reasons for rejected candidates: counts by stage and reason, with the first text of each."""
+    """Reasons for rejected candidates: counts by stage and reason, and first full texts."""
 
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     details: list[tuple[str, str, str]] = field(default_factory=list)  # stage, candidate, reason

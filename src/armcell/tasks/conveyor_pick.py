@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class MovingSettings:
-    """Settings of picking from a conveyor belt."""
+    """Settings for picking from a conveyor belt."""
 
     watch: float = 0.2  # [s] duration of the speed measurement
     spare: float = 0.6  # [s] waiting time of the hand above the meeting point
@@ -74,7 +74,7 @@ def pick_moving(
 
 
 class _MovingPick(Pick):
-    """Pick of an object that moves on; each attempt meets it farther along its path."""
+    """Pick of a moving object; each attempt meets the object farther along its path."""
 
     retry = "trying again farther on"
 
@@ -122,7 +122,10 @@ class _MovingPick(Pick):
 
 
 def _measured_velocity(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float, SE3]:
-    """Measure an object's velocity (3,) [m/s]; also return the last time [s] and T_world_object."""
+    """Measure an object's velocity (3,) [m/s].
+
+    Also returns the last time [s] and T_world_object.
+    """
     before, began = ctx.driver.object_poses()[item], ctx.driver.now
     ctx.advance(s.watch)
     T, now = ctx.driver.object_poses()[item], ctx.driver.now
@@ -146,7 +149,7 @@ class _WaitUntil:
 
 @dataclass(frozen=True, eq=False)
 class _Along:
-    """Step that moves along with the object at its speed: descend, close and lift."""
+    """Step that moves the hand along with a moving object: descend, close and lift."""
 
     item: str
     gripper: Gripper
@@ -188,7 +191,7 @@ class _Along:
 @stage_types.register("move_along")
 @dataclass(frozen=True, eq=False)
 class MoveAlong:
-    """Stage that plans the descent to a moving object, the motion along with it, and the lift."""
+    """Stage that plans how the hand descends to a moving object, moves with it and lifts it."""
 
     item: str
     gripper: Gripper
@@ -245,13 +248,13 @@ JUMP = 0.15  # [rad] maximum joint step between these points
 
 
 def _smooth(u: Array) -> Array:
-    """Return a quintic from 0 to 1 with zero velocity and acceleration at both ends."""
+    """Return a quintic polynomial from 0 to 1 with zero velocity and acceleration at both ends."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _carried(times: Array, blend: float, end: float) -> Array:
-    """Return the traveled distance at the given times, as seconds of belt motion.
+    """Return the hand's traveled distance at given times, in seconds of belt motion.
 
     The hand accelerates to the belt speed within `blend` [s] and decelerates in the last `blend` [s].
     """
@@ -266,7 +269,7 @@ def _carried(times: Array, blend: float, end: float) -> Array:
 
 
 def _touches(scene: PlanningScene, trajectory: JointTrajectory) -> str:
-    """Return the contact of a motion, as text; empty if the motion is certified collision-free."""
+    """Return a motion's contact as text, or an empty text if the motion is collision-free."""
     _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
     proof = KernelChecker(scene, trajectory.joint_names).certify(points, room)
     return "" if proof.free else "it cannot be proven" if proof.contact is None else proof.contact.describe()

@@ -1,4 +1,4 @@
-"""Cost terms for ranking solutions; lower is better.
+"""Cost terms that rank the solutions of a task; lower is better.
 
 Any function of a solution can be a cost term.
 """
@@ -58,7 +58,10 @@ def path_length(solution: PartialSolution) -> float:
 
 @costs.register("clearance")
 def clearance(solution: PartialSolution) -> float:
-    """Return the inverse of the smallest clearance [1/m] of the motions; 0 without near bodies."""
+    """Return the inverse of the smallest clearance [1/m] of a solution's motions.
+
+    Without near bodies, the cost is 0.
+    """
     kept = [motion.clearance for motion in motions(solution) if motion.clearance is not None]
     return 1.0 / max(min(kept), NEAR) if kept else 0.0
 
@@ -70,5 +73,8 @@ def planning_time(solution: PartialSolution) -> float:
 
 
 def weighted(*terms: tuple[float, Cost]) -> Cost:
-    """Return a weighted sum of cost terms: `weighted((1.0, duration), (0.1, clearance))`."""
+    """Return a weighted sum of cost terms.
+
+    Example: `weighted((1.0, duration), (0.1, clearance))`
+    """
     return lambda solution: sum(weight * term(solution) for weight, term in terms)

@@ -1,4 +1,4 @@
-"""Checks before planning that every stage finds its inputs.
+"""Checks of stage interfaces before planning: every stage must find its inputs.
 
 Stages declare in `requires`, `provides` and `consumes` which data of a solution they read, add and remove.
 `holding("cube")` is the name for "a hand holds the cube". The fields `object`, `support`, `group` and `link`
@@ -18,7 +18,7 @@ from armcell.tasks.search import PartialSolution, Stage
 
 
 def holding(item: str) -> str:
-    """Return the interface name for "a hand holds the object"."""
+    """Return the name that stages use for the condition "a hand holds the object"."""
     return f"{item} in a hand"
 
 
@@ -40,14 +40,14 @@ class Container(Stage, Protocol):
 
 @dataclass(frozen=True)
 class InterfaceCheck:
-    """Names available after a stage, and the problems found."""
+    """Interface names that are available after a stage, and the problems found by the check."""
 
     have: frozenset[str]
     problems: tuple[str, ...] = ()
 
 
 def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") -> None:
-    """Check that every stage finds its required inputs.
+    """Check that every stage of a task finds its required inputs.
 
     Raises:
         TaskError: lists all missing inputs and unknown names.
@@ -58,12 +58,12 @@ def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") 
 
 
 def available(start: PartialSolution) -> frozenset[str]:
-    """Return the names available before the first stage."""
+    """Return the names of the data that are available before the first stage of a task."""
     return frozenset(start.data) | {holding(item) for item in start.scene.attached}
 
 
 def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Check stages in sequence."""
+    """Check the inputs and outputs of stages in sequence."""
     problems: list[str] = []
     for i, stage in enumerate(stages):
         later = {name: s.name for s in stages[:i:-1] for name in getattr(s, "provides", ())}
@@ -76,7 +76,7 @@ def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene |
 def single(
     stage: Stage, have: frozenset[str], scene: PlanningScene | None, later: Mapping[str, str] = {}
 ) -> InterfaceCheck:
-    """Check one stage, or a container with its stages.
+    """Check the inputs and outputs of one stage, or of a container with its stages.
 
     Args:
         later: names of later stages, by the names that they provide.

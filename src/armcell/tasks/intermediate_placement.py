@@ -1,4 +1,4 @@
-"""Intermediate placements, for goals that no single grasp reaches."""
+"""Intermediate placements of an object, for goals that no single grasp reaches."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PlacementRecord:
 @dataclass(frozen=True, eq=False)
 @checked()
 class IntermediatePlacement:
-    """Stage that places an object where another grasp reaches the goal.
+    """Stage that places an object at a pose from which another grasp reaches the goal.
 
     Up to `most` intermediate placements in a row are allowed.
 
@@ -134,7 +134,7 @@ class PickAndPlace:
 
 @dataclass(frozen=True, eq=False)
 class _AddRecord:
-    """Stage that adds an intermediate placement to the solution's data."""
+    """Stage that adds the record of an intermediate placement to the solution's data."""
 
     pose: RestingPose
     name: str = "placement record"
@@ -150,7 +150,7 @@ def place_intermediate(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None = None,
     up: Vector | None = None, most: int = MOST,
 ) -> Outcome:  # fmt: skip
-    """Place an object at one intermediate pose from which the goal can be reached.
+    """Place an object at an intermediate pose from which the goal can be reached.
 
     The whole sequence to the goal is planned before the arm moves. Measure the object's pose before you pick
     it again.

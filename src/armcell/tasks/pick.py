@@ -1,8 +1,9 @@
-"""The pick recipe: choose a grasp, approach, close, lift and verify; after a failure, the next grasp.
+"""Pick recipe: choose a grasp, approach, close, lift and verify, with retries.
 
-`Pick` is the sequence of every pick. Its subclasses supply the parts that differ: `pick` an object at rest,
-`pick_moving` (`conveyor_pick.py`) one on a conveyor, `clear_bin` (`bin_clearing/`) an unknown one in a bin,
-`Carrying.grasp` (`arms/`) one with two arms, and the ROS node /pickup through a remote cell.
+After a failure, the recipe tries the next grasp. `Pick` is the sequence of every pick. Its subclasses supply
+the parts that differ: `pick` an object at rest, `pick_moving` (`conveyor_pick.py`) one on a conveyor,
+`clear_bin` (`bin_clearing/`) an unknown one in a bin, `Carrying.grasp` (`arms/`) one with two arms, and the
+ROS node /pickup through a remote cell.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ WIDER = 4  # factor on the number of grasps if later stages reject many
 
 
 class Pick(ABC):
-    """Sequence of a pick: plan an attempt, perform it; if its grasp fails, recover and try the next grasp.
+    """Sequence of every pick: plan and perform an attempt; after a failure, try the next grasp.
 
     Args:
         label: names the pick in notes and messages, for example "pick cube".
@@ -59,7 +60,7 @@ class Pick(ABC):
         self.label, self.note, self.attempts, self.excluded = label, note, attempts, excluded
 
     def run(self) -> Outcome:
-        """Pick the object.
+        """Pick the object, with as many attempts as allowed.
 
         Returns:
             SUCCESS, or the last failure. After a scene change the object stays in the hand if it is grasped.
@@ -86,18 +87,21 @@ class Pick(ABC):
 
     @abstractmethod
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
-        """Plan one attempt from the measured state without the excluded grasps; None with the reason."""
+        """Plan one attempt from the measured state, or return None with the reason.
+
+        Excluded grasps are not used.
+        """
 
     @abstractmethod
     def perform(self, solution: PartialSolution) -> Outcome:
-        """Perform an attempt and verify that the hand holds the object."""
+        """Perform a planned attempt and verify that the hand holds the object."""
 
     def keeps_object(self) -> bool:
-        """Return whether the hand holds the object and keeps it when a scene change stops the lift."""
+        """Return whether the hand holds the object and keeps it if a scene change stops the lift."""
         return False
 
     def recover(self, outcome: Outcome) -> None:
-        """Bring the arm where the next attempt can start: open the hand and leave the object.
+        """Bring the arm to where the next attempt can start: open the hand, leave the object.
 
         After a scene change the hand has not closed yet, so it only leaves the object.
         """
@@ -107,7 +111,7 @@ class Pick(ABC):
             self.back_off()
 
     def open_hand(self) -> bool:
-        """Open the hand fully; return whether it held the object."""
+        """Open the hand fully and return whether it held the object."""
         return False
 
     def is_around_object(self) -> bool:
@@ -123,7 +127,7 @@ def grasp_stages(
     choose: Stage, gripper: Gripper, s: TaskSettings, *rest: Stage, name: str = "move to pre-grasp",
     approach: Stage = AppendPlannedMotion("approach", "after_approach", "approach"),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of one attempt: choose a grasp, move to its pre-grasp, approach, then the rest.
+    """Return the stages of one attempt: choose a grasp, go to its pre-grasp, approach, finish.
 
     Args:
         choose: proposes grasps, each with `pre_grasp` and the data that `approach` requires.
@@ -145,7 +149,7 @@ def check_hand_is_free(ctx: TaskContext, gripper: Gripper) -> None:
 
 
 def check_pickable(ctx: TaskContext, item: str, gripper: Gripper) -> None:
-    """Check that a gripper is free and an object movable.
+    """Check that a gripper is free and that an object is movable.
 
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
@@ -216,7 +220,7 @@ def pick_stages(
     scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings, excluded: tuple[str, ...] = (),
     ahead: Sequence[Stage] = (), among: tuple[str, ...] = (),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of `pick` for the predicted scene in which they start.
+    """Return the stages of `pick`, to start in a given (predicted) scene.
 
     Args:
         among: names of the allowed grasps; empty for all.
@@ -240,7 +244,10 @@ def pick_stages(
 
 
 def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
-    """Return a quick test, without arm, that rejects grasps from which no placement is possible."""
+    """Return a fast filter that rejects grasps from which no placement is possible.
+
+    The filter does not use the arm.
+    """
     for stage in ahead:
         if isinstance(stage, ChoosePlacement):
             return lambda scene: stage.why_not(scene, Lookahead.candidates)
@@ -248,7 +255,7 @@ def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
 
 
 def _grasped(item: str, gripper: Gripper, solution: PartialSolution) -> PartialSolution:
-    """Return a solution with the object attached to the hand, as after closing the chosen grasp."""
+    """Return a solution in which the object is attached to the hand by the chosen grasp."""
     scene = solution.data["after_approach"].with_attached(item, gripper.tcp_link, gripper.hand_links)
     return solution.then(scene=scene)
 
@@ -277,7 +284,7 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
 
 # --- leaving an object ---
 def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Straight:
-    """Return the stage of a straight retreat [m] against the hand's approach direction.
+    """Return the stage that retreats straight [m] against the hand's approach direction.
 
     Contact of the hand with the object is allowed during the retreat.
     """
@@ -288,7 +295,7 @@ def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> St
 
 
 def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) -> bool:
-    """Return whether the hand may be around the object."""
+    """Return whether the open hand may surround the object."""
     tcp, T = scene.frame_pose(gripper.tcp_link), scene.object(item).T_world_object
     return bool(np.linalg.norm(tcp.translation - T.translation) <= s.approach_distance)
 
@@ -296,7 +303,7 @@ def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) 
 def retreats(
     scene: PlanningScene, item: str, gripper: Gripper, planning: Planning
 ) -> Iterator[PartialSolution]:
-    """Yield the retreat of an open hand from the object that it surrounds, as far as possible.
+    """Yield the farthest possible retreat of an open hand from the object that it surrounds.
 
     Planners find no path from the start of this retreat; the next plan starts at its end.
     """

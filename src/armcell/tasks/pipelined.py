@@ -1,4 +1,4 @@
-"""Pipelined tasks: the next task is planned while the previous one runs."""
+"""Pipelined tasks: while one task runs, the next one is planned."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from armcell.tasks.task import Task, TaskPlan, emit_rejections
 
 @dataclass(frozen=True, eq=False)
 class PipelinedTask:
-    """A named list of stages, created from the scene in which they start."""
+    """Named list of stages, created from the scene in which they start."""
 
     name: str
     stages: Callable[[TaskContext, PlanningScene], Sequence[Stage]]
@@ -61,7 +61,7 @@ def placing(
 def perform_pipelined(
     ctx: TaskContext, tasks: Sequence[PipelinedTask], settings: PipelineSettings = PipelineSettings()
 ) -> Outcome:
-    """Perform tasks in sequence; while one runs, plan the next from the predicted scene.
+    """Perform tasks in sequence; while one runs, plan the next from its predicted scene.
 
     If the measured scene differs from the prediction, the task is planned again. The run does not depend on
     the planning time.
@@ -106,7 +106,7 @@ def _with_evidence(outcome: Outcome, done: list[str], again: dict[str, str]) -> 
 
 
 class _BackgroundPlan:
-    """A task that a separate thread plans."""
+    """Task that a separate thread plans."""
 
     def __init__(self, ctx: TaskContext, task_spec: PipelinedTask, scene: PlanningScene):
         self.scene = scene
@@ -144,7 +144,7 @@ class _BackgroundPlan:
 def scene_difference(
     expected: PlanningScene, now: PlanningScene, settings: PipelineSettings = PipelineSettings()
 ) -> str:
-    """Return how a scene differs from the predicted one; empty if it is within the tolerances."""
+    """Return how a scene differs from the predicted scene; empty within the tolerances."""
     s, model = settings, now.model
     fingers = {gripper.joint_name for gripper in model.grippers.values()}
     for i, name in enumerate(model.joint_names):

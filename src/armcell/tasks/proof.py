@@ -1,4 +1,4 @@
-"""Validation of grasps in physics simulation: each is lifted and shaken in noisy trials.
+"""Validation of grasps in physics: each grasp is lifted and shaken in noisy trials.
 
 The result is a success rate over noisy trials with its interval, cached on disk per object, gripper and
 grasp. The module is in this package because it is the lowest one that may import both grasping and physics.
@@ -30,7 +30,7 @@ NOISE = Noise(position=0.001, rotation=0.02)
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """Result of a grasp's trials."""
+    """Result of the simulated trials of one grasp."""
 
     grasp: Grasp
     successes: int
@@ -40,7 +40,7 @@ class Proof:
 
     @property
     def probability(self) -> float:
-        """Estimated success probability, strictly between 0 and 1.
+        """Return the estimated probability of grasp success, strictly between 0 and 1.
 
         The estimate is a mean with a prior that counts as `PRIOR_TRIALS` trials.
         """
@@ -48,7 +48,7 @@ class Proof:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % interval of the success rate."""
+        """Return Wilson's 95 % interval of the success rate."""
         return wilson(self.successes, self.trials)
 
 
@@ -63,9 +63,10 @@ def prove(
     seed: int = 0,
     threads: int | None = None,
 ) -> list[Proof]:
-    """Lift and shake an object with each grasp in `trials` noisy trials; the first has no noise.
+    """Lift and shake an object with each grasp in noisy physics trials.
 
-    The object rests on its support: its pose is uncertain along the surface and about the vertical.
+    The first of the `trials` trials has no noise. The object rests on its support: its pose is uncertain
+    along the surface and about the vertical.
 
     Raises:
         InputError: MuJoCo cannot load the hand or the object.
@@ -115,7 +116,7 @@ def _noisy(item: CollisionObject, grasp: Grasp, count: int, noise: Noise, seed: 
 def as_it_may_be(
     item: CollisionObject, count: int, rng: np.random.Generator, noise: Noise = NOISE
 ) -> list[CollisionObject]:
-    """Sample variants of an object on its support: pose, friction and mass vary.
+    """Sample variants of an object on its support, with varied pose, friction and mass.
 
     The pose varies along the support and about the vertical. The first variant is the nominal object.
     """
@@ -129,7 +130,7 @@ def as_it_may_be(
 
 
 def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """Return the best distinct grasps; if there are too few, add the next best ones."""
+    """Return the best distinct grasps; fill up with the next best ones if there are too few."""
     chosen: list[Grasp] = []
     rest: list[Grasp] = []
     for grasp in grasps:
@@ -140,7 +141,7 @@ def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
 
 
 def _alike(a: Grasp, b: Grasp) -> bool:
-    """Return True if two grasps are almost equal, up to a half turn of the hand."""
+    """Return whether two grasps are almost equal, up to a half turn of the hand."""
     if np.linalg.norm(a.T_object_tcp.translation - b.T_object_tcp.translation) > SAME_PLACE:
         return False
     A, B = a.T_object_tcp.rotation.matrix, b.T_object_tcp.rotation.matrix

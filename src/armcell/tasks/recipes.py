@@ -1,4 +1,7 @@
-"""Recipes place, let go, move, hold and release: plan from the measured state, execute, report."""
+"""Recipes to place, let go, move, hold and release.
+
+Each recipe plans from the measured state, executes the plan and reports the outcome.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,7 @@ def place(
     up: Vector | None = None,
     lean: float | None = None,
 ) -> Outcome:
-    """Place a held object on a support; the target pose is in the evidence ("placement").
+    """Place a held object on a support; the evidence "placement" has the target pose.
 
     If the placement fails while the object is still held, it is planned again from the arm's position.
 
@@ -91,7 +94,7 @@ def place_stages(
     item: str, on: str, gripper: Gripper, s: TaskSettings, at: tuple[float, float] | None = None,
     up: Vector | None = None, lean: float | None = None, among: tuple[Placement, ...] = (),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of `place`.
+    """Return the stages of the recipe `place`.
 
     Args:
         among: the allowed placements; empty for all.
@@ -127,7 +130,7 @@ def perform_stages(ctx: TaskContext, stages: Sequence[Stage], name: str) -> Outc
 
 
 def hold(ctx: TaskContext, duration: float) -> Outcome:
-    """Keep still for a duration [s]; the stage table reports the slip of a held object.
+    """Keep the arm still for a duration [s]; the stage table reports a held object's slip.
 
     Raises:
         InputError: the duration is negative or not finite.
@@ -137,7 +140,7 @@ def hold(ctx: TaskContext, duration: float) -> Outcome:
 
 
 def release(ctx: TaskContext, gripper: Gripper) -> Outcome:
-    """Open a gripper fully at its present pose and detach the object it held."""
+    """Open a gripper fully at its present pose and detach the held object."""
     for held in [h for h in ctx.holding.values() if h.gripper.name == gripper.name]:
         ctx.holding.pop(held.object)
         ctx.driver.unwatch_object(held.object)

@@ -1,4 +1,7 @@
-"""Transfer of an object to its goal with recovery: look again, pick again, or report why."""
+"""Transfer of an object to its goal, with recovery from failures.
+
+Recovery looks again, picks again, or reports why it gives up.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ Look = Callable[[], Outcome]
 @dataclass(frozen=True)
 @checked()
 class RecoverySettings:
-    """Limits of recovery and tolerances of success."""
+    """Limits of recovery, and tolerances within which a transfer counts as a success."""
 
     tries: int = 5  # picks of one object
     seconds: float = 300.0  # time limit [s] on the driver's clock
@@ -52,7 +55,7 @@ class RecoverySettings:
 
 @dataclass
 class Trouble:
-    """Failures during a transfer, in order."""
+    """Failures during a transfer, in their order."""
 
     texts: list[str] = field(default_factory=list)
     laid: list[str] = field(default_factory=list)  # supports of the intermediate placements
@@ -76,7 +79,7 @@ def transfer(
     look: Look | None = None,
     settings: RecoverySettings = RecoverySettings(),
 ) -> Outcome:
-    """Pick an object and place it, and recover from failures until it is at its goal.
+    """Pick an object and place it; recover from failures until the object is at its goal.
 
     A dropped object is picked up again from its measured pose, or from the pose that `look` finds; so is an
     object placed inaccurately. A blocked motion is planned again around the obstacle. Only grasps that reach
@@ -124,7 +127,7 @@ def _once(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None,
     up: Vector | None, look: Look | None, s: RecoverySettings, trouble: Trouble,
 ) -> Outcome:  # fmt: skip
-    """Try once to move the object to its goal, with intermediate placements."""
+    """Make one attempt to move the object to its goal, with intermediate placements if needed."""
     for left in reversed(range(AGAIN * s.intermediate_placements + 1)):
         if item not in ctx.holding and look is not None:
             seen = look()
@@ -153,14 +156,14 @@ def _once(
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Return True if some grasp leads to the goal and only the motion to it was not found."""
+    """Return whether some grasp leads to the goal and only the motion to this grasp is missing."""
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 
 
 def _straight(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None, up: Vector | None
 ) -> Outcome:
-    """Transfer the object with one grasp, if a grasp reaches the goal."""
+    """Transfer the object with a single grasp, if one reaches the goal."""
     if item not in ctx.holding:
         outcome = pick(ctx, item, gripper, ahead=[_goal(ctx, item, gripper, on, at, up)])
         if not outcome.ok:
@@ -184,7 +187,7 @@ def _goal(
 
 
 def _landed(ctx: TaskContext, item: str, outcome: Outcome, s: RecoverySettings) -> Outcome:
-    """Check that the placed object is at its target pose."""
+    """Check that the placed object is within tolerance of its target pose."""
     wanted = outcome.evidence.get("placement")
     if not isinstance(wanted, Placement):
         return outcome

@@ -30,7 +30,7 @@ CANCEL_PERIOD = 0.02  # [s] between checks for cancellation while threads evalua
 
 @dataclass(frozen=True, eq=False)
 class PartialSolution:
-    """Task planned so far: the resulting scene, its steps, and data for later stages."""
+    """Partial solution of a task: the resulting scene, the steps so far, data for later stages."""
 
     scene: PlanningScene
     steps: tuple[Step, ...] = ()
@@ -40,13 +40,13 @@ class PartialSolution:
         return replace(self, steps=self.steps + steps, scene=scene or self.scene, data={**self.data, **data})
 
     def since(self, start: PartialSolution) -> PartialSolution:
-        """Return this solution with only the steps added since an earlier one."""
+        """Return this solution with only the steps that were added after an earlier solution."""
         return replace(self, steps=self.steps[len(start.steps) :])
 
 
 @dataclass
 class Planning:
-    """State that stages share while planning: settings, seed, cancellation, rejections."""
+    """State that all stages share while planning: settings, seed, cancellation, rejections."""
 
     settings: TaskSettings
     seed: int = 0
@@ -62,7 +62,7 @@ class Planning:
     within: list[str] = field(default_factory=list)  # names of the running stages, outermost first
 
     def propose(self, stage: Stage, solution: PartialSolution) -> Iterator[PartialSolution]:
-        """Yield a stage's proposals and count them for the stage table."""
+        """Yield the proposals of a stage and count them for the stage table."""
         path = (*self.within, stage.name)
         self.tallies.setdefault(path, Tally(path)).asked += 1
         found = iter(stage.propose(solution, self))
@@ -88,7 +88,7 @@ class Planning:
 
     @property
     def time_left(self) -> float:
-        """Rest of the planning budget [s of this thread's CPU time].
+        """Return the rest of the planning budget [s of this thread's CPU time].
 
         CPU time makes plans independent of the load of the machine.
         """
@@ -96,7 +96,7 @@ class Planning:
 
     @property
     def hopeless(self) -> bool:
-        """True if no candidate can succeed: canceled, out of time, or start in collision."""
+        """Return whether no candidate can succeed: canceled, out of time, or start in collision."""
         return (
             self.cancel.is_set()
             or self.time_left <= 0
@@ -105,18 +105,18 @@ class Planning:
 
     @property
     def parallel(self) -> int:
-        """Number of candidates that threads evaluate in parallel."""
+        """Return the number of candidates that threads evaluate in parallel."""
         return self.settings.planning_threads if self.threads is None else self.threads
 
     def fork(self) -> Planning:
-        """Create the planning state of another thread, with its own cancellation."""
+        """Create the planning state of another thread, which can be canceled separately."""
         return replace(
             self, cancel=threading.Event(), rejections=Rejections(), failure=None, tallies={},
             within=list(self.within), threads=1,
         )  # fmt: skip
 
     def join(self, fork: Planning, seconds: float) -> None:
-        """Merge a fork's reports and its CPU time [s] into this planning state.
+        """Merge the reports and the CPU time [s] of a forked planning state into this one.
 
         Later reports of the fork go directly to this state.
         """
@@ -149,7 +149,9 @@ stage_types: Registry[Callable[..., Stage]] = Registry("stage", "armcell.stages"
 
 
 def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
-    """Make a registered stage from the values of a cell file; the stage's own name is `name` by default.
+    """Make a registered stage from the values of a cell file.
+
+    The default of `name` is the stage's own name.
 
     Raises:
         UnknownNameError: no such stage, or the stage has no such value.
@@ -170,7 +172,7 @@ def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
 def solutions(
     stages: Sequence[Stage], start: PartialSolution, planning: Planning
 ) -> Iterator[PartialSolution]:
-    """Yield complete solutions lazily: stages evaluate only as many candidates as necessary."""
+    """Yield complete solutions lazily; stages evaluate only as many candidates as needed."""
     if planning.hopeless:
         return
     if not stages:
@@ -182,7 +184,7 @@ def solutions(
 
 @dataclass(frozen=True, eq=False)
 class _Continuation:
-    """Search of the remaining stages from one proposal of the first stage."""
+    """Search of the remaining stages after one proposal of the first stage."""
 
     stages: Sequence[Stage]
     solution: PartialSolution
@@ -196,7 +198,7 @@ Branch = Callable[[Planning], Iterator[PartialSolution]]
 
 
 def in_order(branches: Iterable[Branch], planning: Planning) -> Iterator[PartialSolution]:
-    """Yield the solutions of one branch after the other, until the planning is hopeless.
+    """Yield the solutions of one search branch after the other, until planning is hopeless.
 
     If `planning` has threads, they search the next branches in parallel.
     """
@@ -250,7 +252,7 @@ class _ThreadedBranch:
         return solution, time.thread_time() - own.began
 
     def first_for(self, planning: Planning) -> PartialSolution | None:
-        """Wait for the first solution; then the caller's thread owns the branch."""
+        """Wait for the branch's first solution; then the caller's thread owns the branch."""
         while not wait((self._found,), CANCEL_PERIOD).done:
             if planning.cancel.is_set():
                 self.planning.cancel.set()
@@ -260,7 +262,7 @@ class _ThreadedBranch:
 
 
 def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) -> PartialSolution | None:
-    """Return the first complete solution, or None with the reasons in `planning.rejections`."""
+    """Return the first complete solution, or None, with the reasons in `planning.rejections`."""
     return next(solutions(stages, start, planning), None)
 
 
@@ -268,7 +270,7 @@ def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) 
 @dataclass(frozen=True, eq=False)
 @checked()
 class Lookahead:
-    """Stage that passes only solutions for which later stages find a continuation.
+    """Stage that passes only those solutions from which later stages can continue.
 
     The continuation is discarded. Put this stage as early as possible, so that the search does not plan dead
     ends completely.

@@ -1,4 +1,4 @@
-"""Settings of tasks: speeds per stage, distances, numbers of attempts."""
+"""Settings of tasks: speeds per stage, distances and numbers of attempts."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Speed:
 @dataclass(frozen=True)
 @checked()
 class TaskSettings:
-    """Settings of pick and place."""
+    """Settings of pick and place tasks."""
 
     free: Speed = Speed(0.6, 0.25)  # empty hand, away from objects
     carry: Speed = Speed(0.4, 0.15)  # with a held object

@@ -1,4 +1,4 @@
-"""Sorting of objects seen by a camera: each goes to the target for its color or shape."""
+"""Sorting of objects that a camera sees, into targets for their color or shape."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SPOTS = 4  # maximum number of candidate points tried
 @dataclass(frozen=True)
 @checked()
 class SortSettings:
-    """Limits and rest state of sorting."""
+    """Limits of sorting, and the arm's rest state."""
 
     tries: int = 3  # picks of one object
     most_picks: int = 60
@@ -46,7 +46,7 @@ class SortSettings:
 
 @dataclass
 class _Tally:
-    """Results of sorting so far, for the evidence."""
+    """Results of a sorting task so far, for the evidence."""
 
     sorted: dict[str, list[str]] = field(default_factory=dict)  # target -> objects, by the last image
     other: dict[str, str] = field(default_factory=dict)  # object -> kind without a target
@@ -62,7 +62,7 @@ def sort(
     by: str | Kind = "colour",
     settings: SortSettings = SortSettings(),
 ) -> Outcome:
-    """Sort seen objects by kind into their targets until an image shows all of them there.
+    """Sort visible objects by kind into their targets, until an image shows all of them there.
 
     The camera takes a new image after each object, so objects that slipped or were moved are found again.
 
@@ -110,7 +110,7 @@ def _check(scene: PlanningScene, into: Mapping[str, str]) -> None:
 
 
 def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: SortSettings) -> Sight | Outcome:
-    """Return the camera's view with the arm out of the way."""
+    """Return the camera's view, taken with the arm outside the image."""
     if s.rest:
         moved = move_to(ctx, gripper.arm_group, s.rest)
         if not moved.ok:
@@ -125,7 +125,7 @@ def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: Sort
 def _todo(
     scene: PlanningScene, seen: Sight, kind: Kind, into: Mapping[str, str], tally: _Tally
 ) -> list[tuple[SeenObject, str]]:
-    """Return the objects that are not in their targets, with the targets."""
+    """Return the objects that are not yet in their targets, with the targets."""
     tally.sorted, tally.other, todo = {place_on: [] for place_on in into.values()}, {}, []
     for thing in seen.objects:
         what = kind(thing)
@@ -141,7 +141,7 @@ def _todo(
 
 
 def _lies_on(scene: PlanningScene, thing: SeenObject, place_on: str) -> bool:
-    """Return True if the center of a seen object is above a target."""
+    """Return whether the center of a detected object is above a target."""
     frame, size_x, size_y = support_surface(scene.object(place_on))
     middle = thing.points.mean(axis=0) if thing.T_world_object is None else thing.T_world_object.translation
     x, y, z = frame.inv().apply(middle)

@@ -30,7 +30,7 @@ class Tally:
         self.near_miss = self.near_miss or (candidate, reason)
 
     def add(self, other: Tally) -> None:
-        """Add the statistics of later candidates."""
+        """Add the statistics of later candidates to this tally."""
         self.asked += other.asked
         self.passed += other.passed
         self.seconds += other.seconds
@@ -39,7 +39,7 @@ class Tally:
         self.near_miss = self.near_miss or other.near_miss
 
     def why(self, most: int = 2) -> str:
-        """Return the most frequent reasons with their counts."""
+        """Return the most frequent reasons for rejection with their counts."""
         order = sorted(self.reasons.items(), key=lambda kv: -kv[1])
         more = f", {len(order) - most} others" if len(order) > most else ""
         return ", ".join(f"{n} x {reason}" for reason, n in order[:most]) + more
@@ -53,7 +53,7 @@ class Tally:
 
 
 def reason_in_short(reason: str) -> str:
-    """Return a reason without details, for counting."""
+    """Return a rejection reason without its details, for counting."""
     return reason.split(":")[0].split(" (")[0]
 
 
@@ -63,7 +63,7 @@ def stage_rows(tallies: Mapping[tuple[str, ...], Tally]) -> list[dict[str, Any]]
 
 
 def stage_table(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Format the rows as a text table, with the stages of a container indented below it."""
+    """Format stage statistics as a text table; a container's stages are indented below it."""
     lines = [("stage", "tried", "gave", "failed", "time", "best near miss")]
     for row in rows:
         *outer, name = row["stage"].split("/")

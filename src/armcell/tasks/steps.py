@@ -31,11 +31,11 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Duration [s]."""
+        """Return the duration [s] of the planned motion."""
         return self.trajectory.duration
 
     def announced(self) -> dict[str, Any]:
-        """Return the planning metadata that a record stores."""
+        """Return the planning metadata that a record stores with the motion."""
         return {
             "planner": self.planner, "planning_time_s": self.planning_time, "clearance_m": self.clearance,
             "evidence": dict(self.evidence),
@@ -61,7 +61,7 @@ class Motion:
 
 
 class _Watch(GuardedMotion):
-    """Guarded motion that also stops when a hand has lost its object."""
+    """Guarded motion that also stops as soon as a hand has lost its object."""
 
     def __init__(self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None):
         super().__init__(ctx.gate, trajectory, planned_in, ctx.cancel)
@@ -84,7 +84,7 @@ class _Watch(GuardedMotion):
                 self.lost = held
 
     def dropped(self, where: str) -> Outcome:
-        """Return the outcome of a motion that lost an object, and mark the object as not held."""
+        """Mark the object as not held, and return the outcome of the motion that lost it."""
         assert self.lost is not None
         item = self.lost.object
         text = f"lost {item} on the way ({where}): nothing is between the fingers any more"
@@ -109,7 +109,7 @@ class Grip:
         return self.finish(ctx)
 
     def start(self, ctx: TaskContext) -> None:
-        """Command the gripper without waiting."""
+        """Command the gripper to the step's width without waiting."""
         ctx.driver.command_gripper(self.gripper.name, self.width, self.force)
 
     def finish(self, ctx: TaskContext) -> Outcome:
@@ -140,7 +140,7 @@ class Grip:
 
 @dataclass(frozen=True, eq=False)
 class Together:
-    """Step with an arm motion and simultaneous gripper motions.
+    """Step that executes an arm motion and gripper motions at the same time.
 
     The arm motion may be a merged motion of two arms.
     """
@@ -150,7 +150,7 @@ class Together:
 
     @property
     def duration(self) -> float:
-        """Duration of the arm motion [s]."""
+        """Return the duration of the arm motion [s]."""
         return self.motion.duration if self.motion else 0.0
 
     def perform(self, ctx: TaskContext) -> Outcome:
@@ -166,7 +166,7 @@ class Together:
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """Step that checks after closing that the hand holds the object.
+    """Step that checks, after closing, that the hand holds the object.
 
     From then on the object counts as held.
     """
@@ -201,7 +201,7 @@ class Release:
 
 @dataclass(frozen=True, eq=False)
 class Expect:
-    """Step that allows contacts of a body with others, or forbids them again."""
+    """Step that allows contacts of a body with other bodies, or forbids them again."""
 
     body: str
     others: tuple[str, ...]
@@ -215,7 +215,7 @@ class Expect:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """Step that starts or stops watching a held object for unexpected contacts.
+    """Step that starts or stops the watch of a held object for unexpected contacts.
 
     The object may touch nothing but its supports.
     """
@@ -234,7 +234,7 @@ class Watch:
 
 @dataclass(frozen=True, eq=False)
 class CheckGrasp:
-    """Step after the lift that checks that the object moved along and is still held."""
+    """Step that checks after the lift that the object has moved along and is still held."""
 
     object: str
     gripper: Gripper
@@ -270,7 +270,7 @@ class StillHeld:
 
 @dataclass(frozen=True, eq=False)
 class Dwell:
-    """Step that keeps still for a duration [s] and reports the slip of a held object."""
+    """Step that keeps the arm still for a duration [s] and reports a held object's slip."""
 
     name: str
     duration: float
@@ -303,13 +303,13 @@ def lost(ctx: TaskContext, item: str, text: str) -> Outcome:
 
 
 class Step(Protocol):
-    """Executable step of a task."""
+    """Interface of an executable step of a task."""
 
     def perform(self, ctx: TaskContext) -> Outcome: ...
 
 
 def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
-    """Execute a step with an entry in the stage table."""
+    """Execute a step and add an entry for it to the stage table."""
     report.started_s = ctx.driver.now
     ctx.emit("stage", report.name, phase="begin")
     outcome = act()
@@ -321,7 +321,7 @@ def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) ->
 
 
 def perform_all(ctx: TaskContext, steps: Iterable[Step]) -> Outcome:
-    """Execute steps until one fails."""
+    """Execute steps in sequence until one fails."""
     for step in steps:
         if ctx.cancel.is_set():
             return Outcome(ErrorCode.PREEMPTED, "cancelled")

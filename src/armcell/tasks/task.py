@@ -1,4 +1,7 @@
-"""Tasks: stages that are checked together, planned, and ranked by cost; failures as exceptions."""
+"""Tasks of stages that are checked together, planned, and ranked by cost.
+
+Failures of task scripts are exceptions.
+"""
 
 from __future__ import annotations
 
@@ -31,24 +34,24 @@ class TaskPlan(Outcome):
 
     @property
     def best(self) -> PartialSolution | None:
-        """Cheapest solution, or None."""
+        """Return the cheapest solution of the task, or None."""
         return self.solutions[0] if self.solutions else None
 
     def table(self) -> str:
-        """Return the stage table as text."""
+        """Return the stage table of the plan as text."""
         return stage_table(self.evidence.get("stages", ()))
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Named stages with a cost for ranking solutions."""
+    """Task with named stages, and a cost that ranks its solutions."""
 
     name: str
     stages: tuple[Stage, ...]
     cost: Cost = duration
 
     def plan(self, start: PartialSolution, planning: Planning, count: int = 1) -> TaskPlan:
-        """Search for up to `count` complete plans.
+        """Search for up to `count` complete plans of the task.
 
         Stages evaluate only as many candidates as the plans need.
 
@@ -81,7 +84,7 @@ class Task:
 
 
 def emit_rejections(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
-    """Emit an event with the rejected candidates of a successful plan, if there are any."""
+    """Emit an event with the candidates that were rejected before a plan succeeded, if any."""
     rejected = plan.evidence.get("rejections", ())
     if rejected:
         ctx.emit("plan", f"{what}: planned, {len(rejected)} rejected", evidence=plan.evidence)
@@ -90,7 +93,9 @@ def emit_rejections(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
 def plan_stages(
     ctx: TaskContext, stages: Sequence[Stage], what: str, scene: PlanningScene | None = None
 ) -> tuple[PartialSolution | None, Outcome]:
-    """Plan stages, by default from the measured state, and emit an event about rejections or a failure.
+    """Plan stages from the measured state, or from a given scene.
+
+    An event reports rejections or the failure.
 
     Args:
         what: names the task in messages.
@@ -117,7 +122,10 @@ Some = TypeVar("Some", bound=Outcome)
 
 
 class TaskFailed(ArmcellError):
-    """Failed step of a task script; `outcome` has the code, message and evidence."""
+    """Exception for a failed step of a task script.
+
+    `outcome` has the code, the message and the evidence.
+    """
 
     def __init__(self, outcome: Outcome):
         super().__init__(outcome.message or outcome.code.name)
@@ -125,7 +133,7 @@ class TaskFailed(ArmcellError):
 
 
 def checked(outcome: Some) -> Some:
-    """Return the outcome if it is a success.
+    """Return an outcome if it is a success, else raise `TaskFailed`.
 
     Raises:
         TaskFailed: the outcome is a failure.

@@ -1,9 +1,10 @@
-"""The question "does it touch?" for sixteen configurations at once.
+"""Collision check of 16 configurations at once in the SIMD kernel, coarse tests first.
 
-The hierarchy, outside in: a body's bounding sphere against the boxes of 16 world shapes at a time, the
-bounding sphere against the shape, groups of at most 8 spheres, spheres. A sphere's outer radius decides
-"certainly free", its inner radius "certainly touching"; what lies between goes to exact convex pieces (gjk),
-for just the pair and the lanes in question (undecided).
+The tests, from coarse to fine: a body's bounding sphere against the bounding boxes of 16 world shapes at a
+time, the bounding sphere against the shape, groups of at most 8 spheres, single spheres. If a sphere's outer
+radius is clear, the body is certainly free; if its inner radius touches, the body is certainly in contact.
+Undecided cases go to the exact convex pieces (`gjk`), only for the pair and the lanes concerned
+(`undecided`).
 """
 
 # pyright: reportCallIssue=false
@@ -36,22 +37,26 @@ from armcell.collision.kernel.world import world_block
 
 EVERY = np.int64((1 << L) - 1)  # all lanes
 
-# What a handle holds.
+# Indices of the addresses in a handle.
 AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SELF = range(10)
 
 
 @inner_njit
 def _check_arrays(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
-    """Which of some lanes (bits) are not free; positions lie at w[j * L:].
+    """Return the SIMD lanes (bits) whose configurations are not collision-free.
+
+    The positions of joint j are at w[j * L:], one per lane.
 
     Args:
-        slack, slack_pair: [m] per body and per pair of bodies, beside what a proof's intervals need.
-        mode: bits. EXACT: decide by exact pieces what the covers cannot, else covers that touch count as
-            contact. PADDED: bodies keep their padding from world shapes. PROVE: a lane is free if nothing
-            touches in its whole interval (rates and half widths in w), else ask only for the configuration
-            itself, and stop at the first that is not free. FIRST: stop at the first certain contact.
+        slack, slack_pair: [m] margin per body and per pair of bodies, in addition to the margin that a
+            proof's intervals need.
+        mode: bits. EXACT: use exact pieces where the sphere covers cannot decide; without it, touching covers
+            count as contact. PADDED: bodies keep their padding from world shapes. PROVE: a lane is free if
+            nothing touches in its whole interval (rates and half widths in w); without it, only the
+            configuration itself is checked, and the check stops at the first lane that is not free. FIRST:
+            stop at the first certain contact.
     Returns:
-        Bits; `state[TOUCHING]` are those of them that certainly touch.
+        Bits of the lanes that are not free; `state[TOUCHING]` has the bits of lanes that certainly touch.
     """
     state[NOW] += 1
     state[ALIVE], state[TOUCHING], state[WAITING] = lanes, 0, 0
@@ -77,16 +82,17 @@ def _check(handle, lanes, mode):
 
 @lru_cache(maxsize=1)
 def check_address() -> int:
-    """Where `_check_arrays` lies in memory as a C function of a handle's address, lanes and mode.
+    """Return the memory address of the compiled C function `_check_arrays`.
 
-    Everything that asks calls this one: Numba would compile a copy into each, and take minutes.
+    The function takes the address of a handle, the lanes and the mode. All callers call the function by this
+    address. Otherwise, Numba would compile a copy into each caller, which takes minutes.
     """
     return int(cfunc(types.int64(types.int64, types.int64, types.int64), cache=True)(_check).address or 0)
 
 
 @lru_cache(maxsize=1)
 def free_check_address() -> int:
-    """The address of a check that finds every lane free: it lets the check's callers compile without it."""
+    """Return the address of a dummy check that finds all lanes free, to compile callers quickly."""
     return int(cfunc(types.int64(types.int64, types.int64, types.int64))(_free_check).address or 0)
 
 
@@ -95,9 +101,11 @@ def _free_check(handle, lanes, mode):
 
 
 def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """The addresses of the pack (I, F, D), the workspace (w, state, s), slack and slack_pair, and of `check`.
+    """Return a handle: the memory addresses of all kernel arrays and of the compiled check.
 
-    One argument instead of nine: Python takes half a microsecond for each. Keep the arrays as long as it.
+    The arrays are the pack (I, F, D), the workspace (w, state, s), slack and slack_pair. The handle replaces
+    nine arguments, each of which costs half a microsecond in a call from Python. Keep the arrays alive as
+    long as the handle.
     """
     handle = np.zeros(10, np.int64)
     handle[:8] = [array.ctypes.data for array in arrays]
@@ -108,25 +116,25 @@ def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 @inner_njit(forceinline=True)
 def check_block(k, lanes, mode):
-    """`_check_arrays` by handle."""
+    """Check 16 configurations for collisions, given a kernel handle; see `_check_arrays`."""
     return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
 
 
 @inner_njit(forceinline=True)
 def ints(k):
-    """The integers of the pack, I."""
+    """Return a pointer to the integer array I of the kernel data behind a handle."""
     return at_address(np.int32, k[AT_I])
 
 
 @inner_njit(forceinline=True)
 def lanes_of(k):
-    """The lanes' workspace, w."""
+    """Return a pointer to the workspace w of the SIMD lanes behind a kernel handle."""
     return at_address(np.float32, k[AT_W])
 
 
 @njit(cache=True, nogil=True)
 def touches(handle, mode, q):
-    """Whether one configuration (dof,) is not free. On arrays."""
+    """Return whether one configuration q (dof,) is in collision; callable from Python."""
     k = pointer(handle)
     w = lanes_of(k)
     for j in range(len(q)):

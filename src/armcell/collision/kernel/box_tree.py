@@ -28,7 +28,7 @@ def box_tree(low: F64, high: F64) -> tuple[F32, I32]:
 
 
 def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
-    """Build a bounding-box tree of boxes (n, 3) that are already in a spatially compact order.
+    """Build a bounding-box tree of boxes (n, 3) whose order is already spatially compact.
 
     Args:
         content: (n,) content index of each box.
@@ -55,7 +55,7 @@ def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
 
 
 def _blocks(rows: F64, empty: float) -> F64:
-    """Return rows (3, n) in blocks (3, b, L), filled up with `empty`."""
+    """Arrange rows (3, n) in blocks (3, b, L) of SIMD width; pad the last block with `empty`."""
     blocks = np.full((3, max(-(-rows.shape[1] // L), 1) * L), empty)
     blocks[:, : rows.shape[1]] = rows
     return blocks.reshape(3, -1, L)
@@ -83,7 +83,7 @@ def z_order(low: F64, high: F64) -> NDArray[np.int64]:
 
 
 def _spread() -> NDArray[np.int64]:
-    """Return the numbers from 0 to 1023 with two zero bits after each bit."""
+    """Insert two zero bits after each bit of numbers from 0 to 1023, for Z-order codes."""
     numbers = np.arange(1024)
     return sum(((numbers >> bit) & 1) << 3 * bit for bit in range(10))  # pyright: ignore
 

@@ -45,7 +45,7 @@ def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, N
 
 
 class KernelChecker:
-    """Fast collision checks on one scene for one joint group, 16 configurations at a time.
+    """Fast collision checker for one scene and one joint group, 16 configurations at a time.
 
     The checker has one workspace and is not thread-safe: create one per thread.
 
@@ -66,7 +66,7 @@ class KernelChecker:
         self._take_hold()
 
     def __reduce__(self) -> tuple:
-        """Rebuild a pickled or copied checker from its scene.
+        """Pickle or copy the checker as its scene, from which the checker is rebuilt.
 
         The handle contains memory addresses, which are invalid in a copy.
         """
@@ -79,13 +79,13 @@ class KernelChecker:
         return self._exact
 
     def _take_hold(self) -> None:
-        """Create the handle that every kernel function takes first, from the current arrays."""
+        """Create the handle of the current arrays, the first argument of every kernel function."""
         self.handle = handle_of(
             (*self.flat, self.lanes, self.state, self.scratch, self.slack, self.slack_pair)
         )
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the padding of pairs that are closer than their padding at q but do not touch.
+        """Reduce the padding of pairs that are within their padding at q (n,) but do not touch.
 
         See `ExactChecker.relax_margins`.
         """
@@ -123,11 +123,11 @@ class KernelChecker:
         return other
 
     def is_free(self, q: ArrayLike) -> bool:
-        """Return True if no body that the group can move touches another body (with padding)."""
+        """Return whether no body that the group can move touches another body (with padding)."""
         return not touches(self.handle, EXACT | PADDED, self._configuration(q))
 
     def touches(self, q: ArrayLike) -> bool:
-        """Return True if any pair of bodies is in contact (without padding)."""
+        """Return whether any pair of bodies is in contact (without padding)."""
         return bool(touches(self.handle, EXACT, self._configuration(q)))
 
     def _configuration(self, q: ArrayLike) -> Array:
@@ -162,7 +162,7 @@ class KernelChecker:
         return float(proven_clearance(self.handle, points, most, tolerance))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
-        """Return True if a straight motion is collision-free at samples at most `step` [rad] apart."""
+        """Return whether a straight motion is collision-free at samples at most `step` [rad] apart."""
         return bool(free_edge(self.handle, self._path(np.stack([np.asarray(a), np.asarray(b)])), step))
 
     def certify(

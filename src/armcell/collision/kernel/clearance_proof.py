@@ -1,4 +1,4 @@
-"""Proofs that keep a distance between the bodies of a robot, along a motion."""
+"""Proof that the bodies of a robot keep a distance from each other along a motion."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -16,17 +16,18 @@ from armcell.collision.kernel.simd import at_address, pointer
 
 @njit(cache=True, nogil=True)
 def first_below_clearance(handle, points, room, distance):
-    """Where on a piecewise linear motion (k, dof) two bodies are not proven `distance` [m] apart.
+    """Return where on a piecewise linear motion (k, dof) a clearance of bodies is not proven.
 
     Args:
-        room: (dof,) how far each joint may be off the edges [rad or m].
+        room: (dof,) largest deviation of each joint from the edges [rad or m].
+        distance: clearance between two bodies [m].
     Returns:
-        The place counted in edges, -1.0 if there is none.
+        The position counted in edges, or -1.0 if the clearance is proven on the whole motion.
     """
     k, (n, dof) = pointer(handle), points.shape
     I, s = ints(k), at_address(np.float64, k[AT_S])
     slack_pair = at_address(np.float32, k[AT_SLACK_PAIR])
-    rows, at = np.arange(n) * dof, np.empty(n)  # both are used after the call: pointers do not keep them
+    rows, at = np.arange(n) * dof, np.empty(n)  # used after the call, to stay alive
     loosen(k, pointer(room))
     for b in range(I[PAIRS]):
         slack_pair[b] += np.float32(distance)

@@ -1,9 +1,9 @@
-"""Bodies against clouds: shapes of very many parts (see cloud_part).
+"""Kernel tests of robot bodies against clouds, which are world shapes with very many parts.
 
-Groups of spheres go down the cloud's tree of boxes, sixteen boxes at a time against all lanes together and
-then one box against every lane. At a block of parts it is the other way round: the lanes of a vector are
-sixteen parts, and one sphere in one configuration is held against them. Which parts wait for the exact tier
-is not kept: it finds them again, for just the configurations in question.
+`cloud_part` describes the parts. Groups of spheres descend the cloud's bounding-box tree: first 16 boxes at a
+time against all lanes together, then each box against every lane. At a block of parts, the SIMD lanes hold 16
+parts, and one sphere in one configuration is tested against them. The kernel does not store which parts the
+exact tier must test; the exact tier finds them again, only for the undecided configurations.
 """
 
 # pyright: reportCallIssue=false, reportGeneralTypeIssues=false
@@ -71,13 +71,17 @@ DONE = np.int64(-1)
 
 @inner_njit(forceinline=True)
 def _cloud_of(I, o):
-    """Where the numbers of world shape o's cloud are in I."""
+    """Return the position of a world shape's cloud data in the kernel's integer array."""
     return I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o]
 
 
 @inner_njit(forceinline=True)
 def _side(F, at, u, v, x, y, z):
-    """Vectors from the nearest points of edges u-v of 16 triangles at F[at:] to a point."""
+    """Return vectors to a point from the nearest points on one edge of each of 16 triangles.
+
+    The triangles are at F[at:]; their edges lead from corner u to corner v. Also returns on which side of the
+    edge the point is, positive on the inner side.
+    """
     ux, uy, uz = load(F, at + 3 * u * L), load(F, at + (3 * u + 1) * L), load(F, at + (3 * u + 2) * L)
     ex = load(F, at + 3 * v * L) - ux
     ey = load(F, at + (3 * v + 1) * L) - uy
@@ -97,15 +101,15 @@ def _side(F, at, u, v, x, y, z):
 
 @inner_njit(forceinline=True)
 def _apart(F, kind, at, x, y, z):
-    """Of a point, for the 16 parts at F[at:]: the distance to each, and the vector from what is nearest.
+    """Return a point's distances to 16 cloud parts, and the vectors from the nearest points.
 
-    All these distances are convex functions of the point. The vectors' lengths are the distances, but for
-    balls (from their centre).
+    The parts are at F[at:]. All these distances are convex functions of the point. The length of a vector is
+    the distance, except for balls, where the vector begins at the center.
     """
     zero = splat(np.float32(0.0))
     if kind == gjk.TRIANGLE:
-        # Nearest on a side, or above the face where the point is on the inner side of all three sides
-        # (n . edge x point > 0). The normal is worked out in float64: slivers have a good one, too.
+        # The nearest point is on a side, or on the face if the point is on the inner side of all three sides
+        # (n . edge x point > 0). The normal was computed in float64, so that it is accurate for slivers, too.
         ax, ay, az, a = _side(F, at, 0, 1, x, y, z)
         bx, by, bz, b = _side(F, at, 1, 2, x, y, z)
         cx, cy, cz, c = _side(F, at, 2, 0, x, y, z)
@@ -135,14 +139,18 @@ def _apart(F, kind, at, x, y, z):
 
 @inner_njit(forceinline=True)
 def _block_at(I, c, block):
-    """Where block `block` of cloud c's parts is in F."""
+    """Return the position of a block of cloud parts in the kernel's float array."""
     rows = 12 if I[c] == gjk.TRIANGLE else 4
     return I[CLOUD_PARTS] + I[c + 2] + block * rows * L
 
 
 @inner_njit
 def _local(I, F, w, state, o, g, f, mode):
-    """Put the centres (and velocities) of group g's spheres, in shape o's frame, to w[local_at:]."""
+    """Transform the centers of a group's spheres to a world shape's frame, for all lanes.
+
+    The centers of group g in the frame of shape o are written to w[local_at:]. In a proof, the velocities are
+    written as well.
+    """
     m, out, first = I[SHAPE_POSE] + 12 * o, local_at(I), I[BODIES] + I[GROUPS]
     for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
         at = centre(I, F, w, state, first + k, f, I[SPHERE] + 5 * k, mode)
@@ -161,10 +169,14 @@ def _local(I, F, w, state, o, g, f, mode):
 
 @inner_njit
 def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
-    """Group g in one lane against the 16 parts at F[at:]: the ball around it (w[ball_at:]), then its spheres.
+    """Test a group of spheres in one SIMD lane against 16 cloud parts, coarse test first.
 
-    Returns bits of parts: that a sphere is not clear of, that one touches for certain, that are too near for
-    any exact test. `more`: what the gap must exceed beside the radius and, in a proof, its own falling.
+    The group's bounding ball is tested before its spheres. The parts are at F[at:]. `more` is the margin that
+    a gap must exceed in addition to the radius and, in a proof, to the motion in half the interval.
+
+    Returns:
+        Three bit masks of parts: parts that a sphere is not clear of, parts that certainly touch a sphere,
+        and parts so near that no exact test can prove them clear.
     """
     near, sure, close = np.int64(0), np.int64(0), np.int64(0)
     b, tiny, first = ball_at(I) + lane, splat(np.float32(1e-12)), I[I[GROUP_SPHERES] + g]
@@ -197,7 +209,10 @@ def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
 
 @inner_njit
 def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
-    """Group g against the 16 parts at F[at:] in some lanes; the lanes left open, or DONE."""
+    """Test a group of spheres in several SIMD lanes against 16 cloud parts.
+
+    Returns the undecided lanes, or DONE.
+    """
     while lanes != 0:
         lane = trailing_zeros(lanes)
         lanes &= lanes - 1
@@ -221,7 +236,7 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
 
 @inner_njit
 def _keep_ball(I, w, state, x, y, z, reach):
-    """Note the ball around a group whose spheres are not placed yet."""
+    """Store the bounding ball of a sphere group whose spheres are not transformed yet."""
     ball = ball_at(I)
     store(w, ball, x)
     store(w, ball + L, y)
@@ -232,10 +247,13 @@ def _keep_ball(I, w, state, x, y, z, reach):
 
 @inner_njit
 def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
-    """Balls of radius `reach` around (x, y, z) in shape o's frame down its cloud's tree.
+    """Walk balls (one per SIMD lane) down the bounding-box tree of a world shape's cloud.
+
+    The balls have radius `reach` around (x, y, z), in shape o's frame.
 
     Returns:
-        With NO_GROUP the first lanes found at a block of parts, else what `_parts_block` says of group g.
+        With NO_GROUP, the first lanes that reach a block of parts; otherwise the result of `_parts_block` for
+        group g.
     """
     c, stack = _cloud_of(I, o), STACK + MAX_STACK // 2
     zero, open_lanes = splat(np.float32(0.0)), np.int64(0)
@@ -257,7 +275,7 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
             dy = vmax(vmax(splat(F[low + L]) - y, y - splat(F[low + 4 * L])), zero)
             dz = vmax(vmax(splat(F[low + 2 * L]) - z, z - splat(F[low + 5 * L])), zero)
             here = mask_lt(fma(dx, dx, fma(dy, dy, dz * dz)), reach2) & lanes & state[ALIVE]
-            if mode & PROVE:  # what is open is for the exact tier
+            if mode & PROVE:  # the exact tier decides open lanes
                 here &= ~open_lanes
             if here == 0:
                 continue
@@ -278,14 +296,17 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
 
 @inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
-    """Radius of a ball that holds all that the ball around centre i needs."""
+    """Return the radius of a ball that also covers a body's margin and motion in an interval.
+
+    The ball is around center i.
+    """
     reach = splat(radius) + more
     return fma(load(w, half_at(I)), load(w, velocity_at(I, i) + 3 * L), reach) if mode & PROVE else reach
 
 
 @inner_njit
 def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
-    """A body against the cloud of world shape o: lanes (bits) for the exact tier, or DONE."""
+    """Test a body against the cloud of a world shape; return undecided lanes (bits), or DONE."""
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
     more_at = need_at(I) + L
     store(w, more_at, more)
@@ -309,13 +330,14 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
 
 @inner_njit
 def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
-    """List parts of a cloud that the exact tier has to look at: those a sphere of the body is not clear of.
+    """List the next cloud parts that need an exact test, because a sphere is not clear of them.
 
-    Called again and again with what it returned; begin with the body's first group, 0 and 0. The parts are
-    in state[LISTED:] (where each begins in F).
+    Call the function repeatedly with its own last result; begin with the body's first group, 0 and 0. It
+    writes the index in F of each part to state[LISTED:].
 
     Returns:
-        group, top: where the walk stopped (group beyond the body's last: at its end); count of the parts.
+        group, top: position where the walk stopped; after the body's last group, the walk is complete.
+        count: number of listed parts.
     """
     f, bodies, m, c = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, _cloud_of(I, o)
     need, more = w[need_at(I) + lane], w[need_at(I) + (L if mode & PROVE else 0) + lane]
@@ -362,9 +384,10 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """How edges u-v of 16 triangles wind around a point, seen along z: 1 counter-clockwise, -1, 0.
+    """Return how edges of 16 triangles wind around a point, seen along z: 1, -1 or 0.
 
-    Each edge is computed from its lower end, so that the two triangles at it agree to the last bit.
+    Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so
+    that the two triangles at an edge agree to the last bit.
     """
     ux, uy = load(F, at + 3 * u * L), load(F, at + (3 * u + 1) * L)
     vx, vy = load(F, at + 3 * v * L), load(F, at + (3 * v + 1) * L)
@@ -379,7 +402,10 @@ def _turns(F, at, u, v, x, y):
 
 @inner_njit
 def encloses(I, F, state, o, px, py, pz):
-    """Whether a point in shape o's frame is inside its cloud of triangles, by what lies above it."""
+    """Return whether a point in a world shape's frame is inside its closed triangle mesh.
+
+    The triangles above the point decide.
+    """
     c, stack = _cloud_of(I, o), STACK + MAX_STACK // 2
     x, y, z, half = splat(px), splat(py), splat(pz), splat(np.float32(0.5))
     count, top = 0, 1

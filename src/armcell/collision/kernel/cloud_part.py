@@ -37,10 +37,10 @@ ROWS = {gjk.BALL: 4, gjk.CELL: 4, gjk.TRIANGLE: 12}
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Parts in blocks (b, rows, L) with a bounding-box tree whose leaves are blocks of parts.
+    """Kernel data of a cloud: parts in blocks (b, rows, L) under a bounding-box tree.
 
-    `box` at the pose `T_shape_box` (4, 4) encloses all parts. `closed` is True if the triangles enclose a
-    solid.
+    The leaves of the tree are blocks of parts. `box` at the pose `T_shape_box` (4, 4) encloses all parts.
+    `closed` is True if the triangles enclose a solid.
     """
 
     kind: int
@@ -97,7 +97,7 @@ def _cloud(
     high: F64,
     closed: bool = False,
 ) -> Cloud:
-    """Return a cloud of n parts.
+    """Return the kernel data of a cloud with n parts.
 
     Args:
         parts: values of the parts, a row (n,) or a number for each of `ROWS`.

@@ -1,9 +1,10 @@
-"""Sphere covers: few spheres that hold every point of a solid and reach little beyond it.
+"""Sphere covers: few spheres that contain all of a solid and extend little beyond it.
 
-A sphere around a point inside at depth d with radius d + e reaches at most e beyond the solid, because the
-ball of radius d lies within it. Among such spheres a greedy choice covers all surface points; the spacing
-of the points is taken off the radii, so what lies between them is held too. Where the cover is free of
-contact the solid is; where the inner ball (depth d) is hit the solid certainly is.
+A sphere with radius d + e around an interior point at depth d extends at most e beyond the solid, because the
+ball of radius d is inside the solid. From such spheres, a greedy choice covers all surface points; the
+spacing of the points is subtracted from the radii, so that the surface between the points is covered too. If
+the cover is free of contact, the solid is free; if the inner ball (radius d) touches, the solid certainly
+touches.
 """
 
 from __future__ import annotations
@@ -22,14 +23,15 @@ from armcell.core import Shape
 Array = NDArray[np.float64]
 
 GROUP = 8  # spheres that share a bounding sphere
-FIT_VERSION = 1  # to be raised when `fit` gives other spheres
+FIT_VERSION = 1  # increase when `fit` returns other spheres, to invalidate the disk cache
 
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Spheres in the solid's frame: `centres` (k, 3), `outer` radii (k,) and `inner` radii (k,) [m].
+    """Sphere cover of a solid: `centres` (k, 3), `outer` and `inner` radii (k,) [m].
 
-    Sorted so that every `GROUP` in a row are neighbors; `groups` (g, 4) are spheres around those.
+    The spheres are sorted so that each run of `GROUP` spheres is spatially compact; `groups` (g, 4) are the
+    bounding spheres of these runs.
     """
 
     centres: Array
@@ -48,7 +50,10 @@ def _grouped(centres: Array, outer: Array, inner: Array) -> Cover:
 
 @njit(cache=True)
 def _holds(e, p, x, y, z, reach2):
-    """Whether a ball holds all three corners of element p; `e` is (9, n): x, y, z of each corner."""
+    """Return whether a ball contains all three corners of a surface element (triangle).
+
+    `e` (9, n) has x, y, z of each corner, and p is the index of the element.
+    """
     for i in range(0, 9, 3):
         dx, dy, dz = e[i, p] - x, e[i + 1, p] - y, e[i + 2, p] - z
         if dx * dx + dy * dy + dz * dz > reach2:
@@ -58,7 +63,11 @@ def _holds(e, p, x, y, z, reach2):
 
 @njit(cache=True)
 def _greedy(e, centres, reach2):
-    """Balls (squared radii `reach2`) that together hold all elements (9, n), largest gain first."""
+    """Choose balls greedily until they contain all surface elements that any ball contains.
+
+    Elements are (9, n). The balls have squared radii `reach2`. Returns the chosen balls and which elements
+    they contain.
+    """
     n, m = e.shape[1], len(centres)
     gain = np.zeros(m, dtype=np.int64)
     for c in range(m):
@@ -87,9 +96,9 @@ def _greedy(e, centres, reach2):
 
 @lru_cache(maxsize=4096)
 def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
-    """The cover of one shape; `overshoot` [m] is how far it may reach beyond the shape.
+    """Return the sphere cover of a shape; it extends at most `overshoot` [m] beyond the shape.
 
-    Kept on disk by the shape's content: a robot's covers are fitted once per machine.
+    Covers are cached on disk by the content of the shape, so each robot's covers are fitted once per machine.
     """
     key = shape_key(shape, overshoot)
     stored = recall("covers", key)
@@ -101,15 +110,15 @@ def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
 
 
 def fit(shape: Shape, overshoot: float) -> Cover:
-    """`cover` without looking anything up."""
+    """Fit the sphere cover of a shape without the cache; see `cover`."""
     vertices, faces, round_gap = triangulated(shape)
     elements = outer_skin(vertices, faces, 0.7 * overshoot)
     size = float((vertices.max(0) - vertices.min(0)).max())
     inside = interior_points(vertices, faces, max(0.8 * overshoot, size / 35))
     depth = depths(inside, elements) if len(inside) else np.zeros(0)
-    # The solid's middle is to be held as well, not only its skin: each grid point is a small element.
+    # The cover must contain the solid's interior as well as its skin: each grid point is a small element.
     elements = np.concatenate([elements, np.repeat(inside[:, None, :], 3, axis=1)])
-    # Surface points as centres (depth 0) reach corners that no interior ball does; a few are enough.
+    # Balls around surface points (depth 0) reach corners that no interior ball reaches; a few are enough.
     skin = elements[: len(elements) - len(inside)].mean(axis=1)
     _, thin = np.unique(np.round(skin / (2 * overshoot)).astype(np.int64), axis=0, return_index=True)
     centres = np.vstack([inside, skin[np.sort(thin)]])
@@ -117,7 +126,7 @@ def fit(shape: Shape, overshoot: float) -> Cover:
     outer = inner + overshoot
     reach2 = (outer - round_gap) ** 2
     chosen, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centres, reach2)
-    missing = elements[~held]  # the repair pass: what no candidate holds gets a ball of its own
+    missing = elements[~held]  # repair: elements that no candidate contains get their own ball
     while len(missing):
         centre = missing[0].mean(axis=0)
         centres, inner, outer = (
@@ -133,7 +142,10 @@ def fit(shape: Shape, overshoot: float) -> Cover:
 
 
 def _neighbors_together(centres: Array) -> NDArray[np.int64]:
-    """An order in which runs of `GROUP` are close together: halves along the longest axis."""
+    """Return an order of sphere centers in which each run of `GROUP` is spatially compact.
+
+    The function splits the centers in halves along the longest axis.
+    """
 
     def split(index: NDArray[np.int64]) -> list[int]:
         if len(index) <= GROUP:
@@ -148,7 +160,10 @@ def _neighbors_together(centres: Array) -> NDArray[np.int64]:
 
 
 def bounding_sphere(centres: Array, radii: Array) -> tuple[Array, float]:
-    """A small sphere around spheres (n, 3), (n,): Ritter's start, then a few steps towards the farthest."""
+    """Return a small sphere around spheres with centers (n, 3) and radii (n,).
+
+    The iteration starts from the center of the bounding box and moves toward the farthest sphere.
+    """
     low, high = np.min(centres - radii[:, None], axis=0), np.max(centres + radii[:, None], axis=0)
     *centre, radius = _shrink(np.ascontiguousarray(centres), np.ascontiguousarray(radii), (low + high) / 2)
     return np.array(centre), radius
@@ -156,7 +171,7 @@ def bounding_sphere(centres: Array, radii: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def _shrink(centres, radii, start):
-    """Centre and radius that 60 ever smaller steps from `start` (3,) come to."""
+    """Return center and radius of a bounding sphere after 60 shrinking steps from `start` (3,)."""
     x, y, z = start
     step = 0.05
     reach = 0.0
@@ -177,7 +192,10 @@ def _shrink(centres, radii, start):
 
 
 def shape_key(shape: Shape, overshoot: float) -> str:
-    """A name for the cover of a shape, the same in every process; another one when the fitting changes."""
+    """Return the cache key of a shape's sphere cover, equal in every process.
+
+    The key changes with the version of the fitting algorithm.
+    """
     version = f"{FIT_VERSION} {overshoot:.6f}"
     vertices = getattr(shape, "vertices", None)
     if vertices is None:

@@ -1,7 +1,8 @@
-"""Sixteen configurations at once: frames, centres, and how fast points move along an edge.
+"""Forward kinematics of 16 configurations at once: frames, sphere centers, velocities.
 
-Everywhere in the kernel `I`, `F`, `D` are the flat pack (see layout), `w` the lanes' workspace, `state` its
-integers (see `workspace`), `s` float64 scratch; all are bare pointers (see simd).
+Everywhere in the kernel, `I`, `F`, `D` are the flat arrays of the pack (`layout`), `w` is the workspace of
+the lanes, `state` its integers (`workspace`), and `s` float64 scratch memory; all are bare pointers (`simd`).
+Velocities are per unit of the edge on which the lanes are.
 """
 
 # pyright: reportCallIssue=false
@@ -33,19 +34,19 @@ REVOLUTE = 1
 
 EXACT, PADDED, PROVE, FIRST = 1, 2, 4, 8  # bits of `mode`, see `_check_arrays`
 
-# What `state` holds: the block's number, the lanes still to be decided (bits), whether one of them certainly
-# touches, and the pairs that wait for the exact tier (three numbers each); then the blocks in which the
-# centres were computed, and the stack of the walk through the world's boxes (a cloud's lie above those).
+# Contents of `state`: number of the block, undecided lanes (bits), lanes that certainly touch (bits), and the
+# pairs that wait for the exact tier (three numbers each); then the blocks in which the centers were computed,
+# and the stack of the walk through the world's boxes (a cloud's boxes are above them in the stack).
 NOW, ALIVE, TOUCHING, WAITING, ENTRIES = 0, 1, 2, 3, 4
 MAX_WAITING = 64
 STACK = ENTRIES + 3 * MAX_WAITING
 MAX_STACK = 256
 LISTED = STACK + MAX_STACK  # parts of a cloud that wait for the exact tier, in one lane
 MAX_LISTED = 512
-PLACED = LISTED + MAX_LISTED  # the group whose spheres are placed in a cloud's frame
+PLACED = LISTED + MAX_LISTED  # the group whose spheres are transformed to a cloud's frame
 STAMPS = PLACED + 1
 
-# Where in the float64 scratch the transforms of exact pieces are: A, B and A in B's frame.
+# Indices in the float64 scratch of the transforms of exact pieces: A, B and A in B's frame.
 AT_A, AT_B, AT_RELATIVE = gjk.SCRATCH, gjk.SCRATCH + 12, gjk.SCRATCH + 24
 SCRATCH = gjk.SCRATCH + 36
 
@@ -53,13 +54,15 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def workspace(flat: Flat) -> Workspace:
-    """Scratch for one thread: lanes (float32, 64-byte aligned), integers (int64), exact tests (float64).
+    """Allocate the workspace of one thread: lanes (float32), state (int64), scratch (float64).
 
-    The lanes hold, in this order: positions (dof), what each joint moves by per unit of the edge (dof), half
-    the width of each lane's interval in that unit, the turning of all joints in it, the exact tier's 8,
-    frames (12 each), their twists (6 each: angular velocity, velocity of the origin), centres (3 each), and
-    in a proof the centres' velocities and speeds (4 each) and what the bodies' margins have beside them; then
-    centres and velocities (6 each) of one group's spheres in a cloud's frame, and the ball around them (4).
+    The lanes are 64-byte aligned and hold, in this order:
+
+    - positions (dof); motion of each joint per unit of the edge (dof); half the width of each lane's interval
+      in that unit; the joints' summed rotation in the interval; 8 vectors of the exact tier
+    - frames (12 each), their twists (6 each: angular velocity, velocity of the origin), centers (3 each)
+    - in a proof: velocities and speeds of the centers (4 each), and margins of the bodies without speed
+    - centers and velocities (6 each) of one group's spheres in a cloud's frame, and their bounding ball (4)
     """
     I = flat[0]
     centres = int(I[BODIES] + I[GROUPS] + I[SPHERES])
@@ -71,25 +74,28 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Where in w joint j's motion per unit of the edge is."""
+    """Return the workspace position of a joint's motion per unit of the motion's edge."""
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def half_at(I):
-    """Where half the width of each lane's interval is; the turning follows."""
+    """Return the workspace position of half the interval width of each lane.
+
+    The joints' summed rotation follows it.
+    """
     return 2 * I[DOF] * L
 
 
 @inner_njit(forceinline=True)
 def need_at(I):
-    """Where the exact tier keeps what it needs of a pair: 8 vectors."""
+    """Return the workspace position of the 8 vectors with a body pair's margins (exact tier)."""
     return (2 * I[DOF] + 2) * L
 
 
 @inner_njit(forceinline=True)
 def frame_at(I, f):
-    """Where frame f's 12 vectors are (rows of 3x4)."""
+    """Return the workspace position of a frame: 12 vectors, the rows of its 3x4 matrix."""
     return (2 * I[DOF] + 10 + 12 * f) * L
 
 
@@ -100,37 +106,49 @@ def twist_at(I, f):
 
 @inner_njit(forceinline=True)
 def centre_at(I, i):
-    """Where the centre of body i, group (bodies + i) or sphere (bodies + groups + i) is kept."""
+    """Return the workspace position of the center of a body, sphere group or sphere.
+
+    Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
+    """
     return (2 * I[DOF] + 10 + 18 * I[FRAMES] + 3 * i) * L
 
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Where the velocity of centre i and then its speed are kept, per unit of the edge."""
+    """Return the workspace position of a sphere center's velocity, followed by its speed.
+
+    Both are per unit of the edge.
+    """
     return centre_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + 4 * i * L
 
 
 @inner_njit(forceinline=True)
 def more_at(I, body):
-    """Where a proof keeps what body's margins have beside its speed (see bend), seen from the world."""
+    """Return the workspace position of a body's margin to the world in a motion proof.
+
+    The margin does not include the speed (see `bend`).
+    """
     return velocity_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + body * L
 
 
 @inner_njit(forceinline=True)
 def local_at(I):
-    """Where centres and velocities of a group's spheres are kept in a cloud's frame: 6 vectors each."""
+    """Return the workspace position of a group's sphere centers and velocities, cloud frame.
+
+    Each sphere has 6 vectors.
+    """
     return more_at(I, I[BODIES])
 
 
 @inner_njit(forceinline=True)
 def ball_at(I):
-    """Where centre and radius of the ball around them are kept."""
+    """Return the workspace position of a sphere group's bounding ball in a cloud's frame."""
     return local_at(I) + 6 * GROUP * L
 
 
 @inner_njit(forceinline=True)
 def _sincos(x):
-    """Sine and cosine (Cephes polynomials, below 1e-6 for |x| < 1000)."""
+    """Compute sine and cosine of a SIMD vector (Cephes; error below 1e-6 for |x| < 1000)."""
     n = vround(x * splat(np.float32(0.6366197723675814)))
     y = fma(n, splat(np.float32(-1.5703125)), x)
     y = fma(n, splat(np.float32(-4.837512969970703e-4)), y)
@@ -148,7 +166,7 @@ def _sincos(x):
     one = splat(np.float32(1.0))
     f = vround(n * half - quarter)  # floor(n / 2)
     odd = n - two * f  # 0 or 1: swap sine and cosine
-    g = f - two * vround(f * half - quarter)  # 0 or 1: turn both round
+    g = f - two * vround(f * half - quarter)  # 0 or 1: change both signs
     sign = one - two * g
     sine = select_lt(half, odd, c, s) * sign
     cosine = select_lt(half, odd, splat(np.float32(0.0)) - s, c) * sign
@@ -157,7 +175,10 @@ def _sincos(x):
 
 @inner_njit
 def fk_block(I, F, w):
-    """Frames of 16 configurations whose positions lie at w[j * L:] per joint j."""
+    """Compute the frames of 16 configurations by forward kinematics.
+
+    The positions of joint j are at w[j * L:].
+    """
     zero, one = splat(np.float32(0.0)), splat(np.float32(1.0))
     base = frame_at(I, 0)
     for i in range(12):
@@ -183,9 +204,10 @@ def fk_block(I, F, w):
 
 @inner_njit
 def twist_block(I, F, w):
-    """Angular velocity and velocity of the origin of every frame, per unit of the edge (after fk_block).
+    """Compute the twist of every frame, per unit of the motion's edge; run `fk_block` before.
 
-    Also the turning: how much all revolute joints turn together, which bounds how the velocities change.
+    A twist is the angular velocity and the velocity of the origin. The function also sums up the rotation of
+    all revolute joints, which bounds the change of the velocities.
     """
     zero, turning = splat(np.float32(0.0)), splat(np.float32(0.0))
     base = twist_at(I, 0)
@@ -220,9 +242,9 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def centre(I, F, w, state, i, f, sphere, mode):
-    """Where centre i is kept; computed on its first use in this block from F[sphere:] in frame f.
+    """Return the workspace position of a sphere's center, computed on first use per block.
 
-    In a proof its velocity and speed are computed as well.
+    The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """
     at = centre_at(I, i)
     if state[STAMPS + i] != state[NOW]:
@@ -253,10 +275,12 @@ def centre(I, F, w, state, i, f, sphere, mode):
 
 @inner_njit
 def bend(I, F, w, reach, slack):
-    """What a margin needs beside half width times speed: how velocities change in the interval, and slack.
+    """Return the proof margin that covers slack and changes of velocity within an interval.
 
-    The points' accelerations are at most the turning times `reach` (where in F: meters per unit of each
-    joint), doubled for slides; half the interval's square of it is what the velocity in its middle misses.
+    A proof needs this margin in addition to half width times speed. The accelerations of a body's points are
+    at most the joints' summed rotation times `reach` (index in F: meters per unit of each joint), doubled for
+    prismatic joints. This bound times the squared half width covers the motion that the velocity in the
+    middle of the interval does not include.
     """
     at = half_at(I)
     total = splat(np.float32(0.0))

@@ -1,9 +1,10 @@
-"""Exact distance of convex solids (GJK), float64 and scalar: the second tier of the kernel.
+"""Exact distance of convex solids by the GJK algorithm, the second tier of the kernel.
 
-Solids are a type with numbers: 0 points (hull of vertices), 1 sphere, 2 box, 3 capsule, 4 cylinder, 5 cone,
-6 half space; and parts of clouds, whose numbers are in the scratch: 7 ball, 8 cell (cube), 9 triangle. The
-algorithm is Gilbert, Johnson and Keerthi's with Ericson's closest points of simplices ("Real-Time Collision
-Detection", 5.1 and 9.5); checked against coal in the tests.
+The computation is scalar and in float64. A solid has a kind and numbers. Kinds: 0 points (convex hull of
+vertices), 1 sphere, 2 box, 3 capsule, 4 cylinder, 5 cone, 6 half space. The parts of clouds have their
+numbers in the scratch memory: 7 ball, 8 cell (cube), 9 triangle. The algorithm is that of Gilbert, Johnson
+and Keerthi with Ericson's closest points of simplices ("Real-Time Collision Detection", 5.1 and 9.5); the
+tests compare it with coal.
 """
 
 # pyright: reportCallIssue=false
@@ -31,8 +32,8 @@ MAX_ITERATIONS = 64
 SCRATCH = 69  # float64 numbers that `distance` needs
 NORMAL = 54
 PART = 58  # of a cloud: radius, half the edge, or three corners
-CLOSE = 68  # [m] what is as near as this counts as touching; 0 but for measuring clearance
-TOLERANCE = 1e-6  # [m] of the distance, beside this share of what is enough:
+CLOSE = 68  # [m] distance that counts as touching; 0 except while clearance is measured
+TOLERANCE = 1e-6  # [m] tolerance of the distance, plus this share of `enough`:
 SHARE = 0.05
 TOUCHING = 2e-6
 """[m] Solids closer than this touch: frames and points are float32, and coal calls 1 um a contact as well."""
@@ -40,7 +41,10 @@ TOUCHING = 2e-6
 
 @inner_njit
 def _farthest(F, first, count, dx, dy, dz):
-    """Which of some points is farthest along a direction; they lie in F in blocks of L (x, y, z)."""
+    """Return the index of the point that is farthest along a direction.
+
+    The points are in F, in blocks of L points (x, y, z).
+    """
     x, y, z = splat(np.float32(dx)), splat(np.float32(dy)), splat(np.float32(dz))
     best, where = splat(np.float32(-1e30)), splat(np.float32(0.0))
     for block in range((count + L - 1) // L):
@@ -55,7 +59,10 @@ def _farthest(F, first, count, dx, dy, dz):
 
 @inner_njit
 def _part_support(kind, dx, dy, dz, s, out):
-    """`support` of the part of a cloud whose numbers are at s[PART:]."""
+    """Compute the support point of a cloud part along a direction; see `support`.
+
+    The numbers of the part are at s[PART:].
+    """
     a = s[PART]
     if kind == BALL:
         n = a / (np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300)
@@ -75,9 +82,10 @@ def _part_support(kind, dx, dy, dz, s, out):
 
 @inner_njit
 def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
-    """Farthest point of a solid, in its own frame, along (dx, dy, dz); into s[out : out + 3].
+    """Compute the support point of a solid along (dx, dy, dz), in its own frame.
 
-    `size` is where its three numbers are in D, `first` where its points are, `first32` where they are in F.
+    The result is written to s[out : out + 3]. `size` is the index of the solid's three numbers in D; `first`
+    and `first32` are the indices of its points in D and F.
     """
     if kind >= BALL:
         _part_support(kind, dx, dy, dz, s, out)
@@ -107,7 +115,10 @@ def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
 
 @inner_njit
 def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, at):
-    """Support of A minus B along d in B's frame, where s[T : T + 12] maps A's frame to B's; into s[at:]."""
+    """Compute the support point of the Minkowski difference A - B along d, in B's frame.
+
+    The result is written to s[at:]. s[T : T + 12] is the transform from A's frame to B's.
+    """
     ax = s[T] * dx + s[T + 4] * dy + s[T + 8] * dz
     ay = s[T + 1] * dx + s[T + 5] * dy + s[T + 9] * dz
     az = s[T + 2] * dx + s[T + 6] * dy + s[T + 10] * dz
@@ -126,7 +137,11 @@ def _copy(s, src, dst):
 
 @inner_njit
 def _segment(s, v):
-    """Closest point to the origin on the segment s[0:3], s[3:6], into s[v:]; returns the size left."""
+    """Compute the point of a segment that is nearest to the origin, for GJK's simplex.
+
+    The segment is s[0:3], s[3:6]; the point is written to s[v:]. Returns the number of points in the reduced
+    simplex.
+    """
     bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
     t = -(s[0] * bx + s[1] * by + s[2] * bz)
     n = bx * bx + by * by + bz * bz
@@ -144,7 +159,10 @@ def _segment(s, v):
 
 @inner_njit
 def _triangle(s, o, v):
-    """As `_segment`, for three points from s[o] on."""
+    """Compute the point of a triangle that is nearest to the origin, for GJK's simplex.
+
+    The triangle starts at s[o]; otherwise the function is like `_segment`.
+    """
     ax, ay, az = s[o], s[o + 1], s[o + 2]
     bx, by, bz = s[o + 3], s[o + 4], s[o + 5]
     cx, cy, cz = s[o + 6], s[o + 7], s[o + 8]
@@ -187,7 +205,7 @@ def _triangle(s, o, v):
         _copy(s, o + 6, o + 3)
         return 2
     w = va + vb + vc
-    if w <= 0.0:  # a flat triangle: its longest side serves
+    if w <= 0.0:  # a flat triangle: use its longest side
         s[v], s[v + 1], s[v + 2] = ax, ay, az
         return 1
     p, q = vb / w, vc / w
@@ -197,7 +215,7 @@ def _triangle(s, o, v):
 
 @inner_njit
 def _outside(s, i, j, k, o):
-    """Whether the origin and point o are on different sides of the plane through points i, j, k."""
+    """Return whether a plane through points i, j, k separates the origin from point o."""
     abx, aby, abz = s[j] - s[i], s[j + 1] - s[i + 1], s[j + 2] - s[i + 2]
     acx, acy, acz = s[k] - s[i], s[k + 1] - s[i + 1], s[k + 2] - s[i + 2]
     nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
@@ -205,13 +223,16 @@ def _outside(s, i, j, k, o):
     there = (s[o] - s[i]) * nx + (s[o + 1] - s[i + 1]) * ny + (s[o + 2] - s[i + 2]) * nz
     scale = 1e-13 * (abs(nx) + abs(ny) + abs(nz))
     if abs(there) <= scale:
-        return True  # flat: look at the face
+        return True  # flat: use the face
     return here * there < 0.0
 
 
 @inner_njit
 def _tetrahedron(s, v):
-    """As `_segment`, for four points; returns 4 if the origin is inside."""
+    """Compute the point of a tetrahedron that is nearest to the origin; return 4 if inside.
+
+    Otherwise the function is like `_segment`.
+    """
     best, size = 1e300, 4
     for face in range(4):
         if face == 0:
@@ -241,17 +262,19 @@ def _tetrahedron(s, v):
 
 @inner_njit
 def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
-    """Distance of convex solid A to convex solid B [m], 0 when they touch; never more than the true one.
+    """Return the distance [m] of two convex solids A and B, or 0 if they touch.
+
+    The result is never above the true distance.
 
     Args:
-        F, D: numbers and points of solids.
-        T: where in `s` the 12 numbers (rows, 3x4) of the transform from A's frame to B's are.
-        ka, sa, fa, ga, na: A's kind, where its three numbers and its points are in D and in F, how many
-            points; B alike.
-        enough: a lower bound above this (and `TOUCHING`) ends the search early; the bound is returned.
-        warm: begin with the normal that is in s[NORMAL:].
-        s: scratch, the first `SCRATCH` numbers are overwritten. s[NORMAL : NORMAL + 3] is set to the unit
-            vector in B's frame along which the distance returned separates A from B.
+        F, D: numbers and points of the solids.
+        T: index in `s` of the 12 numbers (3x4 rows) of the transform from A's frame to B's.
+        ka, sa, fa, ga, na: kind of A, indices of its three numbers in D and of its points in D and in F, and
+            number of points; likewise for B.
+        enough: a lower bound above this value (and `TOUCHING`) ends the search early and is returned.
+        warm: start with the normal in s[NORMAL:].
+        s: scratch memory; the first `SCRATCH` numbers are overwritten. s[NORMAL : NORMAL + 3] receives the
+            unit vector in B's frame along which the returned distance separates A from B.
     """
     v = 30
     if warm:
@@ -274,10 +297,10 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
             s[NORMAL], s[NORMAL + 1], s[NORMAL + 2] = s[v] / length, s[v + 1] / length, s[v + 2] / length
             if bound > enough:
                 return bound
-        # A rough bound is enough where it proves a separation; that solids touch is never said of one.
+        # A rough bound may prove a separation, but never a contact.
         if n > 0 and length - bound <= (tolerance if bound > max(TOUCHING, s[CLOSE]) else TOLERANCE):
             return bound if bound > TOUCHING else 0.0
-        for k in range(0, 3 * n, 3):  # a point that is there already: no progress is possible
+        for k in range(0, 3 * n, 3):  # a point that the simplex already contains: no progress is possible
             if (s[k] - s[36]) ** 2 + (s[k + 1] - s[37]) ** 2 + (s[k + 2] - s[38]) ** 2 < 1e-22:
                 return bound if bound > TOUCHING else 0.0
         _copy(s, 36, 3 * n)
@@ -290,7 +313,7 @@ def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
             n = _triangle(s, np.int64(0), np.int64(v))
         else:
             n = _tetrahedron(s, v)
-            if n == 4:  # around the origin; a separation proven before is the better witness
+            if n == 4:  # around the origin; a separation that is already proven is the better witness
                 return bound if bound > TOUCHING else 0.0
         now = s[v] * s[v] + s[v + 1] * s[v + 1] + s[v + 2] * s[v + 2]
         if now > length2 * (1 - 1e-14) and n > 1 and bound > 0:

@@ -1,4 +1,4 @@
-"""A thread-safe least-recently-used cache."""
+"""Thread-safe cache with least-recently-used eviction."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Value = TypeVar("Value")
 
 
 class LruCache(Generic[Value]):
-    """Thread-safe cache that keeps the `most` most recently used values."""
+    """Thread-safe cache of the `most` most recently used values."""
 
     def __init__(self, most: int):
         self.most = most

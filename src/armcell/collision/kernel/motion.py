@@ -1,4 +1,4 @@
-"""Motions in the kernel: quickly checked at samples, or proven free between them as well."""
+"""Collision checks of motions in the kernel: at samples, or as a proof for the whole motion."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -29,21 +29,24 @@ from armcell.collision.kernel.layout import BODIES, DOF, PAIR_REACH, PAIRS, REAC
 from armcell.collision.kernel.simd import L, at_address, fma, iota, pointer, splat, store
 
 FINEST = 1e-4
-"""[rad] Half intervals shorter than this are not cut further: closer than their motion counts as touching."""
+"""[rad] Shorter half intervals are not divided: a distance below their motion counts as contact."""
 
 WIDEST = 0.12
-"""[rad] Length of the intervals that a proof begins with, where 16 of them are enough for the edge."""
+"""[rad] Initial length of a proof's intervals, if 16 of them are enough for the edge."""
 
 CERTAIN = np.float32(1e-5)
-"""[m] Room for rounding in float32 in every proof."""
+"""[m] Margin for float32 rounding in every proof."""
 
 PROVEN = 2.0
-ROOM = 2048  # intervals that may wait in a proof
+ROOM = 2048  # capacity of a proof's stack of intervals
 
 
 @inner_njit(forceinline=True)
 def spread(I, w, p, a, b, at, step):
-    """16 configurations between those at p[a:] and p[b:], at fractions at, at + step, ..."""
+    """Fill the 16 SIMD lanes with configurations on the edge between two configurations.
+
+    The edge leads from p[a:] to p[b:]; the fractions of the edge are at, at + step, ...
+    """
     t = fma(iota(), splat(step), splat(at))
     for j in range(I[DOF]):
         store(w, j * L, fma(t, splat(p[b + j] - p[a + j]), splat(p[a + j])))
@@ -51,9 +54,10 @@ def spread(I, w, p, a, b, at, step):
 
 @inner_njit
 def edge_free(k, p, a, b, step):
-    """Whether the motion from p[a:] to p[b:] is free at samples at most `step` [rad] apart, b included.
+    """Return whether an edge is collision-free at samples at most `step` [rad] apart.
 
-    The first 16 samples are spread over the whole edge, so a blocked one is mostly found at once.
+    The edge leads from p[a:] to p[b:]. The end b is included. The first 16 samples are spread over the whole
+    edge, so a blocked edge is usually found at once.
     """
     I, w, length = ints(k), lanes_of(k), 0.0
     for j in range(I[DOF]):
@@ -68,15 +72,15 @@ def edge_free(k, p, a, b, step):
 
 @inner_njit
 def prove(k, p, first, last, count, at, mode, finest):
-    """Prove straight motions free, several at once; returns how many are not.
+    """Prove that several straight edges are collision-free; return the number of unproven edges.
 
-    Each edge is cut into intervals. Around the middle of each every body is grown by the most that its
-    points can move in half of it; what is free then is free in between. Where that cannot be shown the
-    interval is halved. Sixteen intervals, of whatever edges, are looked at together.
+    Each edge is divided into intervals. Every body is enlarged, around the middle of an interval, by the
+    largest motion of its points in half the interval; if the enlarged bodies are free, the interval is free.
+    Otherwise the interval is halved. Sixteen intervals, of any edges, are checked together.
 
     Args:
-        p: configurations; edge e goes from p[first[e]:] to p[last[e]:].
-        at: out, (count,) PROVEN, or the fraction of the edge where the proof failed.
+        p: configurations; edge e leads from p[first[e]:] to p[last[e]:].
+        at: output (count,): PROVEN, or the fraction of the edge where the proof failed.
         mode: PADDED, and FIRST to stop at the first edge that fails. finest: [rad], see FINEST.
     """
     I, w, state = ints(k), lanes_of(k), at_address(np.int64, k[AT_STATE])
@@ -97,11 +101,11 @@ def prove(k, p, first, last, count, at, mode, finest):
             edge += 1
         n = 0
         begin = waiting
-        while n < L and begin > 0:  # take the newest, and drop those of edges that have failed
+        while n < L and begin > 0:  # take the newest intervals; drop those of failed edges
             begin -= 1
             if at[which[begin]] != PROVEN:
                 continue
-            # Those taken are kept behind one another from the end of the room on.
+            # The taken intervals are stored from the end of the buffer downward.
             slot = ROOM - 1 - n
             which[slot], middle[slot], half[slot] = which[begin], middle[begin], half[begin]
             n += 1
@@ -146,7 +150,10 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 @inner_njit
 def loosen(k, room):
-    """Fill the slack of bodies and pairs [m] from how far each joint may be off the edge, room (dof,)."""
+    """Compute the slack [m] of bodies and body pairs from the joints' largest deviations.
+
+    The deviations are room (dof,).
+    """
     I, D = ints(k), at_address(np.float64, k[AT_D])
     slack, slack_pair = at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR])
     dof = I[DOF]
@@ -164,22 +171,27 @@ def loosen(k, room):
 
 @njit(cache=True, nogil=True)
 def free_edge(handle, ends, step):
-    """`edge_free` on arrays: ends (2, dof)."""
+    """Return whether the edge between two configurations, ends (2, dof), is collision-free.
+
+    See `edge_free`.
+    """
     return edge_free(pointer(handle), pointer(ends), 0, ends.shape[1], step)
 
 
 @njit(cache=True, nogil=True)
 def prove_points(handle, points, room, distance, mode):
-    """Where on a piecewise linear motion (k, dof) the proof fails, counted in edges; -1.0 if nowhere.
+    """Return where the proof of a piecewise linear motion (k, dof) fails, or -1.0 if nowhere.
+
+    The position is counted in edges.
 
     Args:
-        room: (dof,) how far each joint may be off the edges [rad or m].
-        distance: [m] that every body keeps from what it may not touch.
+        room: (dof,) largest deviation of each joint from the edges [rad or m].
+        distance: [m] clearance of every body from the bodies and objects that it must not touch.
     """
     k, (n, dof) = pointer(handle), points.shape
     I, s = ints(k), at_address(np.float64, k[AT_S])
     slack, slack_pair = at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR])
-    rows, at = np.arange(n) * dof, np.empty(n)  # both are used after the call: pointers do not keep them
+    rows, at = np.arange(n) * dof, np.empty(n)  # used after the call, to stay alive
     loosen(k, pointer(room))
     for b in range(I[BODIES]):
         slack[b] += np.float32(distance)
@@ -205,9 +217,10 @@ def prove_points(handle, points, room, distance, mode):
 
 @njit(cache=True, nogil=True)
 def proven_clearance(handle, points, most, tolerance):
-    """Largest distance [m] that a motion (k, dof) can be proven to keep from what it could touch.
+    """Return the largest provable clearance [m] of a motion (k, dof), by bisection.
 
-    By bisection. At most `most`; within about `tolerance` of the smallest distance, and not above it.
+    The result is at most `most`, never above the true minimum distance, and below it by about `tolerance` or
+    less.
     """
     k, (n, dof) = pointer(handle), points.shape
     I, s = ints(k), at_address(np.float64, k[AT_S])
@@ -230,4 +243,4 @@ def proven_clearance(handle, points, most, tolerance):
             high = trial
         trial = 0.5 * (low + high)
     s[gjk.CLOSE] = 0.0
-    return low + 0.0 * (rows[0] + at[0])  # both are used after the calls: pointers do not keep them
+    return low + 0.0 * (rows[0] + at[0])  # used here, so that both stay alive

@@ -1,8 +1,8 @@
-"""Which groups of spheres of two bodies can come near each other at all, for any value of the joints.
+"""Proof of which sphere groups of two bodies never come near, at any joint positions.
 
-Neighbors in an arm are always close, so that bounding spheres never tell them apart; but most of their
-groups cannot meet. For bodies with few joints between them that is proven once, by branch and bound over the
-joints' ranges, and the kernel looks at the rest only.
+Neighboring bodies of an arm are always close, so bounding spheres never separate them, although most of their
+sphere groups cannot meet. For bodies with few joints between them, this is proven once by branch and bound
+over the joint ranges, and the kernel checks only the remaining groups.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from armcell._array_store import keep, key_of, recall
 F64 = NDArray[np.float64]
 
 MAX_JOINTS = 2
-VERSION = 1  # to be raised when `meeting_groups` gives other answers
-SMALLEST = 4e-3  # [m] boxes of joint values whose motion is below this are not cut further
-APART = 1e-4  # [m] what is to be proven
-BEYOND = 0.02  # [rad, m] how far beyond the joints' limits
+VERSION = 1  # increase when the results of `meeting_groups` change, to invalidate the disk cache
+SMALLEST = 4e-3  # [m] boxes of joint values with less motion are not divided
+APART = 1e-4  # [m] distance to be proven
+BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 
 @njit(cache=True)
 def _place(branch, fixed, kind, multiplier, offset, column, q, out):
-    """Transform (3, 4) of the last frame of a branch in the frame above its first."""
+    """Compute the transform (3, 4) of a branch's last frame in the frame above its first frame."""
     for i in range(3):
         for j in range(4):
             out[i, j] = 1.0 if i == j else 0.0
@@ -68,7 +68,7 @@ _known: dict[str, NDArray[np.bool_]] = {}
 
 
 def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
-    """`meeting_groups`, kept on disk by what it is asked."""
+    """Return `meeting_groups` of the arguments from the disk cache, or compute and store it."""
     key = key_of(str(VERSION), *arguments)
     if key not in _known:
         stored = recall("near", key)
@@ -82,13 +82,16 @@ def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
 @njit(cache=True)
 def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, lower, upper, reach_i,
                    reach_j, groups_i, starts_i, spheres_i, groups_j, starts_j, spheres_j):  # fmt: skip
-    """(groups of i, groups of j) True where two groups can come within `APART`, or it is not known.
+    """Return a mask (groups of i, groups of j) of the sphere groups that may meet.
+
+    It is False for two groups only if they are proven more than `APART` apart at all joint positions.
 
     Args:
-        branch_i, branch_j: frames from below the common one down to each body's.
-        lower, upper: (k,) ranges of the joint variables; column: which of them moves a frame.
-        reach_i, reach_j: (groups, k) how far a group's points move per unit of each, at most [m].
-        groups, spheres: centre and radius in the body's frame; starts: first sphere of each group, and end.
+        branch_i, branch_j: frames from below the common frame down to each body's frame.
+        lower, upper: (k,) ranges of the joint variables; column: the variable that moves each frame.
+        reach_i, reach_j: (groups, k) upper bounds [m] of the motion of a group's points per unit of each
+            variable.
+        groups, spheres: center and radius in the body's frame; starts: first sphere of each group, and end.
     """
     n_i, n_j, k = len(groups_i), len(groups_j), len(lower)
     meeting = np.zeros((n_i, n_j), np.bool_)
@@ -104,7 +107,7 @@ def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, 
         lo, hi = box[depth, 0].copy(), box[depth, 1].copy()
         mine = alive[depth].copy()
         depth -= 1
-        weight = np.zeros(k)  # what the halves would save
+        weight = np.zeros(k)  # motion that halving the range would remove
         for c in range(k):
             q[c] = 0.5 * (lo[c] + hi[c])
         _place(branch_i, fixed, kind, multiplier, offset, column, q, Ti)

@@ -18,7 +18,7 @@ I32 = NDArray[np.int32]
 
 
 class Pack(NamedTuple):
-    """All data that the kernel reads about a scene and a joint group.
+    """Arrays of a scene and a joint group: all data that the collision kernel reads.
 
     Sizes: `f` frames (0 is the world), `k` bodies, `g` groups of spheres, `s` spheres, `o` world shapes, `e`
     exact pieces. Arrays whose last size is L hold one value per SIMD lane.
@@ -81,7 +81,7 @@ class Pack(NamedTuple):
 
 
 class Names(NamedTuple):
-    """Names of the bodies and objects that the indices of a `Pack` refer to."""
+    """Names of the bodies and world objects to which the indices of a `Pack` refer."""
 
     bodies: tuple[str, ...]
     objects: tuple[str, ...]
@@ -100,7 +100,7 @@ def pack(scene: PlanningScene, robot: RobotPart, world: World) -> tuple[Pack, Na
 
 
 def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Return a mask (bodies, objects) of pairs whose contact is ignored.
+    """Return a mask (bodies, objects) of the pairs whose contact the scene allows.
 
     Contact is ignored only for pairs that the scene names.
     """

@@ -1,7 +1,7 @@
-"""Which pairs of bodies touch in which of very many configurations: pair by pair, 16 at a time.
+"""Contacts of each pair of bodies in very many sampled configurations, 16 at a time.
 
-`_check_arrays` stops a lane at its first contact. Here every pair is asked by itself, which costs nothing but
-a few numbers in the head of the pack: it is made to list that one pair only.
+`_check_arrays` stops checking a lane at its first contact. This module checks every pair separately: it
+changes a few numbers at the head of the pack, so that the check sees only that pair.
 """
 
 # pyright: reportCallIssue=false
@@ -29,7 +29,10 @@ CHUNK = 4096  # samples between two calls of `progress`
 
 @njit(cache=True, nogil=True)
 def _ask_pairs(handle, pairs, q, masks):
-    """Fill masks (pairs, blocks): the lanes (bits) of each block of 16 rows of q in which a pair is close."""
+    """Fill masks (pairs, blocks) with the SIMD lanes (bits) in which a body pair is close.
+
+    A block has 16 rows of q.
+    """
     k = pointer(handle)
     I, w = ints(k), lanes_of(k)
     first_pair, first_near, dof = I[PAIR], I[NEAR], q.shape[1]
@@ -42,22 +45,24 @@ def _ask_pairs(handle, pairs, q, masks):
         for p in range(len(pairs)):
             I[PAIR] = np.int32(first_pair + 2 * pairs[p])
             I[NEAR] = np.int32(first_near + pairs[p])
-            # A proof over an interval without any width is the question for the configuration itself, and
-            # goes on to the end for every lane.
+            # A proof over an interval of zero width checks the configuration itself, and continues to the
+            # end for every lane.
             masks[p, block] = np.uint16(check_block(k, EVERY, np.int64(EXACT | PROVE)))
     I[PAIR], I[NEAR] = np.int32(first_pair), np.int32(first_near)
 
 
 class PairSampler:
-    """Asks a scene's pairs of bodies one by one. Pairs that `near` proved apart are not among them.
+    """Sampler of contacts for each pair of bodies in a scene.
+
+    Pairs that `near` proved apart are left out.
 
     Attributes:
-        pairs: (k, 2) names of the bodies that can meet, as far as is known.
+        pairs: (k, 2) names of the bodies that may meet.
     """
 
     def __init__(self, checker: KernelChecker):
         I, F, D = checker.flat
-        self._flat = (I.copy(), F, D)  # others read the original
+        self._flat = (I.copy(), F, D)  # other checkers read the original
         self._work = workspace(self._flat)
         self._slack = np.zeros(max(len(checker.pack.frame), 1), np.float32)
         self._slack_pair = np.zeros(max(len(checker.pack.pairs), 1), np.float32)
@@ -69,14 +74,15 @@ class PairSampler:
     def close(
         self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
     ) -> NDArray[np.bool_]:
-        """(len(numbers), samples) whether a pair (by its number in `pairs`) is in contact.
+        """Return a mask (len(numbers), samples): which pairs are in contact in which configuration.
 
         Args:
+            numbers: indices in `pairs`.
             q: configurations (samples, dof) of all joints.
-            within: [m] as near as this counts as well.
-            progress: told how many samples are done.
+            within: [m] largest distance that counts as contact.
+            progress: receives the number of finished samples.
         """
-        self._slack[:] = self._slack_pair[:] = within  # of bodies too: by theirs far pairs are passed over
+        self._slack[:] = self._slack_pair[:] = within  # the bodies' slack decides which pairs are skipped
         numbers = np.ascontiguousarray(numbers, dtype=np.int64)
         found = np.zeros((len(numbers), len(q)), bool)
         for start in range(0, len(q), CHUNK):

@@ -1,4 +1,4 @@
-"""Bodies against each other: bounding spheres, then the groups that can come near, then spheres."""
+"""Kernel tests of body pairs: bounding spheres, groups that can come near, single spheres."""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -46,10 +46,11 @@ DONE = np.int64(-1)
 
 @inner_njit(forceinline=True)
 def _near(I, w, state, i, j, radii, more, mode):
-    """Lanes (bits) where the balls around two centres are not clear of each other.
+    """Return the SIMD lanes (bits) in which the balls around two centers are not clear.
 
-    In a proof they are if their distance, falling at its rate (the relative velocity along it), lasts for
-    half the interval; the distance of two points is a convex function of either.
+    In a proof, the balls are clear if their distance, shrinking at its rate (the relative velocity along the
+    connecting line), lasts for half the interval; the distance of two points is a convex function of either
+    point.
     """
     a, b = centre_at(I, i), centre_at(I, j)
     dx, dy = load(w, a) - load(w, b), load(w, a + L) - load(w, b + L)
@@ -67,7 +68,10 @@ def _near(I, w, state, i, j, radii, more, mode):
 
 @inner_njit(forceinline=True)
 def _far(I, F, w, state, i, j, radii):
-    """Whether two bodies are clear of each other in every lane whatever their directions; cheap."""
+    """Return whether two bodies are clear of each other in all SIMD lanes, by a cheap test.
+
+    The test ignores the directions of motion.
+    """
     a, b = centre_at(I, i), centre_at(I, j)
     dx, dy = load(w, a) - load(w, b), load(w, a + L) - load(w, b + L)
     dz = load(w, a + 2 * L) - load(w, b + 2 * L)
@@ -80,9 +84,10 @@ def _far(I, F, w, state, i, j, radii):
 
 @inner_njit
 def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
-    """Spheres of group g against those of group h: the lanes (bits) where covers touch, or DONE.
+    """Test the spheres of two groups against each other; return touching lanes, or DONE.
 
-    What is not farther apart than `close` is for certain too near.
+    The groups are g and h. Lanes are bits. Spheres whose inner balls are at most `close` apart are certainly
+    too near.
     """
     first_group, first_sphere, near = I[BODIES], I[BODIES] + I[GROUPS], np.int64(0)
     sh = I[GROUP_SPHERE] + 4 * h
@@ -147,7 +152,10 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
 
 @inner_njit
 def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Pairs of bodies; True where nothing is left to find out. See `_check_arrays`."""
+    """Test all pairs of bodies in 16 SIMD lanes; return True if the check can stop.
+
+    See `_check_arrays`.
+    """
     for pair in range(I[PAIRS]):
         i, j = I[I[PAIR] + 2 * pair], I[I[PAIR] + 2 * pair + 1]
         si, sj = I[BODY_SPHERE] + 4 * i, I[BODY_SPHERE] + 4 * j

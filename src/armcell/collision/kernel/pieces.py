@@ -24,14 +24,14 @@ Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Vertices of convex hulls: number of vertices per piece (e,), and all vertices (n, 3)."""
+    """Vertices of convex hulls: number per piece (e,), and all vertices (n, 3)."""
 
     count: I32
     points: F64
 
     @cached_property
     def lanes(self) -> dict[str, NDArray]:
-        """The vertices in the format of a `Pack`, padded to whole SIMD lanes."""
+        """Return the hull vertices in the format of a `Pack`, padded to whole SIMD lanes."""
         padded = -(-self.count // L) * L  # the kernel reads L points at once
         first = np.cumsum(padded) - padded
         begin = np.cumsum(self.count) - self.count
@@ -47,7 +47,7 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Convex solids in one frame, as arrays.
+    """Exact pieces as arrays: convex solids in one common frame.
 
     Kinds (e,), sizes (e, 3), poses (e, 12) as rows of a 3x4 matrix, bounding spheres (e, 4), and the vertices
     of the solids that are convex hulls.
@@ -61,7 +61,7 @@ class Pieces:
 
     @property
     def tables(self) -> dict[str, NDArray]:
-        """The pieces in the format of a `Pack`."""
+        """Return the exact pieces as tables of a `Pack`."""
         return {
             "piece_kind": self.kind,
             "piece_size": self.size,
@@ -114,7 +114,7 @@ def concatenate(parts: Iterable[Pieces]) -> Pieces:
 
 
 def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[str, NDArray]:
-    """Concatenate the piece tables of robot and world."""
+    """Concatenate the exact-piece tables of the robot and the world."""
     joined = {name: np.concatenate([table, world[name]]) for name, table in robot.items()}
     joined["piece_points"][len(robot["piece_points"]) :, 0] += len(robot["points"])
     return joined
@@ -126,7 +126,7 @@ def convex_parts(shape: Shape, split: Splitter = convex_pieces) -> tuple[Shape, 
 
 
 def solid(shape: Shape) -> tuple[int, list[float]]:
-    """Return the kind and the three size values of a convex shape for the kernel's GJK."""
+    """Return the kind and the three size values of a convex shape, for the kernel's GJK."""
     match shape:
         case Mesh():
             return gjk.POINTS, [0.0, 0.0, 0.0]

@@ -41,7 +41,7 @@ BODY_VERSION = 1  # increase when `_new_body` returns other spheres or pieces, t
 
 @dataclass(frozen=True, eq=False)
 class RobotPart:
-    """The arrays of a `Pack` that do not depend on the world, with body names and exact pieces."""
+    """Robot arrays of a `Pack`, which do not depend on the world, with names and exact pieces."""
 
     bodies: tuple[str, ...]
     arrays: dict[str, Any]
@@ -62,7 +62,10 @@ class _Body:
     pieces: Pieces
 
     def placed(self, T: F64) -> _Placed:
-        """Return the body's data in a frame of the group, where T (4, 4) is the body's pose."""
+        """Transform the body's cover and pieces to a frame of the group.
+
+        T (4, 4) is the pose of the body in this frame.
+        """
 
         def at(spheres: F64) -> F32:
             out = spheres.copy()
@@ -79,7 +82,7 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Cover and pieces of a body in a frame of the group, in the format of a `Pack`."""
+    """Sphere cover and exact pieces of a body in a frame of the group, in a `Pack`'s format."""
 
     around: F32
     sphere: F32
@@ -89,7 +92,7 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """Frames that the group's joints move; other joints are merged into fixed transforms.
+    """Kinematic chain of a planning group: frames that its joints move; other joints are fixed.
 
     Attributes:
         above: for each frame, the frames from the world's child down to it.
@@ -279,7 +282,7 @@ class _Builder:
     def _near_pairs(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
     ) -> tuple[I32, dict[str, I32]]:
-        """Return the pairs of bodies that can meet, and the tables of their groups that can meet.
+        """Return the pairs of bodies that can meet, and tables of their sphere groups that can meet.
 
         The result is cached for all poses of bodies that are not placed for good.
         """
@@ -303,7 +306,7 @@ class _Builder:
     def _near(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32
     ) -> list[NDArray[np.bool_]]:
-        """Return for each pair a mask (g, h): which groups of the two bodies can meet."""
+        """Return for each body pair a mask (g, h): which sphere groups of the two can meet."""
         found = []
         for i, j in pairs:
             branch_i, branch_j = self._branches(bodies[i][1], bodies[j][1])
@@ -354,7 +357,9 @@ class _Builder:
         return near.which_meet(*arguments)
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return motion bounds (groups, columns) like `_reach`, for the groups of one body.
+        """Return upper bounds (groups, columns) of the motion of a body's sphere groups per joint.
+
+        The bounds are like those of `_reach`.
 
         Args:
             branch: frames from the common frame down to the body's frame.
@@ -433,7 +438,7 @@ def _turned_to_z(x: float, y: float, z: float) -> F64:
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[NDArray[np.bool_]]) -> dict[str, I32]:
-    """Return the tables of groups that can meet, in the format of a `Pack`."""
+    """Return the tables of sphere groups that can meet, in the format of a `Pack`."""
     first, groups, counts, others = [0], [], [], []
     for (i, j), meets in zip(pairs.tolist(), meeting, strict=True):
         count = meets.sum(axis=1)
@@ -487,7 +492,7 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
 
 
 def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
-    """Return all that the body of a shape depends on."""
+    """Return all data on which the cached cover and pieces of a body depend."""
     if isinstance(shape, Mesh):
         return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
     return (T, repr((overshoot, shape)))

@@ -1,8 +1,8 @@
-"""An explicit SIMD vector of 16 floats for Numba.
+"""Explicit SIMD vector of 16 floats for Numba.
 
-LLVM's auto-vectoriser makes 3-6 times slower code of loops over lanes, and drops reductions
-altogether; here each operator on `Vec` values is one vector instruction (or two, or four).
-Inside `@njit` code: `pointer`, `load`, `store`, `splat`, the operators + - * /, `vmin`, `vmax`, `vabs`,
+LLVM's auto-vectorizer produces code that is 3 to 6 times slower for loops over lanes, and does not vectorize
+reductions at all; here, each operator on `Vec` values is one vector instruction (or two, or four). Available
+inside `@njit` code: `pointer`, `load`, `store`, `splat`, the operators + - * /, `vmin`, `vmax`, `vabs`,
 `vsqrt`, `fma`, `vround`, `select_lt`, `any_lt`, `mask_lt`, `hmin`, `hmax`, `pick`.
 """
 
@@ -26,7 +26,7 @@ _FASTMATH = ("nnan", "ninf", "nsz", "arcp", "contract", "afn", "reassoc")
 
 
 class VecType(types.Type):
-    """Numba's type of a vector of `L` float32."""
+    """Numba type of a vector of `L` float32 numbers."""
 
     def __init__(self) -> None:
         super().__init__(name=f"Vec{L}f")
@@ -42,11 +42,11 @@ class _VecModel(models.PrimitiveModel):
 
 
 class PointerType(types.Type):
-    """Numba's type of a bare pointer to numbers.
+    """Numba type of a bare pointer to numbers, without length and ownership.
 
-    Numba counts the references of arrays, with atomic instructions, wherever a function is given one; in the
-    kernel that cost more than the arithmetic. A pointer has `p[i]`, no length, no owner: whoever makes it by
-    `pointer(array)` keeps the array.
+    Numba counts the references of an array with atomic instructions whenever a function receives the array;
+    in the kernel, this cost more time than the arithmetic. A pointer supports only `p[i]`: the caller of
+    `pointer(array)` must keep the array alive.
     """
 
     def __init__(self, dtype: types.Type) -> None:
@@ -62,7 +62,7 @@ class _PointerModel(models.PrimitiveModel):
 
 @intrinsic
 def pointer(typingctx, array):
-    """A bare pointer to a contiguous array's numbers."""
+    """Return a bare pointer to the numbers of a contiguous array."""
 
     def codegen(context, builder, signature, args):
         return context.make_array(signature.args[0])(context, builder, args[0]).data
@@ -72,7 +72,7 @@ def pointer(typingctx, array):
 
 @intrinsic
 def at_address(typingctx, dtype, address):
-    """A bare pointer to numbers of a type from their address (int64)."""
+    """Return a bare pointer to numbers of a given type at a memory address (int64)."""
     kind = dtype.instance_type
 
     def codegen(context, builder, signature, args):
@@ -83,7 +83,7 @@ def at_address(typingctx, dtype, address):
 
 @intrinsic
 def call(typingctx, function, a, b, c):
-    """Call a compiled function of three int64 that returns one, by its address."""
+    """Call a compiled function by its address; it takes three int64 and returns one."""
 
     def codegen(context, builder, signature, args):
         number = ir.IntType(64)
@@ -95,7 +95,7 @@ def call(typingctx, function, a, b, c):
 
 @intrinsic
 def _get(typingctx, at, index):
-    # Short integers are widened: else every function would be compiled for int32 and int64 arguments.
+    # Widen short integers; otherwise every function would be compiled for int32 and int64 arguments.
     wide = types.int64 if isinstance(at.dtype, types.Integer) else at.dtype
 
     def codegen(context, builder, signature, args):
@@ -129,7 +129,7 @@ def _setitem(at, index, value):
 
 @intrinsic
 def load(typingctx, at, index):
-    """`L` floats from a float32 pointer, `index` on."""
+    """Load a vector of `L` floats from a float32 pointer, starting at `index`."""
 
     def codegen(context, builder, signature, args):
         value = builder.load(builder.bitcast(builder.gep(args[0], [args[1]]), _VEC.as_pointer()))
@@ -141,7 +141,7 @@ def load(typingctx, at, index):
 
 @intrinsic
 def store(typingctx, at, index, value):
-    """Write a vector to a float32 pointer at `index`."""
+    """Write a vector of `L` floats to a float32 pointer, starting at `index`."""
 
     def codegen(context, builder, signature, args):
         target = builder.bitcast(builder.gep(args[0], [args[1]]), _VEC.as_pointer())
@@ -153,7 +153,7 @@ def store(typingctx, at, index, value):
 
 @intrinsic
 def splat(typingctx, value):
-    """A number in every lane."""
+    """Return a vector with one number in every lane."""
 
     def codegen(context, builder, signature, args):
         number = context.cast(builder, args[0], signature.args[0], types.float32)
@@ -166,7 +166,7 @@ def splat(typingctx, value):
 
 @intrinsic
 def iota(typingctx):
-    """0, 1, 2, ... in the lanes."""
+    """Return a vector with the lane numbers 0, 1, 2, ..."""
 
     def codegen(context, builder, signature, args):
         return ir.Constant(_VEC, [float(k) for k in range(L)])
@@ -218,7 +218,7 @@ def _compare(builder, a, b):
 
 @intrinsic
 def vmin(typingctx, a, b):
-    """Lane by lane minimum."""
+    """Return the minimum of two vectors in each lane."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[0], args[1])
@@ -228,7 +228,7 @@ def vmin(typingctx, a, b):
 
 @intrinsic
 def vmax(typingctx, a, b):
-    """Lane by lane maximum."""
+    """Return the maximum of two vectors in each lane."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[1], args[0])
@@ -238,7 +238,7 @@ def vmax(typingctx, a, b):
 
 @intrinsic
 def select_lt(typingctx, a, b, x, y):
-    """Lane by lane `x if a < b else y`."""
+    """Return the vector with `x if a < b else y` in each lane."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[2], args[3])
@@ -252,7 +252,7 @@ def _bits(builder, a, b):
 
 @intrinsic
 def any_lt(typingctx, a, b):
-    """Whether `a < b` in any lane."""
+    """Return whether `a < b` in any lane of two vectors."""
 
     def codegen(context, builder, signature, args):
         bits = _bits(builder, args[0], args[1])
@@ -263,7 +263,7 @@ def any_lt(typingctx, a, b):
 
 @intrinsic
 def mask_lt(typingctx, a, b):
-    """Bit k is set where `a < b` in lane k."""
+    """Return an integer in which bit k is set if `a < b` in lane k."""
 
     def codegen(context, builder, signature, args):
         return builder.zext(_bits(builder, args[0], args[1]), ir.IntType(64))
@@ -290,7 +290,7 @@ vabs, vsqrt, vround = _unary("llvm.fabs"), _unary("llvm.sqrt"), _unary("llvm.rin
 
 @intrinsic
 def fma(typingctx, a, b, c):
-    """`a * b + c` in one rounding."""
+    """Return the vector `a * b + c` with a single rounding (fused multiply-add)."""
 
     def codegen(context, builder, signature, args):
         function = cgutils.get_or_insert_function(
@@ -320,7 +320,7 @@ hmin, hmax = _reduction("fmin"), _reduction("fmax")
 
 @intrinsic
 def pick(typingctx, a, lane):
-    """The number in a lane."""
+    """Return the number in one lane of a vector."""
 
     def codegen(context, builder, signature, args):
         return builder.extract_element(args[0], builder.trunc(args[1], ir.IntType(32)))
@@ -330,7 +330,7 @@ def pick(typingctx, a, lane):
 
 @intrinsic
 def trailing_zeros(typingctx, mask):
-    """Index of the lowest set bit of an int64 that is not 0."""
+    """Return the index of the lowest set bit of a nonzero int64."""
 
     def codegen(context, builder, signature, args):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))

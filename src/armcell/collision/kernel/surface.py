@@ -69,10 +69,10 @@ def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> A
 
 
 def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
-    """Return a surface as small triangles (m, 3, 3) without parts inside the same mesh.
+    """Return the outer surface of a mesh as small triangles (m, 3, 3).
 
-    Robot meshes often consist of several closed solids that intersect; the surface inside another solid needs
-    no cover.
+    Parts of the surface that are inside the same mesh are left out and need no cover: robot meshes often
+    consist of several closed solids that intersect.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components

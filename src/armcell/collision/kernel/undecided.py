@@ -1,6 +1,7 @@
-"""The exact tier: pairs that the covers cannot decide wait here and go to exact convex pieces last.
+"""Exact tier of the collision kernel, for pairs that the sphere covers cannot decide.
 
-Last, because another pair of the same block may touch for certain, and then none of this is needed.
+The pairs wait until all covers have been tested, because another pair of the same block may certainly touch,
+which makes the exact tests unnecessary.
 """
 
 # pyright: reportCallIssue=false, reportGeneralTypeIssues=false
@@ -61,14 +62,16 @@ from armcell.collision.kernel.simd import L, fma, load, splat, store, trailing_z
 from armcell.collision.kernel.verdict import CONTACT, FREE, UNPROVEN, fail, touch
 
 INSIDE = np.int64(1) << 40
-"""Added to a world shape that waits: whether a body is wholly inside its closed mesh."""
+"""Added to the index of a queued world shape: test whether a body is inside its closed mesh."""
 
 
 @inner_njit
 def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
-    """Have the exact tier decide these lanes of a body against world shape `other` (or pair -1 - `other`).
+    """Queue SIMD lanes of a body against a world shape or another body for the exact tier.
 
-    With `INSIDE` added to `other` it asks only whether the body is inside that shape's mesh.
+    `other` is the index of the world shape, or -1 - pair for a pair of bodies. With `INSIDE` added to
+    `other`, the exact tier only tests whether the body is inside the shape's mesh. Returns True if all lanes
+    are decided.
     """
     if state[WAITING] == MAX_WAITING and decide(I, F, D, w, state, s, slack, slack_pair, mode):
         return True
@@ -80,7 +83,7 @@ def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
 
 @inner_njit
 def decide(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Decide all that waits; True where nothing is left to find out."""
+    """Decide all queued pairs by exact tests; return True if the check can stop."""
     waiting = state[WAITING]
     state[WAITING] = 0
     for k in range(waiting):
@@ -109,7 +112,10 @@ def decide(I, F, D, w, state, s, slack, slack_pair, mode):
 
 @inner_njit
 def _needs(I, F, w, slack, slack_pair, body, other, mode):
-    """For every lane what a distance must exceed in any case, and the part of it beside the speed."""
+    """Compute the distance that a pair of bodies must exceed in each lane.
+
+    The part of the distance that does not depend on speed is also stored.
+    """
     at, pair = need_at(I), -1 - other
     more = splat(np.float32(0.0))
     if other < 0:
@@ -154,7 +160,10 @@ def _needs(I, F, w, slack, slack_pair, body, other, mode):
 
 @inner_njit
 def _world_piece(I, D, w, e, frame, lane, s, out):
-    """World transform (12 numbers at s[out:]) of a body's exact piece in one lane."""
+    """Compute the world transform of a body's exact piece in one SIMD lane.
+
+    The 12 numbers are written to s[out:].
+    """
     m = I[PIECE_POSE] + 12 * e
     for i in range(3):
         row = frame + 4 * i * L + lane
@@ -166,7 +175,10 @@ def _world_piece(I, D, w, e, frame, lane, s, out):
 
 @inner_njit
 def _relative(s):
-    """A in B's frame."""
+    """Compute the transform from exact piece A's frame to piece B's frame.
+
+    The result is written to s[AT_RELATIVE:].
+    """
     A, B, R = AT_A, AT_B, AT_RELATIVE
     for i in range(3):
         for j in range(3):
@@ -177,7 +189,10 @@ def _relative(s):
 
 @inner_njit
 def _piece_distance(I, F, D, a, b, enough, warm, s):
-    """Distance of piece a at s[AT_A:] to piece b at s[AT_B:] [m]; above `enough` a lower bound."""
+    """Return the distance [m] of two exact pieces, or a lower bound above `enough`.
+
+    The transforms of pieces a and b are at s[AT_A:] and s[AT_B:].
+    """
     A, B, R = AT_A, AT_B, AT_RELATIVE
     ball_a, ball_b, gap2 = I[PIECE_BALL] + 4 * a, I[PIECE_BALL] + 4 * b, 0.0
     for i in range(3):
@@ -204,10 +219,11 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
 
 @inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
-    """What a distance along the normal in s[NORMAL:] must exceed in a lane.
+    """Return the distance that an exact piece must exceed along a given normal in one lane.
 
-    Along a fixed direction n the nearest point of piece a comes closer by |n . velocity| times half the
-    interval, the velocity being that of the piece's middle plus what its turning adds, |n x angular| radius.
+    The normal is in s[NORMAL:]. Along a fixed direction n, the nearest point of piece a approaches by |n .
+    velocity| times half the interval. The velocity is that of the piece's center plus the contribution of its
+    rotation, |n x angular| radius.
     """
     nx = ny = nz = 0.0
     for j in range(3):
@@ -231,7 +247,10 @@ def _directed_need(I, D, w, s, body, a, lane):
 
 @inner_njit
 def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
-    """FREE, UNPROVEN or CONTACT: a body's exact pieces against a world shape's or another body's."""
+    """Test a body's exact pieces in one SIMD lane against a world shape or another body.
+
+    Returns FREE, UNPROVEN or CONTACT.
+    """
     need, frame, pair = float(w[need_at(I) + lane]), frame_at(I, I[I[FRAME] + body]), -1 - other
     second, close = frame, s[gjk.CLOSE]
     if other >= 0:
@@ -260,7 +279,7 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
 
 @inner_njit
 def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
-    """As `_exact_lane`, against the cloud of a world shape."""
+    """Test a body in one SIMD lane against the cloud of a world shape; see `_exact_lane`."""
     group, end = np.int64(I[I[BODY_GROUPS] + body]), I[I[BODY_GROUPS] + body + 1]
     top = np.int64(0)
     while group < end:
@@ -274,7 +293,10 @@ def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
 
 @inner_njit
 def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
-    """As `_exact_lane`, against `count` parts of a cloud at state[LISTED:]."""
+    """Test a body's exact pieces in one SIMD lane against listed cloud parts.
+
+    The list has `count` parts at state[LISTED:]. Otherwise the function is like `_exact_lane`.
+    """
     need, frame, R = float(w[need_at(I) + lane]), frame_at(I, I[I[FRAME] + body]), AT_RELATIVE
     kind, box = I[I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + other]], I[I[SHAPE_PIECES] + other]
     for k in range(12):
@@ -287,13 +309,13 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
         cx = x + s[R] * D[ball] + s[R + 1] * D[ball + 1] + s[R + 2] * D[ball + 2]
         cy = y + s[R + 4] * D[ball] + s[R + 5] * D[ball + 1] + s[R + 6] * D[ball + 2]
         cz = z + s[R + 8] * D[ball] + s[R + 9] * D[ball + 1] + s[R + 10] * D[ball + 2]
-        # Arguments of the types that `_piece_distance` gives (no constants), or all of gjk is compiled again.
+        # The arguments have the types of `_piece_distance` (no constants), or gjk is compiled again.
         points, warm, unused = I[PIECE_POINTS] + 2 * a, a < 0, np.int64(a)
         for k in range(count):
             at = state[LISTED + k]
             px, py, pz = float(F[at]), float(F[at + L]), float(F[at + 2 * L])
             radius = float(F[at + 3 * L])
-            if kind == gjk.TRIANGLE:  # put it at its first corner
+            if kind == gjk.TRIANGLE:  # relative to its first corner
                 radius = 0.0
                 for j in range(3):
                     p = at + 3 * j * L
@@ -313,7 +335,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
                 F, D, R, I[I[PIECE_KIND] + a], I[PIECE_SIZE] + 3 * a, I[POINTS] + 3 * I[points],
                 I[POINTS32] + 3 * I[points], I[points + 1], kind, unused, unused, unused, kind, need, warm, s,
             )  # fmt: skip
-            warm = True  # the next part is mostly near this one
+            warm = True  # the next part is usually near this one
             if d <= s[gjk.CLOSE]:
                 return CONTACT
             if d <= need and (mode & PROVE == 0 or d <= _directed_need(I, D, w, s, body, a, lane)):
@@ -323,11 +345,14 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
 
 @inner_njit
 def _is_inside(I, F, D, w, state, s, body, other, lane):
-    """Whether a piece of a body, none of which touches a world shape's closed mesh, is inside it."""
+    """Return whether an exact piece of a body is inside the closed mesh of a world shape.
+
+    No piece of the body may touch the mesh's surface.
+    """
     frame, m, size = frame_at(I, I[I[FRAME] + body]), I[SHAPE_POSE] + 12 * other, I[SHAPE_SIZE] + 3 * other
     for a in range(I[I[BODY_PIECES] + body], I[I[BODY_PIECES] + body + 1]):
         _world_piece(I, D, w, a, frame, lane, s, AT_A)
-        x, y, z = s[AT_A + 3], s[AT_A + 7], s[AT_A + 11]  # the middle of a simple solid
+        x, y, z = s[AT_A + 3], s[AT_A + 7], s[AT_A + 11]  # the center of a simple solid
         if I[I[PIECE_KIND] + a] == gjk.POINTS:  # a corner of a hull
             p = I[POINTS] + 3 * I[I[PIECE_POINTS] + 2 * a]
             x += s[AT_A] * D[p] + s[AT_A + 1] * D[p + 1] + s[AT_A + 2] * D[p + 2]

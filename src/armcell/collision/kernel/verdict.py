@@ -1,4 +1,4 @@
-"""What becomes of lanes that are not free."""
+"""Bookkeeping of the SIMD lanes (configurations) that a collision check finds not free."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ FREE, UNPROVEN, CONTACT = 0, 1, 2
 
 @inner_njit
 def fail(state, lanes, mode):
-    """Note that these lanes are not free; True where nothing is left to find out."""
+    """Mark configurations (SIMD lanes) as not free; return True if the check can stop."""
     state[ALIVE] &= ~lanes
     return mode & PROVE == 0 or state[ALIVE] == 0
 
 
 @inner_njit
 def touch(state, lanes, mode):
-    """As `fail`, for lanes that touch for certain."""
+    """Mark configurations (SIMD lanes) as in contact; return True if the check can stop."""
     state[TOUCHING] |= lanes
     return fail(state, lanes, mode) or mode & FIRST != 0

@@ -1,4 +1,4 @@
-"""Bodies against the world: boxes of 16 shapes at a time, bounding spheres, groups, spheres."""
+"""Kernel tests of robot bodies against world shapes: boxes, bounding spheres, spheres."""
 
 # pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
@@ -71,7 +71,10 @@ from armcell.collision.kernel.verdict import fail, touch
 
 @inner_njit
 def shape_gap(I, F, o, w, at):
-    """Distance of the points at w[at:] to world shape o in every lane; a lower bound for cones and meshes."""
+    """Return the distances of points to a world shape; lower bounds for cones and meshes.
+
+    The points are at w[at:], one per lane; o is the index of the shape.
+    """
     kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
     cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
     zero = splat(np.float32(0.0))
@@ -100,17 +103,18 @@ def shape_gap(I, F, o, w, at):
     if kind == gjk.CYLINDER:
         dr, dz = vmax(r - a, zero), vmax(vabs(z) - b, zero)
         return vsqrt(fma(dr, dr, dz * dz))
-    height = b + b  # a cone: the larger of the distances to its base's plane and to its mantle's
+    height = b + b  # a cone: the larger of the distances to its base plane and its mantle
     mantle = (r * height + (z - b) * a) / vsqrt(fma(a, a, height * height))
     return vmax(mantle, zero - z - b)
 
 
 @inner_njit
 def shape_rate(I, F, o, w, at, velocity):
-    """How fast the gap of `shape_gap` changes, at most, for points that move at w[velocity:].
+    """Return the largest rate at which a shape's distance changes for moving points.
 
-    All these gaps are convex functions of the point, so that along a straight motion the gap lies above its
-    tangent: only the velocity's part along the gap's gradient brings the point closer.
+    The distance is that of `shape_gap`; the velocities are at w[velocity:]. These gaps are convex functions
+    of the point, so along a straight motion a gap is never below its tangent: only the velocity component
+    along the gradient of the gap brings the point closer.
     """
     kind, m, size = I[I[SHAPE_KIND] + o], I[SHAPE_POSE] + 12 * o, I[SHAPE_SIZE] + 3 * o
     cx, cy, cz = load(w, at), load(w, at + L), load(w, at + 2 * L)
@@ -130,7 +134,7 @@ def shape_rate(I, F, o, w, at, velocity):
             rate = select_lt(gap, d, along, rate)
             gap = vmax(gap, d)
         return vabs(rate)
-    if kind == gjk.BOX:  # the vector from the nearest point: what is beyond the faces
+    if kind == gjk.BOX:  # the vector from the nearest point: the excess beyond the faces
         x = x - vmax(vmin(x, a), zero - a)
         y = y - vmax(vmin(y, b), zero - b)
         c = splat(F[size + 2])
@@ -152,10 +156,11 @@ def shape_rate(I, F, o, w, at, velocity):
 
 @inner_njit(forceinline=True)
 def _near(I, F, w, state, o, i, at, radius, more, mode):
-    """Lanes (bits) where the ball around centre i is not clear of shape o; the gap; what it must exceed.
+    """Return the SIMD lanes (bits) in which a ball is not clear of a world shape.
 
-    In a proof the ball is cleared if its gap, falling at its rate, lasts for half the interval; a ball does
-    not turn, so that only its centre's velocity counts.
+    The ball is around center i, the shape is o. Also returns the gap and the gap that is required. In a
+    proof, the ball is clear if its gap, shrinking at its rate, lasts for half the interval. A ball does not
+    change by rotation, so only the velocity of its center counts.
     """
     gap = shape_gap(I, F, o, w, at)
     if mode & PROVE == 0:
@@ -171,8 +176,11 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 
 @inner_njit
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """`_body_to_shape` for a shape that is the box around a cloud."""
-    other = np.int64(o)  # as the exact tier has it, or what both call is compiled twice
+    """Test a body against a world shape that represents a cloud; see `_body_to_shape`.
+
+    The shape is the bounding box of the cloud.
+    """
+    other = np.int64(o)  # the type that the exact tier uses; otherwise shared functions are compiled twice
     lanes = body_to_cloud(I, F, w, state, body, other, more, state[ALIVE], mode)
     if lanes == DONE:
         return True
@@ -187,12 +195,12 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """A body against one world shape, from its groups down; True where nothing is left to find out."""
+    """Test a body against one world shape by its groups; return True if the check can stop."""
     if I[I[SHAPE_CLOUD] + o] >= 0:
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     f, bodies = I[I[FRAME] + body], I[BODIES]
     first_sphere = bodies + I[GROUPS]
-    # The inner ball proves contact only where the gap is no mere lower bound.
+    # The inner ball proves contact only if the gap is exact, not a lower bound.
     certain = I[I[SHAPE_KIND] + o] != gjk.CONE and I[I[SHAPE_KIND] + o] != gjk.POINTS
     open_lanes = np.int64(0)
     for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
@@ -215,7 +223,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
                 surely = mask_lt(gap, splat(F[sphere + 4] + np.float32(s[gjk.CLOSE]))) & lanes
                 if surely != 0 and touch(state, surely, mode):
                     return True
-                # Where the ball inside the solid is too near, no exact test can help.
+                # If the inner ball is too near, no exact test can prove the lane free.
                 surely = mask_lt(gap, splat(F[sphere + 4]) + need) & lanes
                 if surely != 0 and fail(state, surely, mode):
                     return True
@@ -226,7 +234,10 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Bodies against the world; True where nothing is left to find out. See `_check_arrays`."""
+    """Test all bodies against the world in 16 SIMD lanes; return True if the check can stop.
+
+    See `_check_arrays`.
+    """
     for body in range(I[BODIES] - 1, -1, -1):  # the tip's bodies first: they touch most often
         f = I[I[FRAME] + body]
         if f == 0:
@@ -252,7 +263,7 @@ def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
                 o = I[I[CHILD] + block * L + trailing_zeros(hit)]
                 hit &= hit - 1
                 if o < 0:  # a block of boxes further down
-                    if top < MAX_STACK // 2:  # 16 ** 8 shapes fit; a cloud's stack lies above
+                    if top < MAX_STACK // 2:  # 16 ** 8 shapes fit; a cloud's stack is above
                         state[STACK + top] = -o
                         top += 1
                     continue

@@ -1,4 +1,4 @@
-"""Kernel arrays of all world objects, updated where objects were added, moved, changed or removed."""
+"""Kernel arrays of all world objects, updated only for changed objects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KEPT = 8  # worlds
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The objects of a scene as kernel arrays.
+    """Kernel arrays of a scene's world objects.
 
     Attributes:
         names: names of the objects.
@@ -49,7 +49,7 @@ class World:
 
     @cached_property
     def starts(self) -> I64:
-        """First row (objects + 1, len(ROWS)) of each object in the tables of `ROWS`."""
+        """Return the first row (objects + 1, len(ROWS)) of each object in the kernel tables."""
         return np.vstack([np.zeros((1, len(ROWS)), np.int64), np.cumsum(self.counts, axis=0)])
 
     @cached_property
@@ -58,7 +58,7 @@ class World:
 
     @cached_property
     def arrays(self) -> dict[str, NDArray]:
-        """The arrays of a `Pack` that depend on the world alone."""
+        """Return the arrays of a `Pack` that depend only on the world objects."""
         tables, starts = self.tables, self.starts
         boxes, child = box_tree(tables["low"], tables["high"])
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
@@ -78,13 +78,13 @@ class World:
 
     @cached_property
     def shape_pieces(self) -> NDArray[np.int32]:
-        """Index (shapes + 1,) of each shape's first piece among the world's pieces."""
+        """Return the index (shapes + 1,) of each shape's first piece among the world's exact pieces."""
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
         return self._ends("pieces_end", PIECES, of_shape)
 
     @cached_property
     def pieces(self) -> dict[str, NDArray]:
-        """The exact pieces as tables of a `Pack`."""
+        """Return the exact pieces of all world objects as tables of a `Pack`."""
         names = ("piece_kind", "piece_size", "piece_pose", "piece_ball", "points", "points32")
         first = np.repeat(self.starts[:-1, POINTS], self.counts[:, PIECES])
         points = self.tables["piece_points"].copy()
@@ -119,7 +119,10 @@ def world_of(objects: Mapping[str, CollisionObject]) -> World:
 
 
 def _similar(items: tuple[CollisionObject, ...]) -> World:
-    """Return the last world that has half of the objects, else the one with the most of them."""
+    """Return a cached world (kernel arrays) that shares many objects with the given ones.
+
+    It is the first world with at least half of the objects, or else the one with the most of them.
+    """
     best, most = NOTHING, 0
     for world in _recent:
         known = sum(map(world.index.__contains__, items))
@@ -131,7 +134,7 @@ def _similar(items: tuple[CollisionObject, ...]) -> World:
 
 
 def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, ...]) -> World:
-    """Return the world of some objects, with the rows of unchanged objects copied from another world."""
+    """Return the kernel arrays of a new world; rows of unchanged objects are copied."""
     known = np.fromiter((last.index.get(item, -1) for item in items), np.int64, len(items))
     begin, end = _runs(known)
     first, count = known[begin], end - begin
@@ -151,7 +154,7 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split indices of known objects (-1: new) into runs of neighbors; return the ends of the runs."""
+    """Split object indices (-1: new object) into runs of neighbors; return the runs' ends."""
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))
     begin = np.concatenate([np.zeros(min(len(known), 1), np.int64), np.flatnonzero(~joins) + 1])

@@ -41,14 +41,14 @@ SHAPES, PLANES, PIECES, POINTS, BLOCKS_OF_POINTS, CLOUDS, BLOCKS, NUMBERS = rang
 
 
 class ObjectTables(NamedTuple):
-    """Tables of a few objects, one after another, and how many rows of each `ROWS` an object has."""
+    """Kernel tables of several objects, with the number of rows of each object per table."""
 
     tables: dict[str, NDArray]
     counts: I64  # (objects, len(ROWS))
 
 
 class _Solid(NamedTuple):
-    """A convex shape of an object; a cloud (see `cloud_part`) counts as one shape, its bounding box."""
+    """Convex shape of a world object; a cloud counts as one shape, its bounding box."""
 
     owner: int
     shape: Shape
@@ -57,7 +57,7 @@ class _Solid(NamedTuple):
 
 
 def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
-    """Return the kernel data of objects."""
+    """Return the kernel data (tables) of world objects."""
     solids = [s for owner, item in enumerate(items) for s in _solids(owner, item)]
     owner = np.array([s.owner for s in solids], np.int64)
     T = np.array([s.T for s in solids]).reshape(-1, 4, 4)
@@ -69,7 +69,7 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
     cloud_owner = np.array([s.owner for s in solids if s.cloud is not None], np.int64)
 
     def rows(owners: I64, sizes: Sequence[int] | I64 | None = None) -> I64:
-        """How many rows each object has."""
+        """Return the number of kernel table rows of each object."""
         return np.bincount(owners, sizes, len(items)).astype(np.int64)
 
     plane_rows = [len(p) for p in planes]
@@ -102,7 +102,10 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
 
 
 def _within(owner: I64, sizes: I64 | Sequence[int]) -> I64:
-    """Return the sum of the sizes before each entry that belong to the same owner; owners are sorted."""
+    """Return for each entry the sum of the sizes of earlier entries with the same owner.
+
+    The owners are sorted.
+    """
     if len(owner) == 0:
         return np.zeros(0, np.int64)
     before = np.cumsum(sizes) - sizes

@@ -39,7 +39,7 @@ _MODES = {
 
 
 def time_stretch(trajectory: JointTrajectory, limits: FrankaLimits) -> float:
-    """Return the factor by which a trajectory must be slowed to keep Franka's limits; 1 if it keeps them.
+    """Return the factor, at least 1, by which to slow a trajectory to keep Franka's limits.
 
     Raises:
         InputError: a position is outside the joint limits.
@@ -68,7 +68,7 @@ def time_stretch(trajectory: JointTrajectory, limits: FrankaLimits) -> float:
 
 
 class FrankaArm(RealArm):
-    """One real Franka arm, moved by a worker process at 1 kHz."""
+    """Real Franka arm, which a worker process moves at 1 kHz."""
 
     identity: FrankaIdentity
 
@@ -93,7 +93,10 @@ class FrankaArm(RealArm):
         self.armed = True
 
     def _configure(self) -> None:
-        """Set collision thresholds, stiffness and load. Raises InputError if the robot rejects one."""
+        """Set the arm's collision thresholds, stiffness and load.
+
+        Raises InputError if the robot rejects one of them.
+        """
         own = self.settings
         torque, force = [own.collision_torque] * 7, [own.collision_force] * 6
         self._set(Command.SET_COLLISION_BEHAVIOR, torque * 4 + force * 4, "collision thresholds")
@@ -176,7 +179,10 @@ class FrankaArm(RealArm):
 
     @property
     def success_rate(self) -> float:
-        """Fraction of the last 100 commands that the robot received in time; 0 without a motion."""
+        """Return the fraction of the last 100 commands that the robot received in time.
+
+        The value is 0 without a motion.
+        """
         return self.state.success_rate
 
     def force(self) -> tuple[Array, Array, Array]:
@@ -191,7 +197,7 @@ class FrankaArm(RealArm):
     # --- faults ---
     @property
     def moving(self) -> bool:
-        """Whether the arm executes a motion or receives setpoints."""
+        """Return whether the arm executes a motion or receives setpoints."""
         streaming = time.monotonic() - self._streamed < 0.2
         return streaming or (self._number > 0 and self._link.result(self._number) == RUNNING)
 
@@ -276,7 +282,9 @@ class FrankaArm(RealArm):
         return Played(self, trajectory.reindexed(self.joint_names))
 
     def play(self, trajectory: JointTrajectory) -> tuple[int, float]:
-        """Play a trajectory, slowed where Franka's limits require it; return its number and the slowing.
+        """Play a trajectory, slowed if Franka's limits require it.
+
+        Returns its number and the slowing factor.
 
         Raises:
             InputError: the trajectory leaves the joint limits.
@@ -288,7 +296,7 @@ class FrankaArm(RealArm):
         return self._number, slower
 
     def clock(self, number: int) -> float:
-        """Return the robot's time [s] in a played motion; 0 before it starts."""
+        """Return the robot's progress [s] in a played motion; 0 before the motion starts."""
         current, clock = self._link.progress
         return clock if current == number else 0.0
 
@@ -308,7 +316,7 @@ REALTIME = "the robot missed 20 commands in a row: free this computer, or use ch
 
 
 class Played:
-    """A trajectory that the worker plays; the slider slows its clock."""
+    """Handle of a trajectory that the worker plays; the speed slider slows its clock."""
 
     def __init__(self, arm: FrankaArm, trajectory: JointTrajectory):
         self._arm, self._duration = arm, trajectory.duration

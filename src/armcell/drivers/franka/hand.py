@@ -1,4 +1,4 @@
-"""The Franka Hand: homing, motions and grasps, over its own port."""
+"""The Franka Hand over its own port: homing, finger motions and grasps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MIN_FORCE = 1.0  # [N]
 
 
 class FrankaHand:
-    """A connected hand; a thread reads its state and the results of its commands.
+    """Connection to a Franka Hand; a thread reads its state and its command results.
 
     Raises:
         InputError: no hand answers, or it is not homed.
@@ -122,7 +122,7 @@ class FrankaHand:
                 self._reconnect()
 
     def _reconnect(self) -> None:
-        """Connect again after a lost connection; the hand does not move."""
+        """Reconnect to the hand after a lost connection; the hand does not move."""
         with self._lock:
             self._udp.close()
             self._tcp.close()
@@ -139,7 +139,7 @@ class FrankaHand:
             return self._identifier
 
     def home(self) -> None:
-        """Home the hand: the fingers move to measure the largest width.
+        """Home the hand: its fingers move to measure the largest width.
 
         Raises:
             InputError: homing failed.

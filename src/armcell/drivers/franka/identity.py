@@ -1,4 +1,4 @@
-"""Identity and readiness of a Franka robot; nothing moves."""
+"""Checks of a Franka robot's identity and readiness; the robot does not move."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ HINTS = {
 
 @dataclass(frozen=True, eq=False)
 class FrankaIdentity:
-    """A robot's identity and state. The interface reports no serial number.
+    """Identity and state of a Franka robot; its interface reports no serial number.
 
     Attributes:
         model: name of the robot in its own description: fr3, panda.
@@ -55,7 +55,7 @@ class FrankaIdentity:
 
     @property
     def calibration(self) -> str:
-        """Checksum of the robot's own description."""
+        """Return a checksum of the robot description that the robot sends."""
         return f"{crc32(self.description.encode()):08x}"
 
     def __str__(self) -> str:
@@ -65,7 +65,7 @@ class FrankaIdentity:
 
 
 def identify(host: str) -> FrankaIdentity:
-    """Connect to a robot, read its description and state, and disconnect.
+    """Read the description and state of a Franka robot over a temporary connection.
 
     Raises:
         InputError: no Franka robot answers, or it rejects the connection; the message states the remedy.
@@ -106,7 +106,7 @@ def _is_ur(host: str) -> bool:
 
 
 def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> None:
-    """Check that the robot is the one in the cell file.
+    """Check that a Franka robot is the one that the cell file names.
 
     Raises:
         InputError: it is another model or has another description.
@@ -125,7 +125,7 @@ def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> 
 
 
 def check_load(name: str, arm: FrankaArmSettings) -> None:
-    """Check the payload of an arm with its hand.
+    """Check that an arm can carry its configured payload together with its hand.
 
     Raises:
         InputError: the arm cannot carry it.
@@ -139,7 +139,7 @@ def check_load(name: str, arm: FrankaArmSettings) -> None:
 
 
 def check_ready(name: str, found: FrankaIdentity) -> None:
-    """Check that the robot can be driven now.
+    """Check that a Franka robot can be driven now.
 
     Raises:
         InputError: it cannot; the message states the remedy.

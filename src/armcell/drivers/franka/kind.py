@@ -112,7 +112,7 @@ _DH = (  # a [m], d [m], alpha [rad] of the joints and the flange: Franka's docu
 
 
 def _flange(q: Array) -> Array:
-    """Return the flange position (3,) [m] at joint positions (7,) [rad], by Franka's nominal geometry."""
+    """Return the flange position (3,) [m] at joints (7,) [rad], by Franka's nominal geometry."""
     T = np.eye(4)
     for (a, d, alpha), theta in zip(_DH, (*q, 0.0), strict=True):
         ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)

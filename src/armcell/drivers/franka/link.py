@@ -1,4 +1,4 @@
-"""The worker process of one Franka arm, and the states and results that it reports."""
+"""Link to the worker process of one Franka arm, which reports states and results."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KEPT = 512  # states
 
 
 class WorkerLink:
-    """Starts the worker process of one arm and exchanges messages with it.
+    """Link that starts the worker process of one arm and exchanges messages with it.
 
     Attributes:
         history: (receive time [s, monotonic], state) of recent states, oldest first.
@@ -52,7 +52,7 @@ class WorkerLink:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start the process, which connects to the robot, and wait for the first state.
+        """Start the worker process, which connects to the robot, and wait for the first state.
 
         Raises:
             InputError: the connection failed.
@@ -79,7 +79,7 @@ class WorkerLink:
             )
 
     def close(self) -> None:
-        """End the process; it stops a moving arm."""
+        """End the worker process, which stops a moving arm."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -170,7 +170,7 @@ class WorkerLink:
         self._order(do="pace", pace=pace)
 
     def play(self, rows: Array) -> int:
-        """Play joint positions (n, 7) [rad] in steps of 1 ms; return the motion's number."""
+        """Play joint positions (n, 7) [rad] in steps of 1 ms; return the number of the motion."""
         self._number += 1
         with self._news:
             self._results.clear()
@@ -191,5 +191,5 @@ class WorkerLink:
 
     @property
     def age(self) -> float:
-        """Age of the latest state [s]."""
+        """Return the age of the latest robot state [s]."""
         return time.monotonic() - self.history[-1][0] if self.history else float("inf")

@@ -12,7 +12,7 @@ from armcell.drivers.real.settings import Strict
 
 
 class HandSettings(Strict):
-    """The Franka Hand."""
+    """Settings of the Franka Hand."""
 
     kind: Literal["hand"] = "hand"
     homing: bool = False  # home the hand when connecting: the fingers open and close

@@ -1,4 +1,4 @@
-"""Subprocess that moves one Franka arm at 1 kHz, away from armcell's interpreter lock.
+"""Worker subprocess that moves one Franka arm at 1 kHz, free of armcell's interpreter lock.
 
 `python worker_main.py FD HOST WATCHDOG` starts it: FD is a stream socket with messages of `frames`.
 Orders: beat, setup, recover, trajectory (its rows precede it), point, cancel, end.
@@ -43,7 +43,7 @@ REJECTED = {
 
 
 class Worker:
-    """One arm: receives orders, answers every state of the robot, and reports states and results."""
+    """Worker of one Franka arm: receives orders, commands the robot every cycle, reports states."""
 
     def __init__(self, link: socket.socket, client: FciClient, watchdog: float):
         self._link, self._client, self._watchdog = link, client, watchdog
@@ -61,7 +61,7 @@ class Worker:
         link.setblocking(True)
 
     def run(self) -> None:
-        """Serve until armcell ends the link, then stop the arm."""
+        """Serve armcell's orders until armcell closes the link, then stop the arm."""
         sockets = [self._client.udp, self._client.tcp, self._link]
         try:
             while self._open:
@@ -120,7 +120,7 @@ class Worker:
                 self._open = False
 
     def _ask(self, order: dict[str, Any]) -> None:
-        """Send a command to the robot and report its status."""
+        """Send a command to the robot and report the status of its answer."""
 
         def report(content: bytes) -> None:
             self._event(answer=order["id"], status=STATUS.unpack_from(content)[0])
@@ -151,7 +151,7 @@ class Worker:
             self._points.add(*point)
 
     def _start(self, state: RobotState, since: float, source: Rows | Points) -> None:
-        """Start the motion that waits since `since` [s, monotonic] once the robot is idle."""
+        """Start the queued motion (queued at `since` [s, monotonic]) once the robot is idle."""
         if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
             if time.monotonic() - since > START_TIME:
                 self._drop()
@@ -179,7 +179,7 @@ class Worker:
         self._send(Command.MOVE, request.pack(), answered)
 
     def _drop(self) -> None:
-        """Give up the motion that waits; the next streamed point starts a new one."""
+        """Discard the queued motion; the next streamed point starts a new one."""
         self._waiting = self._points = None
 
     def _ended(self, status: MoveStatus, number: int) -> None:

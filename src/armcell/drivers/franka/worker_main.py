@@ -1,4 +1,7 @@
-"""Starts the worker process without the rest of armcell, so that it is ready after half a second."""
+"""Entry point of the worker process, without the rest of armcell.
+
+The process is therefore ready after half a second.
+"""
 
 import sys
 from pathlib import Path
@@ -6,7 +9,7 @@ from types import ModuleType
 
 
 def _bare(name: str, folder: Path) -> None:
-    """Register a package without running its `__init__`, which would import every driver."""
+    """Register a package without running its `__init__`, which would import all drivers."""
     package = ModuleType(name)
     package.__path__ = [str(folder)]
     sys.modules[name] = package

@@ -1,4 +1,4 @@
-"""Mode `real`: one driver for real arms of any kind, and the interface of a robot kind."""
+"""Mode `real`: one driver for real arms of any kind, and the interface of robot kinds."""
 
 from armcell.drivers.real.arm import RealArm, RealGripper
 from armcell.drivers.real.block import real_settings

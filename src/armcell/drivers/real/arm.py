@@ -1,4 +1,4 @@
-"""One real arm and its gripper, as the driver of mode `real` commands them."""
+"""Interfaces of one real arm and its gripper, as the driver of mode `real` uses them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class RealGripper(Protocol):
-    """A connected gripper of a real arm.
+    """Interface of a connected gripper of a real arm.
 
     Attributes:
         hint: remedy for a gripper that no longer answers.
@@ -38,17 +38,18 @@ class RealGripper(Protocol):
 
     @property
     def silent(self) -> float:
-        """Time since the gripper's last answer [s]."""
+        """Return the time since the gripper's last answer [s]."""
         ...
 
     def close(self) -> None: ...
 
 
 class RealArm(ABC):
-    """One real arm: its connection, state, motion, and faults. The constructor performs no I/O.
+    """Interface of one real arm: its connection, state, motion and faults.
 
-    `RealDriver` calls `connect` once, `beat` every 10 ms from its own thread, and `close` at the end. The arm
-    calls `on_state`, which it receives from its `RobotKind`, after each new state, from any thread.
+    The constructor performs no I/O. `RealDriver` calls `connect` once, `beat` every 10 ms from its own
+    thread, and `close` at the end. The arm calls `on_state`, which it receives from its `RobotKind`, after
+    each new state, from any thread.
 
     Attributes:
         name: planning group of the arm.
@@ -75,7 +76,7 @@ class RealArm(ABC):
 
     @abstractmethod
     def connect_gripper(self, gripper: Gripper) -> RealGripper | None:
-        """Connect to the gripper that the arm's settings name; None if they name no gripper.
+        """Connect to the gripper that the arm's settings name, if any, else return None.
 
         Raises:
             InputError: the gripper does not answer.
@@ -83,11 +84,14 @@ class RealArm(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Stop the arm if it moves and close all connections; also after a failed `connect`."""
+        """Stop the arm if it moves, and close all its connections.
+
+        The method may also be called after a failed `connect`.
+        """
 
     @abstractmethod
     def beat(self) -> None:
-        """Send a sign of life, without which the robot stops itself; must not raise or block."""
+        """Send the robot a keep-alive signal, without which it stops; must not raise or block."""
 
     def start_round_trips(self) -> Callable[[], float]:
         """Start to measure the network; return a function for the shortest recent round trip [s].
@@ -100,49 +104,53 @@ class RealArm(ABC):
     @property
     @abstractmethod
     def time_of_state(self) -> float:
-        """Time at which the robot measured its latest state [s, this computer's monotonic clock]."""
+        """Return the time of the robot's latest state [s, this computer's monotonic clock]."""
 
     @abstractmethod
     def measured_at(self, when: float) -> tuple[Array, Array]:
-        """Return positions [rad] and velocities [rad/s], each (n,), at a monotonic time [s].
+        """Return measured positions [rad] and velocities [rad/s], each (n,), at a given time.
 
-        Values are interpolated between two states and clamped at the ends of the history.
+        The time is monotonic [s]. Values are interpolated between two states and clamped at the ends of the
+        history.
         """
 
     @abstractmethod
     def setpoint(self) -> tuple[Array, Array]:
-        """Return the positions [rad] and velocities [rad/s], each (n,), that the robot tracks now."""
+        """Return positions [rad] and velocities [rad/s], each (n,), that the robot currently tracks."""
 
     @abstractmethod
     def sample(self) -> ArmSample:
-        """Return the latest measurement, for the comparison with the arm's twin."""
+        """Return the arm's latest measurement, for comparison with its simulated twin."""
 
     @property
     @abstractmethod
     def scaling(self) -> float:
-        """Speed fraction, 0 to 1, that speed slider and pause allow."""
+        """Return the speed fraction, 0 to 1, that speed slider and pause allow."""
 
     @abstractmethod
     def set_slider(self, fraction: float) -> None:
-        """Set the robot's speed slider, 0 to 1; must not raise while the link is lost."""
+        """Set the robot's speed slider, 0 to 1; must not raise while the connection is lost."""
 
     @property
     @abstractmethod
     def modes(self) -> tuple[int, int]:
-        """Robot mode and safety mode, in the numbers of `ur_dashboard_msgs`."""
+        """Return robot mode and safety mode, in the numbers of `ur_dashboard_msgs`."""
 
     @abstractmethod
     def force(self) -> tuple[Array, Array, Array]:
-        """Return force [N] and torque [Nm] on the tool, and the reference point [m]; controller's base."""
+        """Return force [N] and torque [Nm] on the tool, and the reference point [m], base frame.
+
+        The base frame is the controller's.
+        """
 
     @abstractmethod
     def zero_force(self) -> None:
-        """Zero the force measurement; called only while nothing touches the hand."""
+        """Zero the force measurement of the arm; call only while nothing touches the hand."""
 
     # --- faults ---
     @abstractmethod
     def fault(self) -> Fault | None:
-        """Return the arm's current fault, or None; called often, from several threads."""
+        """Return the arm's current fault, or None; several threads call this often."""
 
     @abstractmethod
     def halt(self) -> None:
@@ -158,7 +166,7 @@ class RealArm(ABC):
 
     @abstractmethod
     def restart(self) -> None:
-        """Reconnect if the link is lost, clear the stop, and accept commands again; nothing moves.
+        """Reconnect a lost link, clear the stop, and accept commands again; the arm does not move.
 
         Raises:
             InputError: the arm stays stopped; the message states the remedy.
@@ -174,7 +182,9 @@ class RealArm(ABC):
 
     @abstractmethod
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Stream a setpoint to pass at a given time; setpoints with one time keep arms synchronized.
+        """Stream a setpoint that the arm passes at a given time.
+
+        Setpoints with equal times keep several arms synchronized.
 
         Args:
             q: joint positions (n,) [rad].
@@ -184,4 +194,4 @@ class RealArm(ABC):
 
     @abstractmethod
     def cancel(self) -> None:
-        """End the running motion and hold the position; the arm stays ready for the next motion."""
+        """End the running motion and hold the position; the arm stays ready for new motions."""

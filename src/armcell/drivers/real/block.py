@@ -1,4 +1,4 @@
-"""The block `real` of a cell file, validated by the robot kinds that it names."""
+"""Validation of the block `real` of a cell file by the robot kinds that it names."""
 
 from __future__ import annotations
 

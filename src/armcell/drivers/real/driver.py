@@ -43,7 +43,7 @@ UNGUARDED = frozenset(
 
 
 class RealDriver(Driver):
-    """Driver of real arms; after a stop of any arm, no arm moves until `resume()`.
+    """Driver of real arms; if any arm stops, no arm moves until `resume()`.
 
     Objects stay at their scene poses until a gripper carries them.
     """
@@ -68,7 +68,7 @@ class RealDriver(Driver):
         self._resuming = threading.Lock()
 
     def __enter__(self) -> Self:
-        """Connect to every arm without moving any.
+        """Connect to every real arm without moving it.
 
         Raises:
             InputError: wrong address, model or robot, local control, a stop, or a port in use; the message
@@ -119,7 +119,7 @@ class RealDriver(Driver):
         return self
 
     def _begin_guard(self, guard: MotionGuard, supervisor: Supervisor) -> None:
-        """Connect the twin guard to each arm's round-trip measurement and to the event log."""
+        """Connect the twin guard to the arms' round-trip measurements and to the event log."""
         guard.check_calibration(self.calibrations())
         guard.trips = {name: arm.start_round_trips() for name, arm in self.arms.items()}
         guard.note = supervisor.record
@@ -140,7 +140,7 @@ class RealDriver(Driver):
         return {name: arm.identity.calibration for name, arm in self.arms.items()}
 
     def _connected(self) -> Supervisor:
-        """Return the supervisor of the connected arms.
+        """Return the safety supervisor of the connected arms.
 
         Raises:
             InputError: the driver is not connected.
@@ -153,7 +153,7 @@ class RealDriver(Driver):
         return self._supervisor
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Dry-run a trajectory; return the twin's reason to refuse it, or None."""
+        """Dry-run a trajectory in the twin; return the reason to refuse the trajectory, or None."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
         held = {gripper: item for gripper, (item, _) in self._held.items()}
@@ -182,7 +182,7 @@ class RealDriver(Driver):
                 supervisor.trip(died)
 
     def _died(self) -> Fault | None:
-        """Return a fault if a thread of this driver has ended or a gripper no longer answers."""
+        """Return a fault if a thread of the driver has ended or a gripper no longer answers."""
         arm = next(iter(self.arms), "")
         if not self._heartbeat.beats:
             return Fault(
@@ -204,7 +204,7 @@ class RealDriver(Driver):
         return time.monotonic() - self._began
 
     def joint_state(self) -> JointState:
-        """Return the state of all joints at one common time for all arms.
+        """Return the state of all joints of all arms at one common time.
 
         The common time is that of the oldest of the arms' latest states, at most `LONGEST_SKEW` before the
         newest.
@@ -222,7 +222,7 @@ class RealDriver(Driver):
         return JointState(self._model.joint_names, q, v, time=self.now)
 
     def _due(self) -> float:
-        """Return the end of the last `advance` on the monotonic clock [s].
+        """Return the time at which the last `advance` ends on the monotonic clock [s].
 
         If it is more than `stream_lead` in the past, it is reset to now.
         """
@@ -233,7 +233,7 @@ class RealDriver(Driver):
 
     @property
     def tick(self) -> float:
-        """Driver time [s] of the next command, which grows evenly by the durations of `advance`.
+        """Return the driver time [s] of the next command, which grows by each `advance`.
 
         After a delay of more than `stream_lead`, it jumps to the current time.
         """
@@ -250,7 +250,7 @@ class RealDriver(Driver):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Stream a target to the arms that own these joints; after a stop, no target is sent.
+        """Stream a joint target to the arms that own the joints; after a stop, send no target.
 
         The target is due `stream_lead` after `tick`, on one clock for all arms.
         """
@@ -264,7 +264,7 @@ class RealDriver(Driver):
         return sent
 
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory: a single arm plays it itself, several arms receive streamed setpoints.
+        """Start a trajectory; a single arm plays it itself, several arms receive setpoints.
 
         The setpoints of several arms follow one clock.
         """
@@ -308,28 +308,28 @@ class RealDriver(Driver):
         return arms
 
     def stop(self) -> None:
-        """Stop every arm; each one then holds its measured position."""
+        """Stop every arm; each arm then holds its measured position."""
         for arm in self.arms.values():
             arm.cancel()
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the arms that own these joints; other joints, such as fingers, are ignored."""
+        """Stop the arms that own the given joints; other joints, such as fingers, are ignored."""
         for arm in self.arms.values():
             if set(joint_names) & set(arm.joint_names):
                 arm.cancel()
 
     def fault(self) -> Fault | None:
-        """Return the fault that stopped the arms and has not been cleared by a resume, or None."""
+        """Return the fault that stopped the arms and is not yet cleared by a resume, or None."""
         self._look()
         return self._supervisor.tripped if self._supervisor is not None else None
 
     def arm_modes(self) -> dict[str, tuple[int, int]]:
-        """Return (robot mode, safety mode) by arm; an arm whose link is lost is DISCONNECTED."""
+        """Return robot mode and safety mode by arm; DISCONNECTED if the arm's link is lost."""
         return {name: arm.modes for name, arm in self.arms.items()}
 
     @property
     def safety_events(self) -> list[SafetyEvent]:
-        """All stops and resumes of the arms so far, with time and cause."""
+        """Return all stops and resumes of the real arms so far, with time and cause."""
         return list(self._supervisor.events) if self._supervisor is not None else []
 
     def resume(self) -> None:
@@ -375,7 +375,7 @@ class RealDriver(Driver):
 
     @property
     def speed_fraction(self) -> float:
-        """Speed fraction, 0 to 1, that sliders and pauses allow; the value of the slowest arm."""
+        """Return the speed fraction, 0 to 1, of the slowest arm that sliders and pauses allow."""
         return min((arm.scaling for arm in self.arms.values()), default=1.0)
 
     # --- gripper and objects ---
@@ -444,7 +444,7 @@ class RealDriver(Driver):
         return self.arms[group]
 
     def _carry(self, gripper: str, q: NDArray[np.float64]) -> None:
-        """Update the pose of the object in a gripper that holds one."""
+        """Move the object that a gripper holds along with the gripper."""
         holds = self._grippers[gripper].read()[1]
         T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)
         if not holds:

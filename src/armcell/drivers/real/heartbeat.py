@@ -10,7 +10,7 @@ BEAT = 0.01  # [s] between beats
 
 
 class Heartbeat:
-    """Background thread that calls a heartbeat function every `BEAT` seconds."""
+    """Background thread that calls a function every `BEAT` seconds."""
 
     def __init__(self, beat: Callable[[], None]):
         self._beat = beat

@@ -1,4 +1,4 @@
-"""Identity of real robots: serial number and calibration, and the quality of their network."""
+"""Identity of real robots (serial number, calibration) and quality of their network."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from armcell.drivers.real.settings import ArmSettings
 
 
 class RobotIdentity(Protocol):
-    """A robot's identity as its controller reports it; `str()` describes it for the operator."""
+    """Identity of a robot as its controller reports it; `str()` describes it for the operator."""
 
     @property
     def serial(self) -> str: ...
@@ -38,7 +38,7 @@ class NetworkReport:
 
 
 def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
-    """Check the serial number and calibration of a robot, where the cell file states them.
+    """Check that a robot's serial number and calibration match those in the cell file, if any.
 
     Raises:
         InputError: the robot is not the one in the cell file.

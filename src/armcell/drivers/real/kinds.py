@@ -1,4 +1,4 @@
-"""Kinds of real robots: what a vendor contributes to mode `real`, registered by name."""
+"""Robot kinds: the functions that a vendor contributes to mode `real`, registered by name."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ I = TypeVar("I", bound=RobotIdentity)
 
 
 class RobotKind(ABC, Generic[A, I]):
-    """What mode `real`, the bring-up and the twin need from the vendor of an arm.
+    """Interface that the vendor of an arm implements for mode `real`, the bring-up and the twin.
 
     Attributes:
         arm_settings: model of an arm's block in the cell file.
@@ -38,7 +38,7 @@ class RobotKind(ABC, Generic[A, I]):
     gripper_hint: ClassVar[str]
 
     def complete(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
-        """Check the arms of this kind against each other and fill in default values.
+        """Check all arms of this robot kind against each other and fill in default values.
 
         Raises:
             InputError: two arms contradict each other, or a value is invalid.
@@ -46,7 +46,7 @@ class RobotKind(ABC, Generic[A, I]):
         return dict(arms)
 
     def check_backend(self, backend: str) -> None:
-        """Check that the libraries of a backend are installed.
+        """Check that the libraries of a motion backend are installed.
 
         Raises:
             InputError: a library is missing; the error names the extra to install.
@@ -54,7 +54,7 @@ class RobotKind(ABC, Generic[A, I]):
         return None
 
     def control(self, backend: str) -> str:
-        """Describe in a few words what moves the arms: "our program"."""
+        """Return a few words on what controls the arms, such as "our program"."""
         return backend
 
     # --- identity and readiness; nothing moves ---
@@ -68,7 +68,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_identity(self, name: str, arm: A, found: I) -> None:
-        """Check that a robot is the one in the cell file; see `check_numbers` for the common part.
+        """Check that a robot is the one in the cell file; see `check_numbers` for common checks.
 
         Raises:
             InputError: it is another robot.
@@ -95,7 +95,7 @@ class RobotKind(ABC, Generic[A, I]):
         self, name: str, joint_names: tuple[str, ...], arm: A, limits: RealSettings, found: I,
         on_state: Callable[[], None],
     ) -> RealArm:  # fmt: skip
-        """Return an arm that is not yet connected.
+        """Return an arm of this kind that is not yet connected.
 
         Args:
             name: planning group of the arm.
@@ -106,11 +106,13 @@ class RobotKind(ABC, Generic[A, I]):
     # --- bring-up ---
     @abstractmethod
     def measure_network(self, arm: A) -> NetworkReport:
-        """Measure round trips and state intervals of a connection; nothing moves."""
+        """Measure round trips and state intervals of a robot connection; the robot does not move."""
 
     @abstractmethod
     def power_on(self, name: str, arm: A) -> str:
-        """Power an arm on and release its brakes, or ask the operator to; return the result in words.
+        """Power an arm on and release its brakes, or ask the operator to do so.
+
+        Returns the result in words.
 
         Raises:
             InputError: the arm is not ready afterwards; the message states the remedy.
@@ -118,11 +120,11 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def measured_positions(self, arm: A) -> Array:
-        """Return the measured joint positions (n,) [rad] of an arm that is not connected otherwise."""
+        """Return the measured joint positions (n,) [rad] of an arm without another connection."""
 
     @abstractmethod
     def flange_position(self, found: I, q: Array) -> Array:
-        """Return the flange position (3,) [m] in the model's base link, by the robot's own geometry.
+        """Return the flange position (3,) [m] in the model's base link, by the robot's geometry.
 
         Args:
             q: joint positions (n,) [rad].
@@ -143,7 +145,7 @@ def kind_of(arm: ArmSettings) -> RobotKind[Any, Any]:
 
 
 def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
-    """Identify the robots of all arms, and check that their addresses are not swapped.
+    """Identify the robots of all arms and check that their addresses are not swapped.
 
     Raises:
         InputError: a robot does not answer, or the arms' addresses are swapped.
@@ -154,7 +156,7 @@ def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
 
 
 def check_distinct(arms: Mapping[str, ArmSettings], what: str, key: str) -> None:
-    """Check that no two arms have the same value of a setting.
+    """Check that the value of a setting differs between all arms.
 
     Raises:
         InputError: two arms have the same value.

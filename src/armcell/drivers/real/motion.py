@@ -1,4 +1,4 @@
-"""Running trajectories on real arms: streamed by a thread on one clock, or commanded by the caller."""
+"""Running trajectories on real arms: streamed by a thread, or commanded by the caller."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armcell.drivers.safety import Fault
 
 
 class Streamed:
-    """A trajectory streamed to several arms on one clock: if one arm slows or stops, all do."""
+    """Trajectory streamed to several arms on one clock; if one arm slows or stops, all do."""
 
     def __init__(
         self, arms: Sequence[RealArm], trajectory: JointTrajectory, lead: float,
@@ -65,7 +65,7 @@ class Streamed:
 
 
 class Commanded:
-    """A motion that the caller commands point by point and reports to this handle.
+    """Handle of a motion that the caller commands point by point.
 
     Args:
         due: returns the time [s, monotonic] at which the next point is due.

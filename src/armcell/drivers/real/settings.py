@@ -1,4 +1,7 @@
-"""Settings models of real arms: the block `real` of a cell file; `block.real_settings` validates it."""
+"""Settings models of real arms for the block `real` of a cell file.
+
+`block.real_settings` validates the block.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,13 @@ DEFAULT_KIND = "ur"
 
 
 class Strict(BaseModel):
-    """Base of settings models: unknown keys are errors, values are frozen and finite."""
+    """Base class of settings models: rejects unknown keys; values are frozen and finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
 
 
 class ArmSettings(Strict):
-    """Settings of one real arm that all robot kinds have; each kind adds its own."""
+    """Settings of one real arm that all robot kinds share; each kind adds its own."""
 
     kind: str = DEFAULT_KIND  # robot kind; default: the kind of the block `real`
     host: str = Field(min_length=1)
@@ -27,7 +30,7 @@ class ArmSettings(Strict):
 
 
 class RealSettings(Strict):
-    """Settings of all real arms of a cell, by planning group, with their supervision limits."""
+    """Settings of a cell's real arms by planning group, with their supervision limits."""
 
     kind: str = DEFAULT_KIND  # robot kind of the arms that do not name their own
     arms: dict[str, ArmSettings] = Field(min_length=1)

@@ -1,4 +1,4 @@
-"""Universal Robots arms in pure Python: state by RTDE, motion by a robot program; kind `ur`."""
+"""Universal Robots arms (kind `ur`) in pure Python: RTDE for state, a program for motion."""
 
 from armcell.drivers.ur.kind import UrKind
 

@@ -1,4 +1,4 @@
-"""One real UR arm: its state, its robot program, and its faults."""
+"""One real UR arm: its state, its robot program and its faults."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _CURES = {
 
 
 class MotionLink(Protocol):
-    """Connection that moves the arm: `ProgramLink` (armcell's robot program) or `RtdeLink`."""
+    """Interface of the link that moves a UR arm; implemented by `ProgramLink` and `RtdeLink`."""
 
     result: str
 
@@ -62,7 +62,7 @@ class MotionLink(Protocol):
 
 
 class UrArm(RealArm):
-    """One real UR arm: connects, forwards trajectories, streams setpoints, and stops."""
+    """Real UR arm: connects, forwards trajectories, streams setpoints and stops."""
 
     T_link_base = HALF_TURN
     identity: Identity
@@ -170,7 +170,7 @@ class UrArm(RealArm):
 
     @property
     def age(self) -> float:
-        """Age of the arm's latest state [s]."""
+        """Return the age of the arm's latest state [s]."""
         return self._rtde.age
 
     @property
@@ -183,7 +183,7 @@ class UrArm(RealArm):
 
     @property
     def scaling(self) -> float:
-        """Speed fraction of the arm, 0 to 1, that speed slider and pause allow."""
+        """Return the speed fraction of the arm, 0 to 1, that speed slider and pause allow."""
         return 0.0 if self.paused else float(self.state.speed_scaling)
 
     def setpoint(self) -> tuple[Array, Array]:
@@ -202,13 +202,13 @@ class UrArm(RealArm):
 
     @property
     def moving(self) -> bool:
-        """Whether the arm executes a motion, receives setpoints, or has joint speed."""
+        """Return whether the arm executes a motion, receives setpoints, or has joint speed."""
         streaming = time.monotonic() - self._streamed < 0.2
         return self._link.result == RUNNING or streaming or bool(np.abs(self.qd).max() > 0.01)
 
     @property
     def modes(self) -> tuple[int, int]:
-        """Robot mode and safety mode of the arm, from its latest state."""
+        """Return the robot mode and safety mode of the arm, from its latest state."""
         robot = RobotMode.DISCONNECTED if self._rtde.error is not None else self.state.robot_mode
         return int(robot), int(self.state.safety_mode)
 
@@ -255,9 +255,10 @@ class UrArm(RealArm):
         return None
 
     def _link_is_broken(self) -> bool:
-        """Return whether the program's link has been broken for longer than the next states take.
+        """Return whether the robot program's link has been broken for longer than a few states.
 
-        A stop also ends the program, and its broken link can be read before the state with the cause.
+        A stop also ends the program, and its broken link may be noticed before the state with the cause
+        arrives.
         """
         now = time.monotonic()
         if self._link.connected:
@@ -275,7 +276,7 @@ class UrArm(RealArm):
         return Forwarded(self, trajectory)
 
     def forward(self, trajectory: JointTrajectory) -> int:
-        """Send a trajectory of the arm's joints for the robot to play; return its number."""
+        """Send a trajectory of the arm's joints to the robot, which plays it; return its number."""
         return self._link.forward(trajectory.reindexed(self.joint_names), self.step)
 
     def clock(self, number: int) -> float:
@@ -291,7 +292,7 @@ class UrArm(RealArm):
         self._link.send(commands.CANCEL)
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Stream a setpoint to pass at a given time, with its joint speeds.
+        """Stream a setpoint with joint speeds that the arm passes at a given time.
 
         Send a new setpoint every period. Setpoints with the same time keep several arms synchronized.
 
@@ -317,7 +318,7 @@ class UrArm(RealArm):
 
     @property
     def time_of_state(self) -> float:
-        """Time at which the robot measured its latest state [s, this computer's monotonic clock]."""
+        """Return the time of the robot's latest state [s, this computer's monotonic clock]."""
         return self.state.timestamp + self._rtde.clock.offset
 
     def measured_at(self, when: float) -> tuple[Array, Array]:
@@ -338,11 +339,11 @@ class UrArm(RealArm):
 
     # --- force ---
     def zero_force(self) -> None:
-        """Zero the force measurement: subtract the mean of the latest readings from all later ones."""
+        """Zero the arm's force measurement: later readings are relative to the mean of the latest."""
         self._no_force = np.mean([s.actual_TCP_force for s in list(self._rtde.history)], axis=0)
 
     def force(self) -> tuple[Array, Array, Array]:
-        """Return force [N] and torque [Nm] on the tool, and the reference point [m]; base frame.
+        """Return force [N] and torque [Nm] on the tool, and the reference point [m], base frame.
 
         A CB3 controller reports the wrench about the TCP and estimates it coarsely from motor currents; an
         e-Series reports it about the flange.
@@ -354,7 +355,7 @@ class UrArm(RealArm):
         return felt[:3], felt[3:], point
 
     def beat(self) -> None:
-        """Send a keep-alive signal to the robot program."""
+        """Send a keep-alive signal to the arm's robot program."""
         self._link.send(commands.KEEP_ALIVE)
 
     def halt(self) -> None:
@@ -367,7 +368,10 @@ class UrArm(RealArm):
         self._halting = halting  # assigned after the start, because other threads join it
 
     def _make_sure(self) -> None:
-        """Stop the program over the dashboard: a paused program receives no commands from its link."""
+        """Stop the robot program over the dashboard, too.
+
+        A paused program receives no commands from its link.
+        """
         _interrupts.sleep(0.3)
         if self.armed:
             return
@@ -406,7 +410,7 @@ class UrArm(RealArm):
         check_ready(self.name, found)
 
     def set_slider(self, fraction: float) -> None:
-        """Set the pendant's speed slider, 0 to 1; while the link is lost, the next resume sets it."""
+        """Set the pendant's speed slider, 0 to 1; after a lost link, the next resume sets it."""
         self._unsent_slider = value = float(np.clip(fraction, 0.0, 1.0))
         with contextlib.suppress(OSError):
             if self._rtde.error is None:
@@ -420,12 +424,12 @@ class UrArm(RealArm):
         self._link.send(commands.STANDARD_OUT, (float(on),), pin)
 
     def digital_input(self, bit: int) -> bool:
-        """Return a digital input: bits 0-7 standard, 8-15 configurable, 16-17 tool."""
+        """Return a digital input of the robot: 0-7 standard, 8-15 configurable, 16-17 tool."""
         return bool(self.state.actual_digital_input_bits >> bit & 1)
 
 
 class Forwarded:
-    """A trajectory that the robot plays itself; speed slider and pauses slow its clock."""
+    """Handle of a trajectory that the robot plays itself; slider and pauses slow its clock."""
 
     def __init__(self, arm: UrArm, trajectory: JointTrajectory):
         self._arm = arm

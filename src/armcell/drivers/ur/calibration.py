@@ -1,4 +1,4 @@
-"""Apply a robot's factory calibration to the kinematic model that planners use.
+"""Application of a UR robot's factory calibration to the kinematic model of planners.
 
 A UR controller reports its own Denavit-Hartenberg parameters, K_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
 after the rotation of joint i. A URDF uses other frames: joint i's frame is C_i relative to DH frame i-1,
@@ -82,7 +82,7 @@ def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinemati
 
 
 def _behind_joint(dh: Kinematics, i: int) -> SE3:
-    """Return K_i, the transform from joint i's rotated frame to the next DH frame."""
+    """Return K_i, the transform from the rotated frame of joint i to the next DH frame."""
     turned = SE3(SO3.exp((0.0, 0.0, dh.theta[i])), np.array([0.0, 0.0, dh.d[i]]))
     return turned @ SE3(SO3.exp((dh.alpha[i], 0.0, 0.0)), np.array([dh.a[i], 0.0, 0.0]))
 
@@ -113,7 +113,7 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
-    """Return the link rotation and offset that keep the next joint near its nominal position.
+    """Return a link's rotation and offset that keep the next joint near its nominal position.
 
     Args:
         own: K_i of the robot.

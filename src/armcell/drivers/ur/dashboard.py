@@ -12,7 +12,7 @@ PORT = 29999
 
 
 class DashboardClient:
-    """A connection to a robot's dashboard server; `with` connects and disconnects."""
+    """Connection to a UR robot's dashboard server; `with` connects and disconnects."""
 
     def __init__(self, host: str, port: int = PORT, timeout: float = 3.0):
         self.host, self._port, self._timeout = host, port, timeout
@@ -76,7 +76,7 @@ class DashboardClient:
         return (self.ask(command).rsplit(maxsplit=1) or [""])[-1]
 
     def version(self) -> tuple[int, ...]:
-        """Return the controller's software version: major, minor, bugfix."""
+        """Return the UR controller's software version: major, minor, bugfix."""
         found = re.search(r"(\d+)\.(\d+)\.(\d+)", self.ask("PolyscopeVersion"))
         if found is None:
             raise ArmcellError(f"the dashboard of {self.host} does not tell its version")

@@ -1,4 +1,4 @@
-"""Grippers on a UR's tool: Robotiq's socket protocol, or open/close by a digital output."""
+"""Grippers on a UR arm's tool: Robotiq's socket protocol, or open/close by digital output."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOOK = "look at its URCap and cable"
 
 
 class SocketGripper:
-    """A gripper with Robotiq's socket protocol on a URCap's port; a thread polls its state."""
+    """Gripper with Robotiq's socket protocol on a URCap's port; a thread polls its state."""
 
     hint = LOOK
 
@@ -91,7 +91,7 @@ class SocketGripper:
 
 
 class ToolPins(Protocol):
-    """Digital outputs and inputs of the arm that carries a `ToolGripper`."""
+    """Interface to the digital inputs and outputs of the arm that carries a `ToolGripper`."""
 
     def set_tool_output(self, pin: int, on: bool) -> None: ...
 
@@ -99,7 +99,7 @@ class ToolPins(Protocol):
 
 
 class ToolGripper:
-    """A gripper that opens and closes fully: tool output 0 closes, tool input 0 reports a grasp."""
+    """Gripper that only opens and closes: tool output 0 closes, tool input 0 reports a grasp."""
 
     hint = LOOK
 

@@ -1,4 +1,7 @@
-"""Identity checks of a robot: model, serial number, calibration, and readiness; no motion."""
+"""Identity checks of a UR robot: model, serial number, calibration and readiness.
+
+The checks do not move the robot.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ NEAR = 0.02  # [m] largest difference of a calibrated geometry from its model; m
 
 @dataclass(frozen=True)
 class Identity:
-    """A robot's identity and state as its controller reports them."""
+    """Identity and state of a UR robot as its controllers report them."""
 
     host: str
     model: UrModel
@@ -38,7 +41,7 @@ class Identity:
 
     @property
     def calibration(self) -> str:
-        """Checksum of the geometry; equal only for the same robot with the same calibration."""
+        """Return the checksum of the robot's geometry, equal only for one robot and calibration."""
         g = self.geometry
         data = struct.pack("<24d", *g.theta, *g.a, *g.d, *g.alpha)
         return hashlib.sha256(data).hexdigest()[:12]

@@ -29,7 +29,7 @@ POWER_TIME = 30.0  # [s] to power on and release the brakes
 
 
 class UrKind(RobotKind[UrArmSettings, Identity]):
-    """Universal Robots arms: state over RTDE, motion by a program on the robot or by `ur_rtde`."""
+    """Robot kind of Universal Robots arms: state by RTDE, motion by a program or `ur_rtde`."""
 
     arm_settings = UrArmSettings
     joints = 6

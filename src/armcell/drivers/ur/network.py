@@ -1,4 +1,4 @@
-"""Network quality of a robot connection: round trips and the regularity of its state."""
+"""Network quality of a robot connection: round trips, and regularity of the robot's state."""
 
 from __future__ import annotations
 

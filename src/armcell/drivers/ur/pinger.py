@@ -16,7 +16,7 @@ SHORTEST_OF = 5  # one late answer indicates a busy computer, five in a row the 
 
 
 class Pinger:
-    """Measures the network round trip to a robot by repeated RTDE version requests.
+    """Measurement of the network round trip to a robot by repeated RTDE version requests.
 
     A controller always answers these requests, and they do not move the robot.
     """
@@ -28,7 +28,7 @@ class Pinger:
         self._open = False
 
     def start(self) -> None:
-        """Connect to the controller and start measuring in a thread.
+        """Connect to the robot controller and start measuring round trips in a thread.
 
         Raises:
             OSError: no controller answers at this address.
@@ -40,7 +40,7 @@ class Pinger:
         self._thread.start()
 
     def trip(self) -> float:
-        """Return the shortest of the last few round trips [s]; NaN before there are enough.
+        """Return the shortest of the last few round trips [s]; NaN before enough measurements.
 
         A pending request counts with its current age.
         """

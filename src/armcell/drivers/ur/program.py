@@ -1,4 +1,4 @@
-"""The robot program: its URScript text, the server to which it connects, and its messages."""
+"""armcell's robot program for UR arms: URScript text, server for its connection, messages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCRIPT_PORT = 30002
 
 @dataclass(frozen=True)
 class ProgramSettings:
-    """Constants that armcell's robot program receives at its start."""
+    """Constants that armcell's robot program receives when it starts."""
 
     watchdog: float = 0.1  # [s] without a command before a moving arm stops itself
     idle_watchdog: float = 2.0  # [s] for an arm at rest, where a busy computer is not dangerous
@@ -50,7 +50,7 @@ def program_text(host: str, port: int, session: int, settings: ProgramSettings) 
 
 
 def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[bytes]:
-    """Encode all points of a trajectory except the first as messages for the robot program.
+    """Encode the points of a trajectory, except the first, as messages for the robot program.
 
     Points are at least two steps apart; nearer points are omitted. The robot interpolates between the points
     by quintics from the trajectory's positions, velocities and accelerations.
@@ -77,7 +77,7 @@ def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[byt
 
 
 class ProgramLink:
-    """The computer's side of the robot program: uploads the program and sends its commands.
+    """Computer side of armcell's robot program: uploads the program and sends its commands.
 
     Args:
         arm: arm name, for messages.
@@ -162,7 +162,7 @@ class ProgramLink:
         return found
 
     def _results(self, link: socket.socket) -> None:
-        """Receive trajectory results from the robot program until it ends."""
+        """Receive trajectory results from the robot program until the program ends."""
         link.settimeout(None)
         try:
             while True:
@@ -174,12 +174,12 @@ class ProgramLink:
                 self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """Send a command with up to six values to the robot program; ignored without a program."""
+        """Send a command with up to six values to the robot program; no effect without a program."""
         six = [round(float(v) * SCALE) for v in values] + [0] * (6 - len(values))
         self._send(self._reverse, _COMMAND.pack(kind, *six, last))
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Send a setpoint (positions, speeds) that the robot passes at a program clock time [s]."""
+        """Send a setpoint (positions, speeds) that the robot passes at a program time [s]."""
         values = (round(float(x) * SCALE) for x in (*np.asarray(q), *np.asarray(v)))
         self._send(self._reverse, _SERVO.pack(SERVO, *values, round(at * STAMP)))
 

@@ -1,4 +1,4 @@
-"""A UR arm that the `ur_rtde` library moves; state and supervision are those of `UrArm`."""
+"""UR arm that the `ur_rtde` library moves; state and supervision are those of `UrArm`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SLIDER, TOOL, STANDARD = 0, 1, 2  # indices of the input recipes
 
 
 class UrRtdeArm(UrArm):
-    """UR arm that reads its state by armcell's RTDE client and moves by `ur_rtde`'s servoJ.
+    """UR arm with armcell's RTDE client for its state and `ur_rtde`'s servoJ for motion.
 
     `ur_rtde` runs in a subprocess.
     """

@@ -1,4 +1,4 @@
-"""RTDE client: receives the robot's state and sends input values."""
+"""RTDE client, which receives the robot's state and sends input values."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LOST = 0.05  # [s] increase beyond which the offset jumps
 
 @dataclass(frozen=True)
 class RobotState:
-    """One RTDE packet: values by RTDE variable name, and its arrival time (monotonic clock)."""
+    """One RTDE packet: values by RTDE variable name, and arrival time (monotonic clock)."""
 
     values: dict[str, Any]
     received: float  # [s]
@@ -46,7 +46,7 @@ class RobotState:
 
 
 class RobotClock:
-    """Estimate of the offset between the robot's clock and this computer's monotonic clock.
+    """Estimate of the offset between a robot's clock and this computer's monotonic clock.
 
     Packets arrive late by the delay of the network and both computers, never early. The smallest difference
     between arrival time and time stamp in the last second is therefore the best estimate, and the clocks of
@@ -70,7 +70,7 @@ class RobotClock:
 
 
 class RtdeClient:
-    """One RTDE connection to a robot, with a receiver thread.
+    """RTDE connection to a robot, with a receiver thread.
 
     Args:
         host: the robot's address.
@@ -183,7 +183,7 @@ class RtdeClient:
 
     @property
     def age(self) -> float:
-        """Age of the robot's latest state when this computer last checked for a newer one [s].
+        """Return the age [s] of the robot's latest state at the last check for packets.
 
         The age uses the robot's time stamp: a packet that waited in a buffer is not new.
         """
@@ -193,7 +193,7 @@ class RtdeClient:
 
     @property
     def blind(self) -> float:
-        """Time since this computer last checked for packets [s]; large while the process hangs."""
+        """Return the time [s] since the last check for packets; large while the process hangs."""
         return time.monotonic() - self._looked
 
     def send(self, recipe: int, values: Sequence[Any]) -> None:

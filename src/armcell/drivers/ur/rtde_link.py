@@ -1,4 +1,4 @@
-"""Motion link that uses `ur_rtde` in one subprocess per arm, because the library may crash."""
+"""Motion link over `ur_rtde`, in one subprocess per arm because the library may crash."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class RtdeLink:
             self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """Send a command to the `ur_rtde` subprocess; outputs are ignored, because they use RTDE."""
+        """Send a command to the `ur_rtde` subprocess, except for outputs, which RTDE sends."""
         plain = [float(v) for v in values]
         match kind:
             case program.KEEP_ALIVE:

@@ -1,4 +1,4 @@
-"""Subprocess for `ur_rtde`'s control interface, one per arm; a lost link crashes it.
+"""Subprocess for `ur_rtde`'s control interface, one per arm, because a lost link crashes it.
 
 With a lost link, the library ends the process by SIGSEGV. The file runs as a script and needs only the
 standard library and `ur_rtde`: `python rtde_worker.py FD HOST FREQUENCY WATCHDOG STOP_DECELERATION`. FD is a

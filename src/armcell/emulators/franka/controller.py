@@ -1,4 +1,4 @@
-"""Emulated Franka controllers with all network ports."""
+"""Emulated Franka controllers with all their network ports."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ANSWER_TIME = 0.0004  # [s] in which a client must be able to answer a state
 @dataclass(frozen=True)
 @checked()
 class ControllerSettings:
-    """Settings of one emulated controller."""
+    """Settings of one emulated Franka controller."""
 
     model: str = "fr3"
     host: str = "127.0.0.3"
@@ -42,20 +42,20 @@ class ControllerSettings:
 
 
 def free_arm() -> PlanningScene:
-    """Return the scene of an arm with a hand at its home position, without objects."""
+    """Return the scene of a Franka arm with a hand at its home position, without objects."""
     model = load_robot("panda")
     home = {**model.named_states["arm"]["home"], **model.named_states["hand"]["open"]}
     return PlanningScene.of(model, [home[name] for name in model.joint_names])
 
 
 def torque_world(scene: PlanningScene, physics: PhysicsSettings | None = None) -> SimWorld:
-    """Return a physics world of a scene whose arms are driven by torques at 1 kHz."""
+    """Return the physics world of a scene whose arms are driven by torques at 1 kHz."""
     settings = replace(physics or PhysicsSettings(), timestep=PERIOD, arm_control="torque")
     return SimWorld(scene, settings)
 
 
 class FrankaController:
-    """One emulated controller with its robot, hand and ports, stepped at 1 kHz."""
+    """Emulated Franka controller with its robot, hand and ports, stepped at 1 kHz."""
 
     def __init__(self, settings: ControllerSettings, selector: selectors.BaseSelector, plant: FrankaPlant,
                  group: str):  # fmt: skip
@@ -82,7 +82,7 @@ class FrankaController:
 
     @property
     def in_use(self) -> bool:
-        """Whether a client is connected, or only an injected network fault disconnects it."""
+        """Return whether a client is connected, or disconnected only by an injected network fault."""
         return self.commands.connected or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
@@ -93,7 +93,7 @@ class FrankaController:
         self.network.flush()
 
     def reset(self) -> None:
-        """Reset the arm, the hand and all objects to their start."""
+        """Reset the emulated arm, the hand and all objects to their initial state."""
         self.plant.reset()
         self.hand.follow_reset()
         self.robot.follow_reset()
@@ -108,7 +108,7 @@ class FrankaController:
 
 
 class Rack(rack.Rack[FrankaController]):
-    """Emulated Franka controllers in one thread, each with its own plant.
+    """Several emulated Franka controllers in one thread, each with its own plant.
 
     Args:
         groups: planning group of each plant's arm.

@@ -1,7 +1,7 @@
-"""Motion generators of the emulated arm: commands become checked references, one per millisecond.
+"""Motion generators of the emulated Franka arm, which turn commands into checked references.
 
-A missing command is replaced by extrapolation with constant acceleration, as Franka's documentation
-describes. A command outside the limits raises a `Reflex`.
+There is one reference per millisecond. A missing command is replaced by extrapolation with constant
+acceleration, as Franka's documentation describes. A command outside the limits raises a `Reflex`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ELBOW_START = 1e-2  # [rad]
 
 
 class Reflex(Exception):
-    """A violation that ends the motion.
+    """Error that ends a motion because a command or the arm violates a limit.
 
     Attributes:
         error: name in `wire.errors.ERRORS`.
@@ -39,7 +39,7 @@ class Reflex(Exception):
 
 @dataclass
 class Reference:
-    """Desired state of the arm: joints, and the end effector in the base frame O.
+    """Desired state of the emulated arm: joints, and end effector in the base frame O.
 
     Attributes:
         T: T_O_EE (4, 4); twist (6,) [m/s, rad/s] and acceleration (6,) of the command.
@@ -54,20 +54,20 @@ class Reference:
     elbow: Array = field(default_factory=lambda: np.zeros(2))
 
     def rest(self, q: Array) -> None:
-        """Hold positions q (7,) at rest."""
+        """Set the reference to positions q (7,) at rest."""
         self.q, self.dq, self.ddq = np.array(q, dtype=float), np.zeros(JOINTS), np.zeros(JOINTS)
         self.twist, self.dtwist = np.zeros(6), np.zeros(6)
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Kinematics with the configured end effector: T_F_EE (4, 4)."""
+    """Kinematics of the arm with the configured end effector, T_F_EE (4, 4)."""
 
     kinematics: ArmKinematics
     T_F_EE: Array
 
     def pose(self, q: Array) -> Array:
-        """Return T_O_EE (4, 4) at positions q (7,)."""
+        """Return the end effector pose T_O_EE (4, 4) at joint positions q (7,)."""
         self.kinematics.at(q)
         return self.kinematics.flange() @ self.T_F_EE
 
@@ -77,7 +77,7 @@ class Frames:
 
 
 class Generator(Protocol):
-    """One motion generator; `step` advances the reference by 1 ms.
+    """Interface of a motion generator; `step` advances the reference by 1 ms.
 
     Attributes:
         cartesian: whether the commands are Cartesian, so that a client reads back a Cartesian reference.
@@ -88,7 +88,7 @@ class Generator(Protocol):
     patient: bool
 
     def step(self, command: RobotCommand | None) -> None:
-        """Follow a command; None extrapolates.
+        """Advance the reference by one command; without a command (None), extrapolate.
 
         Raises:
             Reflex: the command violates a limit.
@@ -100,7 +100,7 @@ def check_joints(
     limits: FrankaLimits, reference: Reference, q: Array, dq: Array, names: tuple[str, str, str, str],
     noise: float = QUANTUM,
 ) -> None:  # fmt: skip
-    """Check the next joint reference, then set it.
+    """Check the next joint reference against the limits, then set it.
 
     Args:
         q, dq: next positions [rad] and velocities [rad/s] (7,).
@@ -191,7 +191,10 @@ class JointVelocity:
 
 
 class Interpolation:
-    """Joint positions at a slow rate, between which the robot interpolates (asynchronous control)."""
+    """Motion generator for joint positions at a slow rate, between which the robot interpolates.
+
+    This is Franka's asynchronous control.
+    """
 
     cartesian = False
     patient = True
@@ -226,7 +229,10 @@ class Interpolation:
 
 
 class Cartesian:
-    """Cartesian poses or velocities of the end effector, resolved to joints with the elbow's angle."""
+    """Motion generator for Cartesian poses or velocities of the end effector.
+
+    The elbow's angle resolves the pose to joint positions.
+    """
 
     cartesian = True
     patient = False
@@ -288,7 +294,7 @@ class Cartesian:
                 raise Reflex("cartesian_motion_generator_acceleration_discontinuity", f"{change:.0f}")
 
     def _elbow(self, command: RobotCommand | None) -> float | None:
-        """Return the commanded angle of joint 3 [rad]; None if the robot chooses it."""
+        """Return the commanded angle of joint 3 [rad], or None if the robot chooses the angle."""
         if command is None or not command.valid_elbow:
             return None
         r, limits = self._reference, self._limits
@@ -304,9 +310,10 @@ class Cartesian:
         return angle
 
     def _resolve(self, T: Array, elbow: float | None) -> Array:
-        """Return joint positions (7,) with the end effector at T, near the current reference.
+        """Return joint positions (7,) near the current reference with the end effector at T.
 
-        Newton steps; without an elbow angle, the joint motion of least norm. Raises Reflex at a singularity.
+        The solution takes Newton steps; without an elbow angle, the joint motion has the least norm. Raises
+        Reflex at a singularity.
         """
         q = self._reference.q
         for _ in range(3):
@@ -330,7 +337,7 @@ class Cartesian:
 
 
 class Follow:
-    """No motion generator: the reference is where torques move the arm."""
+    """Generator of torque-controlled motions: the reference follows the measured arm."""
 
     cartesian = False
     patient = False
@@ -340,12 +347,12 @@ class Follow:
 
 
 def elbow_of(q: Array) -> Array:
-    """Return the elbow's configuration (2,): angle of joint 3 [rad] and direction of joint 4's flip."""
+    """Return the elbow's configuration (2,): angle of joint 3 [rad], flip direction of joint 4."""
     return np.array([q[2], np.sign(q[3] - ELBOW_FLIP)])
 
 
 def _moved(T: Array, twist: Array) -> Array:
-    """Return a pose (4, 4) after one period with a twist (6,) in the base frame."""
+    """Return a pose (4, 4) moved for one control period by a twist (6,) in the base frame."""
     moved = T.copy()
     moved[:3, 3] += twist[:3] * PERIOD
     moved[:3, :3] = rotation_exp(twist[3:] * PERIOD) @ T[:3, :3]

@@ -1,4 +1,4 @@
-"""Kinematics of a Franka arm: forward kinematics, Jacobian, and the robot description for clients."""
+"""Kinematics of a Franka arm: forward kinematics, Jacobian, and robot description (URDF)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def arm_joints(model: RobotModel, group: str) -> tuple[str, ...]:
 
 
 class ArmKinematics:
-    """Forward kinematics and Jacobian of the arm, in the frame of its base (O).
+    """Forward kinematics and Jacobian of a Franka arm, in the frame of its base (O).
 
     Args:
         joints: the arm's joints, base to flange.
@@ -61,13 +61,13 @@ class ArmKinematics:
         self._jacobian = np.zeros((6, JOINTS))
 
     def at(self, q: ArrayLike) -> None:
-        """Compute the frames at joint positions q (7,) [rad]."""
+        """Compute all frames of the arm at joint positions q (7,) [rad]."""
         self._data.qpos[:] = q
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
 
     def flange(self) -> Array:
-        """Return T_O_F (4, 4) at the last positions."""
+        """Return the flange pose T_O_F (4, 4) at the last computed positions."""
         T = np.zeros((4, 4))
         T[:3, :3] = self._data.site_xmat.reshape(3, 3)
         T[:3, 3] = self._data.site_xpos[0]
@@ -75,7 +75,10 @@ class ArmKinematics:
         return T
 
     def jacobian(self, point: Array) -> Array:
-        """Return the Jacobian (6, 7), linear rows first, of a point of the last link given in O [m]."""
+        """Return the Jacobian (6, 7), linear rows first, of a point of the last link.
+
+        The point is given in the base frame O [m].
+        """
         mujoco.mj_jac(
             self._model, self._data, self._jacobian[:3], self._jacobian[3:], np.asarray(point), self._tip
         )
@@ -101,7 +104,7 @@ def rotation_exp(w: Array) -> Array:
 
 
 def urdf(model: RobotModel, group: str, limits: FrankaLimits) -> str:
-    """Return the description that the robot sends to clients: the arm without its hand, as URDF.
+    """Return the URDF that the robot sends to clients: the arm without its hand.
 
     Clients compute dynamics with it and read velocity limits from it, so every joint has
     `position_based_velocity_limits`.

@@ -1,6 +1,7 @@
-"""Text port of the emulated arm: what an operator does at the robot and in Desk, and injected faults.
+"""Text port of the emulated Franka arm for operator actions and injected faults.
 
-A real robot has no such port. One command per line; each gets one line as its answer.
+Operator actions are those at the robot and in Desk. A real robot has no such port. One command per line; each
+gets one line as its answer.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class OperatorServer:
             link.close()
 
     def answer(self, line: str) -> str:
-        """Execute one command and return the answer."""
+        """Execute one operator command and return the answer line."""
         words = line.split()
         try:
             done = self._fault(words[1:]) if words[:1] == ["fault"] else self._act(words)

@@ -1,4 +1,4 @@
-"""Parameters of the emulated arm that clients set, with the robot's defaults."""
+"""Parameters of the emulated Franka arm that clients set, with the robot's defaults."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ T_F_NE = np.array(  # nominal end effector of a Franka Hand: turned by -45 degre
 
 @dataclass
 class Thresholds:
-    """Contact (lower) and collision (upper) thresholds: torques (7,) [Nm], forces (6,) [N, Nm].
+    """Contact (lower) and collision (upper) thresholds: torques (7,) [Nm], wrenches (6,).
 
-    The defaults are those of Franka's ROS packages.
+    Wrenches are in [N, Nm]. The defaults are those of Franka's ROS packages.
     """
 
     torque: dict[str, Array] = field(default_factory=lambda: _both((25, 25, 22, 20, 19, 17, 14), 10.0))
@@ -38,7 +38,7 @@ def _both(lower: Sequence[float], more: float) -> dict[str, Array]:
 
 @dataclass
 class Load:
-    """Configured load: mass [kg], center in the flange frame (3,) [m], inertia (9,) [kg m^2]."""
+    """Configured load: mass [kg], center (3,) [m] in the flange frame, inertia (9,) [kg m^2]."""
 
     mass: float = 0.0
     center: Array = field(default_factory=lambda: np.zeros(3))

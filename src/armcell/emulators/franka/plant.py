@@ -1,4 +1,4 @@
-"""Physics of one Franka arm: joints driven by torques, hand, and external torques."""
+"""Physics of one emulated Franka arm: torque-driven joints, hand and external torques."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FILTER = 30.0  # [Hz] cutoff of the external torques' low-pass filter
 
 
 class FrankaPlant:
-    """One arm of a physics world, driven by joint torques at 1 kHz.
+    """Franka arm in a physics world, driven by joint torques at 1 kHz.
 
     Args:
         world: a world with `arm_control: "torque"` whose time step divides 1 ms.
@@ -48,7 +48,7 @@ class FrankaPlant:
         self.follow_reset()
 
     def reset(self) -> None:
-        """Reset the arm and all objects to their start."""
+        """Reset the arm and all objects of the world to their initial state."""
         self.world.reset()
         self.follow_reset()
 
@@ -67,19 +67,19 @@ class FrankaPlant:
         return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
 
     def torques(self) -> Array:
-        """Return the measured joint torques (7,) [Nm], with the links' weight."""
+        """Return the measured joint torques (7,) [Nm], including the weight of the links."""
         data = self.world._data
         return data.qfrc_actuator[self._dofs] + data.qfrc_gravcomp[self._dofs]
 
     def external(self) -> Array:
-        """Return the external torques (7,) [Nm] by which measured torques exceed the robot's own dynamics.
+        """Return the external torques (7,) [Nm]: measured torques minus the robot's own dynamics.
 
         Forces of the robot on its environment are positive. The configured load is not subtracted.
         """
         return self._filtered
 
     def inertial_torque(self, acceleration: Array) -> Array:
-        """Return the torques (7,) [Nm] for joint accelerations [rad/s^2] of the arm and its hand."""
+        """Return the joint torques (7,) [Nm] for accelerations [rad/s^2] of the arm and its hand."""
         model, data = self.world.mj_model, self.world._data
         wanted, torque = np.zeros(model.nv), np.zeros(model.nv)
         wanted[self._dofs] = acceleration
@@ -110,14 +110,20 @@ class FrankaPlant:
         return self._tip_torque(-self._payload * np.asarray(self.world.settings.gravity))
 
     def _tip_torque(self, force: Array) -> Array:
-        """Return the joint torques (7,) [Nm] of a force (3,) [N], world frame, at the last link's center."""
+        """Return the joint torques (7,) [Nm] of a force (3,) [N] at the last link's center.
+
+        The force is in the world frame.
+        """
         jacobian = np.zeros((3, self.world.mj_model.nv))
         body = self.world.built.body[self._tip]
         mujoco.mj_jacBodyCom(self.world.mj_model, self.world._data, jacobian, None, body)
         return jacobian[:, self._dofs].T @ force
 
     def load_torque(self, mass: float, center: Array) -> Array:
-        """Return the torques (7,) [Nm] that carry a mass [kg] at a point of the flange frame (3,) [m]."""
+        """Return the joint torques (7,) [Nm] that carry a mass [kg] at a point (3,) [m].
+
+        The point is in the flange frame.
+        """
         self.kinematics.at(self.read()[0])
         at = self.kinematics.flange()
         R = self.world.link_pose(self._base).rotation.matrix
@@ -125,14 +131,17 @@ class FrankaPlant:
         return self.kinematics.jacobian(at[:3, :3] @ center + at[:3, 3])[:3].T @ up
 
     def touched(self) -> list[tuple[str, str]]:
-        """Return the unexpected pairs of touching bodies since the last call, a link of the arm first."""
+        """Return the unexpected pairs of touching bodies since the last call.
+
+        The first body of each pair is a link of the arm.
+        """
         new = self.world.monitor.unwanted[self._seen :]
         self._seen += len(new)
         pairs = [(t.body_a, t.body_b) if t.body_a in self.links else (t.body_b, t.body_a) for t in new]
         return [p for p in pairs if p[0] in self.links]
 
     def contact(self) -> str:
-        """Return the bodies of the strongest contact of the arm, such as "panda_hand on wall"."""
+        """Return the bodies of the arm's strongest contact, such as "panda_hand on wall"."""
         mine = [c for c in self.world.contacts() if self.links & {c.body_a, c.body_b}]
         if not mine:
             return "no contact"
@@ -141,11 +150,11 @@ class FrankaPlant:
 
     # --- commands ---
     def apply(self, torque: Array) -> None:
-        """Apply joint torques (7,) [Nm] on top of gravity compensation."""
+        """Apply joint torques (7,) [Nm] in addition to gravity compensation."""
         self.world.set_arm_torque(self.names, torque)
 
     def step(self) -> None:
-        """Advance the world by 1 ms."""
+        """Advance the physics world by 1 ms."""
         body = self.world.built.body[self._tip]
         self.world._data.xfrc_applied[body, :3] = self.push
         self.world.step(self._steps)
@@ -158,7 +167,7 @@ class FrankaPlant:
 
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:
-        """Move the joints (7,) [rad] to other positions, as a person guiding the arm would."""
+        """Move the joints to other positions (7,) [rad], as a person guiding the arm would."""
         positions = np.array(self.world.joint_state().positions)
         positions[self.world.robot.columns(self.names)] = q
         self.world.set_positions(np.clip(positions, self.world.robot.lower, self.world.robot.upper))
@@ -169,9 +178,9 @@ class FrankaPlant:
         self._payload += mass
 
     def block(self, joint: int) -> None:
-        """Block a joint (0 to 6) at its position, at any torque."""
+        """Block a joint (0 to 6) at its position against any torque."""
         self.world.block(self.names[joint])
 
     def offset(self, joint: int, angle: float) -> None:
-        """Add an error [rad] to a joint's measured position, as a wrong zero of its encoder would."""
+        """Add an error [rad] to a joint's measured position, like a wrong encoder zero."""
         self._offset[joint] = angle

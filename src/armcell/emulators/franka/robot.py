@@ -1,4 +1,7 @@
-"""The emulated arm: modes, motions, parameters, errors and recovery, stepped at 1 kHz, without network."""
+"""Emulated Franka arm without network: modes, motions, parameters, errors and recovery.
+
+The arm is stepped at 1 kHz.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +57,7 @@ GUIDING_DAMPING = 2.0  # [Nm s/rad]
 
 @dataclass(eq=False)
 class Motion:
-    """A running motion."""
+    """Running motion of the emulated arm."""
 
     request: MoveRequest
     answer: Callable[[MoveStatus], None]
@@ -66,7 +69,7 @@ class Motion:
 
 
 class Robot:
-    """State and behavior of one emulated arm, without network access.
+    """State and behavior of one emulated Franka arm, without network access.
 
     Attributes:
         time: [ms] since the start; the identifier of the state message.
@@ -104,7 +107,7 @@ class Robot:
         self.frames = Frames(self.plant.kinematics, self.F_T_EE)
 
     def measure(self) -> None:
-        """Update the measured state from physics."""
+        """Update the measured state of the arm from physics."""
         self.q, self.dq = (x.copy() for x in self.plant.read())
         self.O_T_EE_d = self.frames.pose(self.reference.q)
         self.O_T_EE, J = self.frames.pose_and_jacobian(self.q)
@@ -119,7 +122,7 @@ class Robot:
         self.K_F_K = np.concatenate([R @ self.O_F_K[:3], R @ self.O_F_K[3:]])
 
     def load_torque(self) -> Array:
-        """Return the torques (7,) [Nm] that carry the configured load."""
+        """Return the joint torques (7,) [Nm] that carry the configured load."""
         if self.load.mass == 0.0:
             return np.zeros(JOINTS)
         torque = self.plant.load_torque(self.load.mass, self.load.center)
@@ -128,7 +131,7 @@ class Robot:
 
     # --- one millisecond ---
     def step(self, commands: Sequence[RobotCommand]) -> None:
-        """Run one control cycle with the commands that have arrived since the last one."""
+        """Run one control cycle of the arm with the commands that have arrived since the last one."""
         command = next((c for c in reversed(commands) if c.time == self.time), None)
         self.time += 1
         self._end_recovery()
@@ -195,7 +198,10 @@ class Robot:
         self._commanded_torque = torque
 
     def _finish_command(self, motion: Motion) -> None:
-        """End a motion by the client's word; position and velocity commands must be at rest by then."""
+        """End a motion because the client declared it finished.
+
+        Position and velocity commands must be at rest by then.
+        """
         motion.ending = MoveStatus.SUCCESS
         moving = bool(np.any(np.abs(self.reference.dq) > 1e-4))
         streamed = not motion.generator.patient and not isinstance(motion.generator, Follow)
@@ -227,7 +233,7 @@ class Robot:
         return torque + self.load_torque()
 
     def _supervise(self) -> None:
-        """Check the measured state. Raises Reflex."""
+        """Check the measured state of the arm against the limits; raise Reflex at a violation."""
         accelerating = bool(np.any(np.abs(self.reference.ddq) > MOVING))
         kind = "_acceleration" if accelerating else ""
         torque, force = np.abs(self.tau_ext), np.abs(self.K_F_K)
@@ -264,13 +270,13 @@ class Robot:
             raise Reflex("max_path_pose_deviation_violation", f"{off:.4f} m, {turned:.4f} rad")
 
     def outside_limits(self) -> bool:
-        """Whether a joint is beyond its position limits."""
+        """Return whether a joint of the arm is beyond its position limits."""
         low, high = self.limits.lower - LIMIT_MARGIN, self.limits.upper + LIMIT_MARGIN
         return bool(np.any((self.q < low) | (self.q > high)))
 
     # --- motions ---
     def move(self, request: MoveRequest, answer: Callable[[MoveStatus], None]) -> None:
-        """Start a motion; `answer` is called when it starts, and again when it ends."""
+        """Start a motion; `answer` is called when the motion starts, and again when it ends."""
         if self.mode is not RobotMode.IDLE or self.motion is not None:
             answer(MoveStatus.NOT_POSSIBLE)
             return
@@ -313,7 +319,7 @@ class Robot:
             motion.answer(status)
 
     def stop(self) -> StopStatus:
-        """Stop a motion by the client's command."""
+        """Stop the running motion by the client's Stop command."""
         if self.motion is not None:
             if isinstance(self.motion.generator, Follow):
                 self._follow()
@@ -325,7 +331,7 @@ class Robot:
         self._brake = Brake(self.reference, np.full(JOINTS, STOP_DECELERATION))
 
     def abort(self, reflex: Reflex, status: MoveStatus = MoveStatus.REFLEX_ABORTED) -> None:
-        """End the motion by an error and come to rest."""
+        """End the running motion with an error and bring the arm to rest."""
         if self.mode in (RobotMode.REFLEX, RobotMode.USER_STOPPED, RobotMode.OTHER):
             return
         self.announce(f"reflex: {reflex}")
@@ -338,7 +344,10 @@ class Robot:
         self._finish(status)
 
     def recover(self, answer: Callable[[RecoveryStatus], None]) -> None:
-        """Clear the errors by the client's command, if no person must do so; it takes `RECOVERY` ms."""
+        """Clear the errors by the client's command, unless a person must clear them.
+
+        The recovery takes `RECOVERY` ms.
+        """
         if self.mode in (RobotMode.OTHER, RobotMode.USER_STOPPED, RobotMode.AUTOMATIC_ERROR_RECOVERY):
             answer(RecoveryStatus.NOT_POSSIBLE)
         elif self.outside_limits():
@@ -383,7 +392,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def brakes(self, locked: bool) -> None:
-        """Lock or unlock the brakes, as in Desk."""
+        """Lock or unlock the arm's brakes, as an operator does in Desk."""
         if locked:
             self._slow_down()
             self._finish(MoveStatus.ABORTED)
@@ -393,7 +402,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def guide(self, on: bool) -> None:
-        """Press or release the pilot's enabling button: the arm is moved by hand."""
+        """Press or release the enabling button, with which a person guides the arm by hand."""
         if on and self.mode is RobotMode.IDLE:
             self.mode = RobotMode.GUIDING
         elif not on and self.mode is RobotMode.GUIDING:
@@ -406,7 +415,7 @@ class Robot:
         self.follow_reset()
 
     def follow_reset(self) -> None:
-        """Continue at rest from the plant's state after a reset or a displacement."""
+        """Continue at rest from the plant's state after the plant was reset or displaced."""
         self._finish(MoveStatus.ABORTED)
         self._brake = None
         self.errors.clear()
@@ -424,11 +433,11 @@ class Robot:
     # --- parameters ---
     @property
     def may_set(self) -> SetterStatus:
-        """Whether parameters can be set now: not during a motion."""
+        """Return whether clients may set parameters now, which is forbidden during a motion."""
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
-        """Set the load [kg], its center in the flange frame (3,) [m] and inertia (9,) [kg m^2]."""
+        """Set the load: mass [kg], center (3,) [m] in the flange frame, inertia (9,) [kg m^2]."""
         center, inertia = np.asarray(center, dtype=float), np.asarray(inertia, dtype=float)
         tensor = inertia.reshape(3, 3)
         heavy = mass + (wire_limits.HAND_MASS if self.plant.hand else 0.0) > wire_limits.MAX_LOAD
@@ -440,7 +449,7 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_frame(self, name: str, values: Sequence[float]) -> SetterStatus:
-        """Set NE_T_EE or EE_T_K from 16 column-major numbers."""
+        """Set the frame NE_T_EE or EE_T_K from 16 column-major numbers."""
         T = np.array(values).reshape(4, 4).T
         valid = np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-4) and np.linalg.det(T[:3, :3]) > 0
         if not valid or not np.allclose(T[3], (0, 0, 0, 1)):
@@ -450,7 +459,10 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_stiffness(self, joint: bool, values: Sequence[float]) -> SetterStatus:
-        """Set the joint (7) [Nm/rad] or Cartesian (6) [N/m, Nm/rad] stiffness, within Franka's limits."""
+        """Set the joint (7) or Cartesian (6) stiffness, within Franka's limits.
+
+        Units are [Nm/rad] for joints and rotations, and [N/m] for translations.
+        """
         stiffness = np.array(values)
         top = np.full(JOINTS, 14250.0) if joint else np.array([3000.0] * 3 + [300.0] * 3)
         low = np.zeros(JOINTS) if joint else np.array([10.0] * 3 + [1.0] * 3)
@@ -463,7 +475,7 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_thresholds(self, values: Sequence[float]) -> SetterStatus:
-        """Set the 52 contact and collision thresholds, in the order of SetCollisionBehavior."""
+        """Set the 52 contact and collision thresholds in the order of SetCollisionBehavior."""
         numbers = np.array(values)
         names = ("lower_acceleration", "upper_acceleration", "lower", "upper")
         if np.any(numbers < 0.0):

@@ -1,4 +1,4 @@
-"""Fills the state message of an emulated arm."""
+"""Writer of the state message of an emulated Franka arm."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from armcell.emulators.franka.robot import Robot
 
 
 class StateWriter:
-    """Writes a robot's state into one message buffer per call."""
+    """Writer that fills one message buffer with a robot's state."""
 
     def __init__(self, robot: Robot):
         self._robot, self._message = robot, StateMessage()
@@ -24,7 +24,7 @@ class StateWriter:
             m["I_ee"] = np.diag(wire_limits.HAND_INERTIA).ravel()
 
     def write(self) -> bytes:
-        """Return the state message of the current millisecond."""
+        """Return the robot state message of the current millisecond."""
         r, m = self._robot, self._message
         reference, motion = r.reference, r.motion
         cartesian = motion is not None and motion.generator.cartesian

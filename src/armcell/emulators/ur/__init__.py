@@ -1,4 +1,4 @@
-"""Emulated Universal Robots controller, to test clients without a robot."""
+"""Emulated Universal Robots controller for testing clients without a robot."""
 
 from armcell.emulators.ur.controller import ControllerSettings, Rack, UrController
 from armcell.emulators.ur.external_control import RemoteHost

@@ -1,4 +1,4 @@
-"""URScript functions of the emulated controller: motions and the robot's state."""
+"""URScript functions of the emulated UR controller: motions and the robot's state."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ def motion_functions(robot: Robot) -> Functions:
         yield
 
     def _along(make: Callable[[Setpoint], MoveJ | MoveL], goal: Any, radius: float) -> Wait:
-        """Run a motion to a goal pose (4, 4); it takes over from a motion that has come near its own goal.
+        """Run a motion to a goal pose (4, 4), blended with a running motion that is near its goal.
 
-        Blend radii [m] are limited to half the way, so that two blends do not overlap.
+        Blend radii [m] are limited to half the path length, so that two blends do not overlap.
         """
         running = robot.motion
         if isinstance(running, (MoveJ, MoveL, Blended)) and running.near and not s.compliant:
@@ -96,14 +96,17 @@ def motion_functions(robot: Robot) -> Functions:
         yield from _along(lambda at: MoveC(at, via, goal, a, v, fixed), goal, r)
 
     def optimovej(q: Any, a: float = 0.3, v: float = 0.3, t: float = 0.0, r: float = 0.0) -> Wait:
-        """Move the joints; `a` and `v` are fractions (0..1) of the arm's limits."""
+        """Move the joints to a goal; `a` and `v` are fractions (0..1) of the arm's limits."""
         yield from movej(q, max(a, 0.01) * FULL_ACCELERATION, max(v, 0.01) * float(s.v_max.min()), t, r)
 
     def optimovel(pose: Any, a: float = 0.3, v: float = 0.3, t: float = 0.0, r: float = 0.0) -> Wait:
         yield from movel(pose, max(a, 0.01) * FULL_TOOL_ACCELERATION, max(v, 0.01) * FULL_TOOL_SPEED, t, r)
 
     def _for(seconds: float) -> Wait:
-        """Wait for program time [s], which the speed slider slows; an overrun shortens the next one."""
+        """Wait for a duration in program time [s], which the speed slider slows.
+
+        If a wait takes too long, the next wait is shortened.
+        """
         now, due = robot.program_time, robot.motion_due
         begin = due if now - robot.period < due <= now else now
         robot.motion_due = end = begin + max(seconds, robot.period)
@@ -157,7 +160,7 @@ FULL_TOOL_ACCELERATION, FULL_TOOL_SPEED = 5.0, 1.5  # [m/s^2], [m/s] of optimove
 
 
 def value_functions(robot: Robot) -> Functions:
-    """Return the URScript functions that return immediately, by name."""
+    """Return the URScript functions that return a value immediately, by name."""
     return _state_functions(robot) | io_functions(robot) | force_functions(robot) | math_functions()
 
 
@@ -174,7 +177,7 @@ def _state_functions(robot: Robot) -> Functions:
         return Vec(float(x) for x in s.q)
 
     def history(steps: int = 0) -> Vec:
-        """Return the joint positions a number of control steps ago."""
+        """Return the joint positions from a given number of control steps ago."""
         back = int(steps)
         if not robot.history or back < 1:
             return actual_q()
@@ -275,5 +278,5 @@ def _state_functions(robot: Robot) -> Functions:
 
 
 def rows(matrix: Any) -> Vec:
-    """Return a matrix as URScript represents it: a list of rows."""
+    """Return a matrix in URScript's representation: a list of rows."""
     return Vec(Vec(float(x) for x in row) for row in matrix)

@@ -92,7 +92,10 @@ def _poses() -> dict[str, Callable[..., Any]]:
 
 
 def _sum(a: Any, b: Any) -> Any:
-    """Return the `pose_add` of two poses: added translations, and a's rotation times b's."""
+    """Return URScript's `pose_add` of poses a and b.
+
+    Translations are added, and a's rotation is multiplied by b's.
+    """
     T = matrix_of([*a[:3], *b[3:]])
     T[:3, :3] = matrix_of(a)[:3, :3] @ T[:3, :3]
     T[:3, 3] += np.asarray(b[:3])
@@ -100,7 +103,10 @@ def _sum(a: Any, b: Any) -> Any:
 
 
 def _difference(a: Any, b: Any) -> Any:
-    """Return the `pose_sub` of two poses: subtracted translations, and the rotation from b to a."""
+    """Return URScript's `pose_sub` of poses a and b.
+
+    Translations are subtracted, and the rotation leads from b to a.
+    """
     T = np.eye(4)
     T[:3, :3] = matrix_of(a)[:3, :3] @ matrix_of(b)[:3, :3].T
     T[:3, 3] = np.subtract(a[:3], b[:3])
@@ -117,7 +123,7 @@ def _from_rpy(first: Any, *more: float) -> SO3:
 
 
 def _rpy(R: Any) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw [rad] about the fixed axes x, y, z."""
+    """Return roll, pitch and yaw [rad] of a rotation about the fixed axes x, y, z."""
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     if abs(math.cos(pitch)) < 1e-9:
         return math.atan2(math.copysign(1.0, pitch) * R[0, 1], R[1, 1]), pitch, 0.0

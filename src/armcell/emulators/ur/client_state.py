@@ -1,4 +1,4 @@
-"""Robot state messages of the emulated primary, secondary and real-time ports."""
+"""Robot state messages of the emulated UR primary, secondary and real-time ports."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _REALTIME = (
 
 
 class ClientState:
-    """Encoder of the state messages of one emulated robot."""
+    """Encoder of one emulated robot's state messages."""
 
     def __init__(self, robot: Robot):
         self._robot, self._read = robot, outputs_of(robot)

@@ -1,4 +1,4 @@
-"""Compliance of the emulated arm: force mode and freedrive.
+"""Compliant modes of the emulated UR arm: force mode and freedrive.
 
 Along the compliant axes of a task frame, the external force moves the tool; along the other axes, the program
 does.
@@ -24,7 +24,7 @@ RISE = 0.05  # [s] time constant of the speed's response to the force
 
 @dataclass
 class Compliance:
-    """A task frame with its compliant axes and the parameters of their motion.
+    """Compliant mode: a task frame with its compliant axes and the parameters of their motion.
 
     Attributes:
         T_base_task: (4, 4); None: the tool's frame.
@@ -44,11 +44,13 @@ class Compliance:
     _speed: Array = field(default_factory=lambda: np.zeros(6))
 
     def keep_speed(self, before: Compliance) -> None:
-        """Take over the speed of a previous force mode, so that new parameters cause no jump."""
+        """Continue with the speed of a previous force mode, so that new parameters cause no jump."""
         self._speed = before._speed
 
     def apply(self, s: Setpoint, q: Array, felt: Array, dt: float) -> tuple[Array, Array]:
-        """Return joint targets (6,) and speeds (6,) for a step in which the program targets q.
+        """Return the joint targets (6,) and speeds (6,) of one step with compliance.
+
+        The program targets q without compliance.
 
         Args:
             q: the program's joint target at the end of the step (6,) [rad].
@@ -75,7 +77,7 @@ def freedrive(axes: Array, T_base_task: Array | None) -> Compliance:
 def force_mode(
     s: Setpoint, task_frame: list[float], axes: Array, wrench: Array, kind: int, limits: Array, gain: float
 ) -> Compliance:
-    """Return the compliance of URScript's `force_mode` for a task frame and a type (kind).
+    """Return the compliant mode of URScript's `force_mode` for a task frame and a type.
 
     Type 1 rotates the task frame so that its y axis points from the frame's origin to the TCP. Type 2 keeps
     the frame. Type 3 rotates it so that its x axis follows the tool's motion in the frame's x-y plane.
@@ -93,7 +95,7 @@ def force_mode(
 
 
 def _turned(frame: Array, direction: Array, axis: int) -> Array:
-    """Return the frame rotated by the smallest angle so that an axis points along a direction.
+    """Return a frame rotated by the smallest angle such that an axis points along a direction.
 
     A zero direction leaves the frame unchanged.
     """

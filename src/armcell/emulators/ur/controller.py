@@ -1,4 +1,4 @@
-"""Emulated Universal Robots controllers with all network ports; several can share one world."""
+"""Emulated Universal Robots controllers with all network ports; several may share a world."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 @dataclass(frozen=True)
 @checked()
 class ControllerSettings:
-    """Settings of one emulated controller."""
+    """Settings of one emulated UR controller."""
 
     model: str = "UR10"
     host: str = "127.0.0.2"
@@ -51,7 +51,7 @@ class ControllerSettings:
 
 
 def factory_calibration(model: UrModel, seed: int | None, serial: str = "") -> Kinematics:
-    """Return a robot's geometry: nominal, or with random manufacturing tolerances.
+    """Return the geometry of an emulated robot: nominal, or with random manufacturing errors.
 
     The tolerances are about 1 mm and 1 mrad.
 
@@ -71,7 +71,7 @@ def factory_calibration(model: UrModel, seed: int | None, serial: str = "") -> K
 
 
 class UrController:
-    """One emulated controller with its robot and ports, stepped at its model's frequency."""
+    """Emulated UR controller with its robot and ports, stepped at its model's frequency."""
 
     def __init__(
         self, settings: ControllerSettings, selector: selectors.BaseSelector, plant: Plant | None = None
@@ -102,11 +102,11 @@ class UrController:
 
     @property
     def in_use(self) -> bool:
-        """Whether an RTDE client is connected, or only an injected network fault disconnects it."""
+        """Return whether an RTDE client is connected, or disconnected only by an injected fault."""
         return self._rtde.clients > 0 or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
-        """Run one control step of the program, the plant and the ports."""
+        """Run one control step of the URScript program, the plant and the ports."""
         self._external.step()
         self.robot.before_step()
         self.robot.plant.step(self.robot.period)
@@ -127,7 +127,7 @@ class UrController:
 
 
 class Rack(emulators.Rack[UrController]):
-    """Several emulated UR controllers in one thread; controllers with physics share one world.
+    """Several emulated UR controllers in one thread; those with physics share one world.
 
     Args:
         trace: file for records in the format `TRACE`.

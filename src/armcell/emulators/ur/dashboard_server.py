@@ -1,4 +1,4 @@
-"""Dashboard port (29999) of the emulated controller: one answer line per command line.
+"""Dashboard port (29999) of the emulated UR controller, with one answer line per command.
 
 Commands that begin with `armcell` are extensions: they emulate hands, buttons and cables of a real robot.
 """

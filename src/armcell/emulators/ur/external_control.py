@@ -1,4 +1,4 @@
-"""Emulation of UR's URCap "External Control": a pendant program with text from a host.
+"""Emulated URCap "External Control": a pendant program whose text comes from a host.
 
 The host's script sender (port 50002 of UR's ROS drivers) receives the line `request_program` and answers with
 URScript; that program then connects back to the host's reverse, trajectory and script command ports.
@@ -25,7 +25,7 @@ SILENCE = 0.3  # [s] without another byte before the text counts as complete
 
 @dataclass(frozen=True)
 class RemoteHost:
-    """Address of the script sender, as entered on the URCap's installation page."""
+    """Address of the script sender, as entered on the installation page of the URCap."""
 
     address: str
     port: int = SCRIPT_SENDER
@@ -44,7 +44,7 @@ class RemoteHost:
 
 
 class ExternalControl:
-    """The pendant program `external_control.urp`, which a dashboard client loads and plays."""
+    """Emulated program `external_control.urp`, which a dashboard client loads and plays."""
 
     def __init__(self, robot: Robot, network: Network, remote: RemoteHost | None):
         self._robot, self._network, self._remote = robot, network, remote
@@ -53,7 +53,10 @@ class ExternalControl:
         self._size, self._since = 0, 0.0
 
     def load(self, name: str) -> bool:
-        """Load the External Control program; return False without a remote host or for another name."""
+        """Load the External Control program; return False if there is no remote host.
+
+        Other program names also return False.
+        """
         if self._remote is None or name.rsplit("/", 1)[-1] != NAME:
             return False
         self._robot.end_program()
@@ -61,7 +64,7 @@ class ExternalControl:
         return True
 
     def play(self) -> bool:
-        """Request the program from the remote host; return False if the request fails.
+        """Request the program text from the remote host; return False if the request fails.
 
         The program starts when its text has arrived.
         """
@@ -84,13 +87,16 @@ class ExternalControl:
         return True
 
     def stop(self) -> None:
-        """Stop waiting for the program that was requested from the remote host."""
+        """Stop waiting for the program text that was requested from the remote host."""
         if self._link is not None:
             self._link.close()
             self._link = None
 
     def step(self) -> None:
-        """Receive a requested program and start it when it is complete; call once per control step."""
+        """Receive the requested program text and start the program when the text is complete.
+
+        Call this method once per control step.
+        """
         link, now = self._link, self._robot.time
         if link is None:
             return

@@ -1,4 +1,4 @@
-"""Emulated socket of a gripper's URCap (port 63352), with Robotiq's text protocol.
+"""Emulated gripper URCap socket (port 63352) with Robotiq's text protocol.
 
 Commands are lines such as `SET POS 255 FOR 100 GTO 1` and `GET POS`. POS 0 is open, 255 closed; OBJ is 0
 during motion, 2 if an object stopped the closing motion, 3 at the target. Source: the 2F gripper's manual

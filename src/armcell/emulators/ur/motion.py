@@ -1,4 +1,4 @@
-"""Motions of the emulated arm; each computes the joint target of the next control step.
+"""Motions of the emulated UR arm, which compute the joint target of the next control step.
 
 `step(arm, dt)` returns target positions and velocities (6,) [rad, rad/s]; dt [s] is the control period scaled
 by speed slider and pause. `done` is True when the motion has reached its end.
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class MotionFault(ArmcellError):
-    """The arm cannot execute a motion; the controller reacts with a protective stop."""
+    """Error for a motion that the arm cannot execute; it causes a protective stop."""
 
 
 class Setpoint:
@@ -35,7 +35,7 @@ class Setpoint:
         self.v_max = np.array(model.velocity)
 
     def resting_at(self, q: ArrayLike) -> Setpoint:
-        """Return a setpoint of the same arm at rest at joint positions (6,) [rad]."""
+        """Return a setpoint of this arm at rest at other joint positions (6,) [rad]."""
         other = Setpoint(self.model, self.dh, q)
         other.tcp, other.v_max = self.tcp, self.v_max
         return other
@@ -55,7 +55,7 @@ class Setpoint:
 
 
 class StopJ:
-    """Stop of all joints in proportion; the fastest decelerates at `a` [rad/s^2]."""
+    """Proportional stop of all joints; the fastest joint decelerates at `a` [rad/s^2]."""
 
     def __init__(self, a: float):
         self.a, self.done = max(float(a), 0.1), False
@@ -69,7 +69,7 @@ class StopJ:
 
 
 class StopL(StopJ):
-    """Stop in which the tool decelerates at `a` [m/s^2], executed as a proportional joint stop."""
+    """Stop with a tool deceleration of `a` [m/s^2]; all joints slow down in proportion."""
 
     def __init__(self, a: float, s: Setpoint):
         tool = float(np.linalg.norm((jacobian(s.dh, s.q) @ s.v)[:3]))
@@ -98,7 +98,7 @@ class _Along:
         self._stop: StopJ | None = StopJ(8.0)
 
     def advance(self, s: Setpoint, dt: float) -> tuple[Array, Array] | float:
-        """Return the arm's braking step while it still moves, else the path fraction (0..1)."""
+        """Return the path fraction (0..1), or the arm's braking step while the arm still moves."""
         if self._stop is not None:
             if np.abs(s.v).max() > 1e-6 and not s.compliant:
                 return self._stop.step(s, dt)
@@ -134,7 +134,7 @@ class MoveJ(_Along):
         self._start = s.q.copy()
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal."""
+        """Return the joint positions (6,) [rad] at the goal of the motion."""
         return self.goal
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -166,14 +166,14 @@ class MoveL(_Along):
         self._last = s.q
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal, nearest to those reached so far."""
+        """Return the joint positions (6,) [rad] at the goal that are nearest to the last ones."""
         q = inverse(s.dh, self._goal.matrix, self._last, s.tcp, iterations=100)
         if q is None:
             raise MotionFault(f"the {self.name} leaves the arm's reach")
         return q
 
     def pose(self, reached: float) -> SE3:
-        """Return T_base_tcp at a fraction (0..1) of the path."""
+        """Return T_base_tcp at a fraction (0..1) of the straight path."""
         return self._from.interpolate(self._goal, reached)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -192,7 +192,7 @@ class MoveL(_Along):
 
 
 class MoveC(MoveL):
-    """Motion of the tool along a circular arc through a via point.
+    """Tool motion along a circular arc through a via point.
 
     The orientation is interpolated between start and goal, or stays fixed relative to the arc.
     """
@@ -241,7 +241,7 @@ def _turn(a: Array, b: Array, axis: Array) -> float:
 
 
 class Blended:
-    """Two motions superposed: the first one ends while the next one has already begun.
+    """Superposition of two motions: the first ends while the second has already begun.
 
     The offset of the first motion from its goal decays as that motion ends, so speeds stay continuous and
     the tool passes the goal within about the blend radius.
@@ -273,7 +273,7 @@ class Blended:
 
 
 class TrackL:
-    """Motion of the tool to a pose at constant speed, without slowing before it (movep, servoc).
+    """Tool motion to a pose at constant speed, without slowing before it (movep, servoc).
 
     Attributes:
         near: True within the blend radius of the pose, where the next motion may take over.
@@ -286,7 +286,7 @@ class TrackL:
         self.done, self.near = False, False
 
     def settle(self) -> None:
-        """End the tracking at its pose with zero speed, because no motion follows."""
+        """Stop tracking at the pose with zero speed, because no motion follows."""
         self._blend = 0.0
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -311,7 +311,10 @@ class TrackL:
 
 
 class Torque:
-    """Motion by joint torques in addition to gravity compensation, by the arm's dynamics."""
+    """Motion driven by joint torques in addition to gravity compensation.
+
+    The arm's dynamics determine the acceleration.
+    """
 
     done = False
 
@@ -356,7 +359,7 @@ class ServoJ:
 
 
 class SpeedJ:
-    """Motion at constant joint velocities [rad/s], reached with acceleration `a` [rad/s^2]."""
+    """Joint motion at constant velocities [rad/s], reached with acceleration `a` [rad/s^2]."""
 
     done = False
 
@@ -370,7 +373,7 @@ class SpeedJ:
 
 
 class SpeedL(SpeedJ):
-    """Motion at a constant tool velocity [m/s, rad/s, base frame], reached at `a` [m/s^2]."""
+    """Tool motion at constant velocity [m/s, rad/s, base frame], reached at `a` [m/s^2]."""
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
         J = jacobian(s.dh, s.q, forward(s.dh, s.q, s.tcp)[:3, 3])

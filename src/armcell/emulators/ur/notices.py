@@ -9,7 +9,7 @@ from armcell.drivers.ur.wire.modes import SafetyMode
 
 @dataclass(frozen=True)
 class Text:
-    """Text message that a program sent with `textmsg`."""
+    """Notice of a text message that a program sent with `textmsg`."""
 
     text: str
 
@@ -19,7 +19,7 @@ class Text:
 
 @dataclass(frozen=True)
 class ProgramState:
-    """Start or end of a URScript program."""
+    """Notice that a URScript program started or ended."""
 
     started: bool
     name: str
@@ -30,7 +30,7 @@ class ProgramState:
 
 @dataclass(frozen=True)
 class ScriptFault:
-    """Failure of a program to compile, or its end by an error.
+    """Notice that a program failed to compile or was ended by an error.
 
     Attributes:
         line, column: position in the script's text, from 1.
@@ -48,7 +48,7 @@ class ScriptFault:
 
 @dataclass(frozen=True)
 class Popup:
-    """Popup message that the controller shows on the pendant."""
+    """Notice of a popup message that the controller shows on the pendant."""
 
     text: str
     title: str = "Popup"
@@ -61,7 +61,7 @@ class Popup:
 
 @dataclass(frozen=True)
 class SafetyChange:
-    """Change of the controller's safety mode."""
+    """Notice of a change of the controller's safety mode."""
 
     mode: SafetyMode
 

@@ -1,4 +1,4 @@
-"""Simulated arms for the emulated controller: kinematics with servo lag, or MuJoCo physics."""
+"""Simulated arms of the emulated UR controller: kinematics with servo lag, or physics."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SERVO_LAG = 0.008  # [s] approximate lag of a UR's joints behind their target
 
 
 class Plant(Protocol):
-    """Simulated joints and gripper of one arm.
+    """Interface of one arm's simulated joints and gripper.
 
     Attributes:
         resets: number of resets to the start.
@@ -37,7 +37,7 @@ class Plant(Protocol):
         ...
 
     def command(self, q: Array, v: Array, period: float) -> None:
-        """Set the joint targets for one control period [s] from now: positions and velocities (6,)."""
+        """Set joint targets for one control period [s] from now: positions and velocities (6,)."""
         ...
 
     def step(self, dt: float) -> None:
@@ -76,7 +76,7 @@ class Plant(Protocol):
         ...
 
     def gripper(self) -> tuple[float, bool]:
-        """Return the opening (0..1 of the largest) and whether the gripper holds an object."""
+        """Return the gripper's opening (0..1 of the largest) and whether it holds an object."""
         ...
 
     def object_pose(self, name: str) -> list[float]:
@@ -134,7 +134,7 @@ class KinematicPlant:
 
 
 class SharedWorld:
-    """A physics world with one or several arms, each driven by its own emulated controller.
+    """Physics world with one or several arms, each driven by its own emulated controller.
 
     Between two commands of a controller, joint targets are interpolated linearly, as in a real drive.
     """
@@ -162,7 +162,7 @@ class SharedWorld:
 
 
 class WorldPlant:
-    """One arm of a physics world, with its gripper, for an emulated controller."""
+    """Arm of a physics world, with its gripper, for an emulated controller."""
 
     def __init__(self, shared: SharedWorld, group: str):
         self._shared, self.world = shared, shared.world

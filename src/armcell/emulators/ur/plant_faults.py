@@ -1,4 +1,4 @@
-"""Injected faults of an emulated arm: unknown payload, joint offset, blocked joint."""
+"""Injected faults of an emulated UR arm: unknown payload, joint offset, blocked joint."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WORDS = "armcell fault payload <kg> | offset <0-5> <rad> | block <0-5> | arm non
 
 
 class FaultyPlant:
-    """Wrapper of a plant that injects faults; without a fault it forwards every call."""
+    """Wrapper of a plant that injects faults; without a fault, it forwards every call."""
 
     def __init__(self, plant: Plant):
         self._plant = plant
@@ -37,7 +37,7 @@ class FaultyPlant:
         self._offset[joint] = angle
 
     def block(self, joint: int) -> None:
-        """Block a joint at its current position, regardless of its motor."""
+        """Block a joint at its current position, whatever its motor does."""
         self._blocked[joint] = float(self._plant.read()[0][joint])
         if hasattr(self._plant, "world"):
             world: Any = self._plant
@@ -56,7 +56,7 @@ class FaultyPlant:
 
 
 def set_fault(plant: Any, words: list[str]) -> Any:
-    """Return the plant (a `Plant`) with one more fault; "arm none" returns the original plant.
+    """Return the plant with one more fault; "arm none" returns the original plant.
 
     Raises:
         ValueError: the words name no fault.

@@ -1,4 +1,4 @@
-"""Start of programs and commands that clients send to an emulated robot as text."""
+"""Execution of programs and commands that clients send to an emulated UR robot as text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armcell.emulators.ur.urscript import Machine, ScriptError
 
 
 def run_command(robot: Robot, text: str) -> bool:
-    """Execute a text command that is not URScript, such as `stop program`.
+    """Execute a text command of a client that is not URScript, such as `stop program`.
 
     Returns:
         False if the text is not a command.
@@ -38,10 +38,10 @@ def run_command(robot: Robot, text: str) -> bool:
 
 
 def run_script(robot: Robot, network: Network, text: str, name: str = "") -> bool:
-    """Compile and start a URScript program; unless secondary, it replaces the running program.
+    """Compile and start a URScript program, which replaces a running program.
 
-    If the text does not compile, the robot reports the error as a pendant does, and the running program ends
-    as well.
+    A secondary program runs beside the running program. If the text does not compile, the robot reports the
+    error as a pendant does, and the running program ends as well.
 
     Args:
         name: program name that overrides the name in the text.

@@ -1,4 +1,4 @@
-"""The emulated robot: modes, registers, inputs, outputs, and motion by control steps."""
+"""Emulated UR robot: modes, registers, inputs, outputs, and motion in control steps."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MIN_UPTIME = 60.0  # [s] controller time at start: UR's client library requires 
 
 
 class Robot:
-    """State and behavior of one emulated arm and its controller, without network access."""
+    """State and behavior of one emulated UR arm and its controller, without network access."""
 
     def __init__(self, model: UrModel, plant: Plant, serial: str, kinematics: Kinematics | None = None):
         self.model, self.plant, self.serial = model, plant, serial
@@ -140,7 +140,7 @@ class Robot:
         self._let_go(motion)
 
     def _choose_motion(self) -> float:
-        """Replace the motion by a stop if necessary; return the motion's time in this step [s]."""
+        """Replace the running motion by a stop if necessary; return its time in this step [s]."""
         dt, s = self.period * self.scaling, self.setpoint
         if self.safety not in MAY_MOVE:
             self.comply(None)
@@ -160,7 +160,7 @@ class Robot:
         return self.compliance.apply(s, q, self.felt(), self.period if by_hand else max(dt, 1e-9))
 
     def _let_go(self, motion: Motion | None) -> None:
-        """End a motion, such as servoj or speedj, that the program has stopped renewing."""
+        """End a motion, such as servoj or speedj, that the program no longer renews."""
         if self.runtime in (RuntimeState.PLAYING, RuntimeState.PAUSING) or self.machine is None:
             self._unused_for = 0 if self._motion_used else self._unused_for + 1
         unused = not self._motion_used and self.scaling > 0
@@ -184,7 +184,7 @@ class Robot:
         self.digital_in = (self.digital_in & ~(1 << TOOL_INPUT_HOLDS)) | (int(holds) << TOOL_INPUT_HOLDS)
 
     def _follow_reset(self) -> None:
-        """Restart at the plant's state after the plant was reset."""
+        """Restart the robot at the plant's state after the plant was reset."""
         self._resets = self.plant.resets
         self.end_program()
         self.unlock()
@@ -194,17 +194,17 @@ class Robot:
         self.popup("the arm and its world are back at their start")
 
     def start(self, motion: Motion) -> None:
-        """Start a motion that a program requests."""
+        """Start a motion that the program requests."""
         if self.mode is not RobotMode.RUNNING:
             raise ProgramError("the robot is not running (power on, brake release)")
         self.motion, self._motion_used = motion, True
 
     def keep(self) -> None:
-        """Mark the running motion as in use, because the program still waits for it."""
+        """Mark the running motion as in use, because the program still waits for its end."""
         self._motion_used = True
 
     def comply(self, compliance: Compliance | None) -> None:
-        """Start a compliant mode, in which forces move the tool along some axes; None ends it.
+        """Start a compliant mode, in which forces move the tool along some axes, or end it (None).
 
         Raises:
             ProgramError: the robot is not running.
@@ -216,11 +216,11 @@ class Robot:
     # --- program ---
     @property
     def may_run(self) -> bool:
-        """Whether a program may start: the robot is running and its safety mode permits motion."""
+        """Return whether a program may start: the robot runs, and its safety mode permits motion."""
         return self.mode is RobotMode.RUNNING and self.safety in MAY_MOVE
 
     def run(self, machine: Machine) -> None:
-        """Start a program; a running program ends first."""
+        """Start a URScript program, after ending the running program."""
         self.end_program()
         if not self.may_run:
             self.popup(f"program not started: {self.mode.name}, {self.safety.name}")
@@ -258,14 +258,14 @@ class Robot:
         return True
 
     def play(self) -> bool:
-        """Resume a paused program; return False if there is none or the safety mode forbids motion."""
+        """Resume a paused program; return False if none is paused or motion is forbidden."""
         if self.runtime not in (RuntimeState.PAUSED, RuntimeState.PAUSING) or self.safety not in MAY_MOVE:
             return False
         self.runtime = RuntimeState.RESUMING
         return True
 
     def announce(self, notice: Notice) -> None:
-        """Write a notice to the log and send it to all listeners."""
+        """Write a notice to the log and send it to all listeners of the robot."""
         log.info("%s: %s", self.serial, notice)
         if not isinstance(notice, ProgramState | SafetyChange):
             self.messages.append(str(notice))
@@ -279,7 +279,7 @@ class Robot:
         self.announce(Text(text))
 
     def fault(self, error: ArmcellError) -> None:
-        """Report the reason for which a program ends or does not start."""
+        """Report the reason why a program ends or does not start."""
         line, column = getattr(error, "line", 0), getattr(error, "column", 0)
         code = getattr(error, "code", "") or str(error)
         self.announce(ScriptFault(f"script error: {error}", max(line, 1), max(column, 1), code))
@@ -320,7 +320,7 @@ class Robot:
             self.safety = SafetyMode.NORMAL
 
     def unlock(self) -> None:
-        """Unlock a protective stop; the program stays paused."""
+        """Unlock a protective stop; the robot program stays paused."""
         if self.safety is SafetyMode.PROTECTIVE_STOP:
             self.safety, self.motion = SafetyMode.NORMAL, None
 
@@ -375,7 +375,7 @@ class Robot:
         self.analog_volts = (self.analog_volts & ~(1 << i)) | (int(volts) << i)
 
     def analog_output(self, i: int) -> float:
-        """Return an analog output: 0 to 10 V, or 4 to 20 mA, depending on its domain."""
+        """Return an analog output of the robot: 0 to 10 V or 4 to 20 mA, depending on its domain."""
         ratio = float(np.clip(self.analog_out[i], 0.0, 1.0))
         return 10.0 * ratio if self.analog_volts >> i & 1 else 4.0 + 16.0 * ratio
 
@@ -406,7 +406,7 @@ class Robot:
         return self.plant.wrench()[0] + self.hand
 
     def felt(self) -> Array:
-        """Return the external force [N] and torque [Nm] on the tool (6,), base frame, about the TCP."""
+        """Return the external force [N] and torque [Nm] on the tool (6,), base frame, at the TCP."""
         return self._wrench_about(self.setpoint.tcp)
 
     def _wrench_about(self, tcp: list[float]) -> Array:
@@ -432,17 +432,20 @@ class Robot:
         )
 
     def zero_force(self) -> None:
-        """Zero an e-Series' force sensor at its current reading; a CB3 has no sensor."""
+        """Zero an e-Series robot's force sensor at its current reading; a CB3 has no sensor."""
         if self.model.e_series:
             self._force_offset = self._force_offset - self.tcp_force()
 
     @property
     def remote_or_cb3(self) -> bool:
-        """Whether the controller accepts remote commands: e-Series in remote control, CB3 always."""
+        """Return whether the controller accepts remote commands.
+
+        An e-Series accepts them in remote control, a CB3 always.
+        """
         return self.remote or not self.model.e_series
 
     def control_line(self) -> int:
-        """Return the line number of the program statement that moves the arm; 0 if none does."""
+        """Return the line number of the program statement that moves the arm, or 0."""
         return self.machine.line if self.machine is not None and self.motion is not None else 0
 
     def status_bits(self) -> int:

@@ -1,4 +1,4 @@
-"""Sources of the RTDE output variables of the emulated controller."""
+"""Values of the RTDE output variables of the emulated UR controller."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WORD = 0xFFFFFFFF
 
 
 def outputs_of(robot: Robot) -> dict[str, Getter]:
-    """Return a reading function for each variable of `rtde.OUTPUTS`.
+    """Return a reading function for each RTDE output variable of `rtde.OUTPUTS`.
 
     Variables that are not emulated read zero.
     """

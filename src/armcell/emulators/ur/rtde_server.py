@@ -1,4 +1,4 @@
-"""RTDE port (30004) of the emulated controller."""
+"""RTDE port (30004) of the emulated UR controller."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Client:
 
 
 class RtdeServer:
-    """Server for all RTDE clients of one emulated controller."""
+    """Server of all RTDE clients of one emulated controller."""
 
     def __init__(self, robot: Robot, network: Network, host: str, port: int = rtde.PORT):
         self._robot, self._table = robot, outputs_of(robot)
@@ -38,7 +38,7 @@ class RtdeServer:
 
     @property
     def clients(self) -> int:
-        """Number of connected RTDE clients."""
+        """Return the number of connected RTDE clients."""
         return sum(link.open for link in self._clients)
 
     def _begin(self, link: Link) -> None:
@@ -88,7 +88,10 @@ class RtdeServer:
         link.send(rtde.frame(kind, answer))
 
     def _setup_outputs(self, client: _Client, payload: bytes) -> bytes:
-        """Set up a client's output recipe; protocol version 1 has neither frequency nor recipe ID."""
+        """Set up a client's RTDE output recipe.
+
+        Protocol version 1 has neither a frequency nor a recipe ID.
+        """
         highest = self._robot.model.frequency
         if client.protocol == 1:
             frequency, names, number = highest, rtde.split_names(payload), b""
@@ -115,7 +118,7 @@ class RtdeServer:
         return bytes([number]) + ",".join(kinds).encode()
 
     def send_outputs(self) -> None:
-        """Send output variables to the RTDE clients that are due; call once per control step."""
+        """Send RTDE output variables to the clients that are due; call once per control step."""
         for link, client in list(self._clients.items()):
             if not link.open:
                 del self._clients[link]

@@ -1,6 +1,7 @@
-"""Primary, secondary and real-time ports: receive URScript, send robot state and messages.
+"""Primary, secondary and real-time ports of the emulated UR controller.
 
-Ports 30001 to 30003 accept programs; ports 30011 to 30013 send the same data and are read-only.
+They receive URScript, and send robot state and messages. Ports 30001 to 30003 accept programs; ports 30011 to
+30013 send the same data and are read-only.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class ScriptServer:
             link.send(robot_messages.error_code(self._state.now_us, READ_ONLY_CODE, 0, level, why))
 
     def _announce(self, notice: Notice) -> None:
-        """Send an event to the primary clients as the message that a real controller sends."""
+        """Send an event of the robot to the primary clients, encoded as by a real controller."""
         message = self._message(notice)
         for link, client in self._clients.items():
             if client.kind == PRIMARY:

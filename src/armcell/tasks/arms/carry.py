@@ -1,4 +1,4 @@
-"""Carrying one object with two arms: grasp both ends, move, put down, release."""
+"""Task of carrying one object with two arms: grasp both ends, move, put down, release."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SLIP_EVERY = 10  # cycles between two measurements of the slip
 
 @dataclass
 class CarryRecord:
-    """Largest deviations of all control cycles since the grasp."""
+    """Largest deviations of a carried object over all control cycles since the grasp."""
 
     off_m: float = 0.0
     turn_rad: float = 0.0
@@ -39,7 +39,7 @@ class CarryRecord:
 
 
 class Carrying:
-    """Object carried by two arms.
+    """Task in which two arms carry one object.
 
     Every method returns an `Outcome`; the first failure stops both arms.
 
@@ -75,7 +75,7 @@ class Carrying:
         return outcome if outcome.ok else self._with_record(outcome)
 
     def move(self, *poses: SE3, name: str = "carry") -> Outcome:
-        """Carry the object through poses (T_world_object) with a stop at each.
+        """Carry the object through given poses (T_world_object) and stop at each pose.
 
         The path is straight if possible, else it avoids obstacles.
         """
@@ -99,12 +99,12 @@ class Carrying:
     def shift(
         self, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0, name: str = "carry"
     ):
-        """Carry the object by an offset [m] in world axes, with a rotation about the vertical."""
+        """Carry the object by an offset [m] in world axes, and rotate it about the vertical."""
         here = self._object_pose(self._known())
         return self.move(shifted(here, x, y, z, turn_deg), name=name)
 
     def release(self) -> Outcome:
-        """Open both grippers and retreat straight back."""
+        """Open both grippers and retreat straight from the object."""
         self._known()
         widths = {}
         for group, gripper in self.hands.grippers.items():
@@ -137,7 +137,7 @@ class Carrying:
         return self._with_record(outcome)
 
     def _object_pose(self, held: PairHold) -> SE3:
-        """Return T_world_object at the set points, by the first hand's grasp."""
+        """Return T_world_object at the commanded joint positions, from the first hand's grasp."""
         first = self.hands.first
         return self.hands.tcp_poses_at(held.q)[first] @ held.carried.grasps[first].inv()
 
@@ -147,7 +147,7 @@ class Carrying:
         return self._held
 
     def squeeze(self) -> Array:
-        """Return the internal force (3,) [N]: half the difference of the hands' forces."""
+        """Return the object's internal force (3,) [N], half the difference of the hands' forces."""
         first, second = (self.ctx.driver.wrench(self.hands.grippers[g].name)[:3] for g in self.hands.groups)
         return (second - first) / 2
 
@@ -156,7 +156,7 @@ class Carrying:
         return self._corrected(q, offset), v
 
     def _corrected(self, q: Array, offset: Array) -> Array:
-        """Return set points with the second hand moved by an offset (3,) [m], by its Jacobian."""
+        """Return setpoints in which an offset (3,) [m] moves the second hand, by its Jacobian."""
         if not offset.any():
             return q
         group = self.hands.second
@@ -178,9 +178,9 @@ class Carrying:
         return held.T_first_object.distance_to(here)[0]
 
     def _watch(self) -> Outcome | None:
-        """Check the hands' relative pose, the internal force and the object's presence.
+        """Check the hands' relative pose, the internal force, and that the object is held.
 
-        Runs in every control cycle.
+        The check runs in every control cycle.
         """
         held, s, r = self._known(), self.settings, self.record
         hands = self.hands.measured_tcp_poses()

@@ -1,4 +1,4 @@
-"""Coordination of two arms that work side by side: motions, reserved zones, yielding.
+"""Coordination of two arms that work side by side: motions, reserved zones and yielding.
 
 A motion starts only when it is certified, with its timing, against the other arm's motion and final pose, and
 when its own final pose is clear of the other arm's motion. A resting arm is therefore always safe. If both
@@ -65,7 +65,7 @@ class MotionCoordinator:
 
     # --- motions ---
     def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
-        """Wait until a motion, or a detour to the same goal, may start, and return it."""
+        """Wait until a motion, or a detour to the same goal, may start, and return the motion."""
         me, straight = ctx.group, motion.planner == "cartesian"
         began = ctx.driver.now
         while not ctx.cancel.is_set():
@@ -113,7 +113,7 @@ class MotionCoordinator:
         return found
 
     def _free(self, ctx, arms: Arms, scene: PlanningScene, wanted, other: RunningMotion, now: float) -> bool:
-        """Return whether a motion may start.
+        """Return whether a motion of one arm may start beside the other arm.
 
         Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
         pause and move during this check, so they are certified for any timing.
@@ -127,7 +127,7 @@ class MotionCoordinator:
         ).free  # fmt: skip
 
     def _clearance_now(self, arms: Arms, scene: PlanningScene, wanted: JointTrajectory) -> float:
-        """Return the clearance, or slightly less than the present distance if the arms are closer."""
+        """Return the required clearance, or slightly less than the present distance if smaller."""
         q = scene.state.reindexed(arms.joint_names).positions
         if arms.find_too_close(q[None], None, self.clearance) < 0:
             return self.clearance
@@ -153,7 +153,7 @@ class MotionCoordinator:
         return found if self._free(ctx, arms, scene, found, running, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
-        """Start a motion of the coordinator (yield or return) and wait for its end."""
+        """Execute a motion of the coordinator itself (to yield or return)."""
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
         motion = ctx.gate.motion(trajectory, cancel=ctx.cancel)
@@ -188,7 +188,10 @@ class MotionCoordinator:
             self.asked.add(other)
 
     def yield_to_other(self, ctx: ArmContext) -> None:
-        """Move the arm to its home state if possible, unless it is there already."""
+        """Yield to the other arm by moving to the home state, if possible.
+
+        An arm that is already there does not move.
+        """
         self.asked.discard(ctx.group)
         scene = ctx.whole_scene()
         home = scene.model.named_state(ctx.group, HOME)
@@ -231,7 +234,7 @@ class MotionCoordinator:
 
     @contextmanager
     def reserved(self, ctx: ArmContext, zone: str) -> Iterator[None]:
-        """Hold a zone exclusively; arms get it in the order of their requests.
+        """Reserve a zone exclusively; arms receive the zone in the order of their requests.
 
         Raises:
             InputError: the arm already holds a zone (two arms with a zone each could wait forever).
@@ -255,7 +258,7 @@ class MotionCoordinator:
             self._heading.pop(ctx.group, None)
 
     def rendezvous(self, ctx: ArmContext, name: str) -> None:
-        """Wait until the other arm's program reaches the same point or ends."""
+        """Wait until the other arm's program reaches the same rendezvous point or ends."""
         here = self._arrived.setdefault(name, set())
         here.add(ctx.group)
         other = self.other(ctx.group)
@@ -265,7 +268,7 @@ class MotionCoordinator:
         self.waits.pop(ctx.group, None)
 
     def park(self, ctx: ArmContext) -> None:
-        """Keep an arm at rest after its program, and yield until the other program ends."""
+        """Keep an arm at rest after its program, but let it yield until the other program ends."""
         ctx.ended = True
         while not self.contexts[self.other(ctx.group)].ended and not ctx.cancel.is_set():
             self.waits.setdefault(ctx.group, (ctx.driver.now, "the end"))

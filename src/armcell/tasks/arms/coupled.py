@@ -1,4 +1,4 @@
-"""Synchronized motions of two arms: one goal per arm, or a trajectory of both."""
+"""Synchronized motions of two arms: one goal per arm, or one trajectory of both arms."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from armcell.tasks.steps import staged
 def move_together(
     ctx: TaskContext, both: str, goals: Mapping[str, Goal], name: str = "move together"
 ) -> Outcome:
-    """Move two arms to one goal each; they start and arrive at the same time."""
+    """Move two arms to one goal each, such that both start and arrive at the same time."""
     s, scene = ctx.settings, ctx.scene()
     template = PlanRequest(
         next(iter(goals)), (), planner_id=s.planner_id, planning_time=s.planning_time,
@@ -41,7 +41,7 @@ def play(
     evidence: Mapping[str, Any] = MappingProxyType({}), scene: Callable[[], PlanningScene] | None = None,
     planned_in: PlanningScene | None = None,
 ) -> Outcome:  # fmt: skip
-    """Execute a trajectory of coupled arms as a stage.
+    """Execute a trajectory of two coupled arms as a stage.
 
     Args:
         evidence: planning metadata for the record.

@@ -1,4 +1,4 @@
-"""Both hands of two arms at one object: measurements, gripper commands and coupled motions."""
+"""Pair of hands at one object: measurements, gripper commands and synchronized motions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class CarrySettings:
-    """Settings of carrying one object with two arms."""
+    """Settings for carrying one object with two arms."""
 
     velocity: float = 0.3  # scaling of the joint limits
     acceleration: float = 0.15
@@ -48,7 +48,7 @@ class CarrySettings:
 
 @dataclass
 class PairHold:
-    """State of both hands since the grippers closed on the object."""
+    """State of two hands since their grippers closed on the object."""
 
     carried: CarriedObject  # grasps at the set points
     T_hands: SE3  # measured pose of the second hand in the first
@@ -58,7 +58,7 @@ class PairHold:
 
 
 class HandPair:
-    """Both hands of two arms at the two ends of an object.
+    """Pair of hands of two arms, at the two ends of one object.
 
     Args:
         both: the group of both arms' joints.
@@ -91,11 +91,11 @@ class HandPair:
         self.hold: PairHold | None = None
 
     def other(self, group: str) -> str:
-        """Return the other arm's group."""
+        """Return the planning group of the other arm."""
         return next(g for g in self.groups if g != group)
 
     def tcp_poses_at(self, q: Array) -> dict[str, SE3]:
-        """Return T_world_tcp of both arms at joint positions (n,) of both, by arm group."""
+        """Return T_world_tcp of both arms by arm group, at joint positions (n,) of both arms."""
         full = self.ctx.driver.joint_state().positions.copy()
         full[self.columns] = q
         return self._tcp_poses(full)
@@ -108,11 +108,11 @@ class HandPair:
         return dict(zip(self.groups, self.tree.link_poses(q, tuple(self.tips.values())), strict=True))
 
     def supports(self, scene: PlanningScene) -> tuple[str, ...]:
-        """Return the object's supports, now or at the time of the grasp."""
+        """Return the supports of the object, now or at the time of the grasp."""
         return self.hold.supports if self.hold is not None else tuple(neighbors(scene, self.item))
 
     def attached(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene with the object attached to the first hand.
+        """Return the scene in which the object is attached to the first hand.
 
         Contacts of both hands and of the supports with the object are allowed.
         """
@@ -124,7 +124,10 @@ class HandPair:
     def plan(
         self, scene: PlanningScene, carried: CarriedObject, start: SE3, poses: Sequence[SE3], seconds: float
     ) -> PlanResult:
-        """Plan to carry the object from a pose through others; 0 s: only along straight paths."""
+        """Plan a motion that carries the object from a pose through other poses.
+
+        With a planning time of 0 s, only straight paths are tried.
+        """
         s, rests_on = self.settings, self.supports(self.ctx.scene())
         return plan_carry(
             scene, self.both, carried, start, poses, s.velocity, s.acceleration, s.max_speed, rests_on,
@@ -134,7 +137,7 @@ class HandPair:
     def move_fingers(
         self, name: str, widths: Mapping[str, float], settle: float, force: Mapping[str, float] | None = None
     ) -> Outcome:
-        """Command both grippers simultaneously and wait for both.
+        """Command both grippers at the same time and wait until both have finished.
 
         Args:
             widths: [m] by arm group.
@@ -177,7 +180,7 @@ class HandPair:
         )  # fmt: skip
 
     def _touching(self) -> PlanningScene:
-        """Return the measured scene with the hands' contacts allowed and a held object attached."""
+        """Return the measured scene with the hands' contacts allowed and the held object attached."""
         scene = self.ctx.scene()
         if self.hold is not None:
             return self.attached(scene)

@@ -1,4 +1,7 @@
-"""Order of objects per arm such that two arms finish early and do not wait for each other."""
+"""Search for the order of objects per arm with which two arms finish early.
+
+With this order, the arms rarely wait for each other.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +70,7 @@ def earliest(
     tours: tuple[Callable[[Order], Tour], Callable[[Order], Tour]],
     conflicts: ConflictCache | None = None,
 ) -> tuple[Order, Order]:
-    """Return the orders of two streams that finish first.
+    """Return the object orders of two arms with which both arms finish earliest.
 
     Args:
         tours: computes an arm's tour for an order.
@@ -97,7 +100,10 @@ def earliest(
 
 
 def _near(one: Order, two: Order) -> Iterable[tuple[Order, Order]]:
-    """Yield neighboring orders of both arms: all if there are few, else single changes."""
+    """Yield neighboring object orders of two arms for a local search.
+
+    These are all orders if there are few, else single changes.
+    """
     if max(len(one), len(two)) <= EXHAUSTIVE:
         return product(permutations(one), permutations(two))
     return chain(((o, two) for o in _changed(one)), ((one, o) for o in _changed(two)))
@@ -111,7 +117,7 @@ def _changed(order: Order) -> Iterator[Order]:
 
 
 def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
-    """Schedule the segments of each arm [s]; a zone serves one arm at a time.
+    """Schedule each arm's tour segments [s]; a zone serves one arm at a time.
 
     Arms get a zone in the order of their arrival.
     """
@@ -134,7 +140,7 @@ def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
 def detours(
     arms: tuple[Tour, Tour], tables: Sequence[Sequence[Span]], conflicts: ConflictCache
 ) -> list[float]:
-    """Return the total time [s] that each arm loses by detours around the other arm at work."""
+    """Return the total time [s] of each arm's detours around the other arm at work."""
     lost = [0.0, 0.0]
     for k in (0, 1):
         for segment, (begin, there, _) in zip(arms[k], tables[k], strict=True):
@@ -159,14 +165,14 @@ DECIMALS = 3  # [rad] positions that agree to these decimals share a cache entry
 
 
 class ConflictCache:
-    """Cache that evaluates each pair of a motion and a pose of the other arm once."""
+    """Cache of conflicts between a motion of one arm and a working pose of the other arm."""
 
     def __init__(self, scene: PlanningScene, groups: tuple[str, str]):
         self._arms = Arms(scene, groups)
         self._known: dict[tuple[int, bytes], tuple[float, float] | None] = {}
 
     def share(self, arm: int, segment: TourSegment, other: TourSegment) -> tuple[float, float] | None:
-        """Return the part of an arm's motion (from, to in 0..1) that is close to the other arm.
+        """Return the part (from, to in 0..1) of an arm's motion that is close to the other arm.
 
         The other arm is at its working pose.
 

@@ -1,4 +1,4 @@
-"""Driving a screw: the hand rotates about its axis while admittance control presses."""
+"""Task of driving a screw: the hand rotates about its axis while it presses by admittance."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScrewSettings:
-    """Settings of driving a screw."""
+    """Settings for driving a screw."""
 
     speed: float = 1.5  # [rad/s] maximum speed of the hand
     press_time: float = 0.5  # [s] force build-up before the rotation
@@ -39,7 +39,7 @@ class ScrewSettings:
 def screw(
     ctx: TaskContext, item: str, turns: float, force: float, settings: ScrewSettings = ScrewSettings()
 ) -> Outcome:
-    """Rotate a held object clockwise (seen along the tool axis) while pressing along the axis.
+    """Drive a held screw: rotate it clockwise about the tool axis and press along the axis.
 
     Args:
         turns: revolutions of the hand, within the last joint's range.
@@ -89,7 +89,10 @@ def screw(
 
 
 def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> JointTrajectory:
-    """Return a trajectory: press for `press_time`, then rotate the last joint by a quintic."""
+    """Return a trajectory that waits for `press_time`, then rotates the last joint smoothly.
+
+    The rotation is a quintic polynomial of time.
+    """
     angle = 2 * np.pi * turns
     duration = 1.875 * angle / s.speed
     x = np.linspace(0, 1, 60)
@@ -104,7 +107,7 @@ def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> J
 
 
 class _Turning:
-    """Pressing force along the tool axis, and the measurements of every control cycle."""
+    """Control of the pressing force along the tool axis, with measurements of every cycle."""
 
     def __init__(self, ctx, item, force, settings, names, gripper, tip):
         self.ctx, self.item, self.force, self.settings = ctx, item, force, settings
@@ -119,7 +122,7 @@ class _Turning:
         self.angle, self._last = 0.0, self.began
 
     def _pose(self) -> SE3:
-        """Return the object's pose, relative to the part with the thread if it is known."""
+        """Return the screwed object's pose, relative to the part with the thread if it is known."""
         poses = self.ctx.driver.object_poses()
         return poses[self.item] if self.into not in poses else poses[self.into].inv() @ poses[self.item]
 

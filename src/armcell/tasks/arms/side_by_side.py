@@ -1,4 +1,7 @@
-"""Programs of two arms that work side by side, each at its own pace in its own task context."""
+"""Programs of two arms that work side by side, each at its own pace.
+
+Each program has its own task context.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +68,7 @@ Program = Callable[[ArmContext], Outcome | None]
 
 @dataclass(frozen=True)
 class SideBySide(Outcome):
-    """Result of two programs: the first failure's code and message, and statistics per arm."""
+    """Result of two arms' programs: code and message of the first failure, statistics per arm."""
 
     makespan: float = 0.0  # [s] of the driver's clock
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
@@ -80,7 +83,7 @@ def side_by_side(
     clearance: float = CLEARANCE,
     patience: float = PATIENCE,
 ) -> SideBySide:
-    """Run one program per arm. If one fails, the other ends after its running stage.
+    """Run one program per arm; if one program fails, the other ends after its running stage.
 
     Raises:
         InputError: not exactly two groups without common joints.

@@ -1,4 +1,4 @@
-"""Estimates of the time an arm needs to carry objects to their zones in a given order.
+"""Estimates of the time in which an arm carries objects to their zones in a given order.
 
 The estimate assumes straight joint-space motions: from above the nearest grasp of an object to the hand's
 pose above the object's zone.
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CycleTimes:
-    """Estimated duration of grasping and placing.
+    """Estimated durations of grasping and placing.
 
     The defaults are means of 64 picks and 64 placements of two UR10 at a task's default speeds.
     """
@@ -40,7 +40,7 @@ class CycleTimes:
 
 @dataclass(frozen=True, eq=False)
 class TourSegment:
-    """One motion of an arm between positions (n,), and the work at its end."""
+    """Segment of an arm's tour: one motion between positions (n,), and the work at its end."""
 
     motion: float  # [s]
     work: float = 0.0  # [s]
@@ -49,7 +49,7 @@ class TourSegment:
 
 
 class TourEstimator:
-    """Estimator of a tour's segments: carry objects in an order and return.
+    """Estimator of an arm's tour, which carries objects in a given order and returns.
 
     Unreachable objects contribute no travel time.
 
@@ -82,7 +82,7 @@ class TourEstimator:
         return (*segments, TourSegment(seconds, motion_ends=(q, self._start)))
 
     def _fetched(self, order: tuple[str, ...]) -> tuple[tuple[TourSegment, ...], Array]:
-        """Return the segments until the last object is placed, and the arm's positions (n,) there."""
+        """Return the tour segments until the last object is placed, and the arm's positions (n,)."""
         if not order:
             return (), self._start
         (before, q), item, s = self._until(order[:-1]), order[-1], self.settings
@@ -99,7 +99,7 @@ class TourEstimator:
         ), there
 
     def _motions(self, item: str, q: Array) -> tuple[float, Array, Array] | None:
-        """Return the time [s] to above an object, and the arm's positions there and above its zone."""
+        """Return the time [s] to a pose above an object, and positions above object and zone."""
         s, pose = self.settings, self.scene.object(item).T_world_object
         near = self._reaching.nearest_first(pose, self._grasps[item], q, s.free)
         if not near or near[0].q is None:

@@ -1,4 +1,4 @@
-"""Pick with two arms: both approach the ends of one object and close at the same time."""
+"""Pick of one object by two arms, which approach both ends and close at the same time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ OPEN_SETTLE = 0.3  # [s] pause after opening both hands
 
 
 class PickWithTwoArms(Pick):
-    """Pick of one object by both ends; `Carrying.move` lifts it.
+    """Pick of one object by both ends; `Carrying.move` then lifts the object.
 
     Args:
         route: later poses of the object; grasps that cannot reach them are rejected.
@@ -74,7 +74,7 @@ class PickWithTwoArms(Pick):
 
 @dataclass(frozen=True, eq=False)
 class GraspPair:
-    """Grasps of both ends with their simultaneous straight approaches."""
+    """Pair of grasps at both ends of an object, with simultaneous straight approaches."""
 
     approaches: tuple[JointTrajectory, ...]  # by arm, of equal duration
     at_grasp: JointState  # of both arms
@@ -84,7 +84,7 @@ class GraspPair:
 @stage_types.register("choose_grasp_pair")
 @dataclass(frozen=True, eq=False)
 class ChooseGraspPair:
-    """Stage that proposes grasps of both ends from which the route is feasible.
+    """Stage that proposes grasps of an object's ends with which a route is feasible.
 
     Grasps with straight paths along the route come first, then grasps with detours around obstacles.
     """
@@ -126,7 +126,7 @@ class ChooseGraspPair:
         )  # fmt: skip
 
     def _along_route(self, scene: PlanningScene, pair: GraspPair, seconds: float) -> PlanResult:
-        """Plan the motion along the route with one choice of grasps."""
+        """Plan the carrying motion along the route with one pair of grasps."""
         hands = self.hands
         trial = hands.attached(scene.with_state(pair.at_grasp))
         carried = CarriedObject(hands.item, dict(pair.Ts_object_tcp), hands.tips)
@@ -134,7 +134,7 @@ class ChooseGraspPair:
         return hands.plan(trial, carried, start, self.route, seconds)
 
     def _pairs(self, scene: PlanningScene, planning: Planning) -> Iterator[GraspPair]:
-        """Yield simultaneous approaches of both arms, those nearest to the present state first."""
+        """Yield simultaneous approaches of both arms, nearest to the present state first."""
         hands, item = self.hands, scene.object(self.hands.item)
         options = {}
         for group in hands.groups:
@@ -163,7 +163,7 @@ class ChooseGraspPair:
     def _approaches(
         self, scene: PlanningScene, group: str, T_world_object: SE3
     ) -> Iterator[tuple[JointTrajectory, SE3]]:
-        """Yield straight approaches of one arm to its end of the object, each with T_object_tcp."""
+        """Yield straight approaches of one arm to its end of the object, with T_object_tcp."""
         hands, gripper, s = self.hands, self.hands.grippers[group], self.hands.settings
         alone = without_arm(_with_open_hands(hands, scene), hands.other(group))
         alone = alone.with_allowed(hands.item, gripper.hand_links)
@@ -188,7 +188,7 @@ class ChooseGraspPair:
 @stage_types.register("connect_pair")
 @dataclass(frozen=True, eq=False)
 class ConnectPair:
-    """Stage that moves both arms to their pre-grasps, with a plan made when the hands have opened."""
+    """Stage that moves both arms to their pre-grasps, planned after the hands have opened."""
 
     hands: HandPair
     name: str = "both to the ends"
@@ -227,7 +227,7 @@ class ClosePair:
 # --- steps ---
 @dataclass(frozen=True, eq=False)
 class _MoveFingers:
-    """Step that moves both grippers (see `HandPair.move_fingers`)."""
+    """Step that moves both grippers at the same time (see `HandPair.move_fingers`)."""
 
     hands: HandPair
     name: str
@@ -265,7 +265,7 @@ class _Approach:
 
 @dataclass(frozen=True, eq=False)
 class _HoldWithBoth:
-    """Step that checks that both hands hold the object, and measures how."""
+    """Step that checks and measures that both hands hold the object."""
 
     hands: HandPair
     pair: GraspPair
@@ -303,7 +303,7 @@ def _with_open_hands(hands: HandPair, scene: PlanningScene) -> PlanningScene:
 
 
 def _opening(hands: HandPair, group: str) -> float:
-    """Return the gripper's width [m] before it closes on its end of the object."""
+    """Return the width [m] to which a gripper opens before it closes on its end of the object."""
     item, gripper = hands.ctx.scene().object(hands.item), hands.grippers[group]
     width = item.extent(item.subframes[hands.ends[group]].rotation.matrix[:, 1])
     return pre_opening(width, gripper)

@@ -1,4 +1,4 @@
-"""Bin clearing: look, pick a piece, release it over the tray, repeat."""
+"""Bin clearing task: look, pick a piece, release it over the tray, and repeat."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, E
 
 @dataclass
 class ClearCounts:
-    """Counters of a bin clearing run."""
+    """Counters of picks and failures in a bin clearing run."""
 
     picks: int = 0  # closed grasps
     put: int = 0  # objects released over the tray
@@ -107,7 +107,7 @@ class _BinClearing:
     def run(
         self, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look, tray: WorkRegion
     ) -> Outcome:
-        """Clear the regions in order into the tray."""
+        """Clear the given work regions in order into the tray."""
         ctx, s, counts = self.ctx, self.settings, self.counts
         while True:
             if ctx.cancel.is_set():
@@ -140,7 +140,7 @@ class _BinClearing:
         return Outcome(code, message, self.counts.as_dict())
 
     def retreat(self, opening: float) -> None:
-        """Open the fingers, retreat straight up as far as possible, then leave the camera's view.
+        """Open the fingers, retreat straight up as far as possible, and leave the camera's view.
 
         The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
         the hand or the neighboring pieces may have moved since.
@@ -156,7 +156,7 @@ class _BinClearing:
         self._leave_view()
 
     def _try_straight(self, name: str, rise: float, allow: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
-        """Move straight up by `rise` [m], or stay if no motion is found."""
+        """Move the hand straight up by `rise` [m]; stay if no motion is found."""
         gripper = self.gripper
         stage = Straight(
             name, gripper.arm_group, gripper.tcp_link, self.ctx.settings.near, (0.0, 0.0, rise), allow=allow
@@ -166,7 +166,7 @@ class _BinClearing:
             perform_all(self.ctx, solution.steps)
 
     def _leave_view(self) -> None:
-        """Move the arm to its first named state that is reachable."""
+        """Move the arm out of the camera's view, to its first reachable named state."""
         ctx, group = self.ctx, self.gripper.arm_group
         for name in ctx.base.model.named_states.get(group, {}):
             stage = Connect(f"move to {name}", group, ctx.settings.free, goal=NamedGoal(name))
@@ -176,7 +176,7 @@ class _BinClearing:
                 return
 
     def _put(self, grasp: HeapGrasp, source: WorkRegion, tray: WorkRegion, look: Look) -> Outcome:
-        """Release the held object at the lowest point of the tray; FAILURE if the tray is full."""
+        """Release the held object at the tray's lowest point; return FAILURE if the tray is full."""
         ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
         seen = look_at(ctx, look, tray, s)
         if isinstance(seen, Outcome):
@@ -210,14 +210,17 @@ class _BinClearing:
         return outcome
 
     def _put_back(self, grasp: HeapGrasp) -> None:
-        """Lower the object along its lift path and release it."""
+        """Lower the held object along the path of its lift, and release it."""
         touching = ((HELD, (HEAP, self.bin)), (HEAP, self.gripper.hand_links))
         self._try_straight("lay back", self.settings.gap - self.settings.lift, touching)
         self.retreat(grasp.opening)
 
 
 class _PickFromHeap(Pick):
-    """Pick of one unknown piece that a camera sees; after a failure, `clear_bin` takes a new image."""
+    """Pick of one unknown piece from a heap that a camera sees.
+
+    After a failure, `clear_bin` takes a new image.
+    """
 
     grasp: HeapGrasp  # the chosen grasp, after `plan`
 
@@ -249,7 +252,10 @@ class _PickFromHeap(Pick):
         return solution, outcome
 
     def _candidates(self) -> list[HeapGrasp]:
-        """Return grasps for the seen pieces; near walls only with less margin around the hand."""
+        """Return candidate grasps of the visible pieces.
+
+        If there are none, the candidates near walls with a smaller margin around the hand are returned.
+        """
         clearing, here = self._clearing, self._here
         s, hand = clearing.settings, hand_of(clearing.ctx.base.model, clearing.gripper)
         for how in (s.grasps, _closer(s.grasps, 2), _closer(s.grasps, 3)):
@@ -273,7 +279,7 @@ class _PickFromHeap(Pick):
 
 
 def _closer(settings: AboveSettings, times: int) -> AboveSettings:
-    """Return settings for pieces near a wall: less margin, more orientations, corner contacts."""
+    """Return grasp settings for pieces near a wall: less margin, more orientations, corners."""
     return replace(
         settings,
         room=settings.room / times,

@@ -1,4 +1,4 @@
-"""Settings of bin clearing."""
+"""Settings of the bin clearing task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stages and steps of bin clearing: grasp a piece from the heap, close, and release it over the tray.
+"""Stages and steps of bin clearing: grasp a piece of the heap, release it over the tray.
 
 The held object is unknown, so the steps use only the gripper's readings.
 """
@@ -35,7 +35,10 @@ WIDEST = 0.06  # [m] largest assumed half length of a held object
 @stage_types.register("choose_from_heap")
 @dataclass(frozen=True, eq=False)
 class ChooseFromHeap:
-    """Stage that proposes reachable heap grasps with straight descents, in the given order."""
+    """Stage that proposes reachable grasps of heap pieces with straight descents.
+
+    The order of the given grasps is kept.
+    """
 
     grasps: Sequence[HeapGrasp]
     gripper: Gripper
@@ -56,7 +59,7 @@ class ChooseFromHeap:
 @stage_types.register("close_on_heap")
 @dataclass(frozen=True, eq=False)
 class CloseOnHeap:
-    """Stage that closes the hand and attaches the assumed object between the fingers."""
+    """Stage that closes the hand on a heap and attaches the assumed object between the fingers."""
 
     gripper: Gripper
     floor: float  # [m, world z] of the bin, lower bound of the object
@@ -83,14 +86,17 @@ class CloseOnHeap:
 
 
 def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return the depth of a height [m, world] below the TCP of a hand that points down."""
+    """Return how far a height [m, world] is below the TCP of a hand that points down."""
     return float(grasp.T_object_tcp.translation[2]) - z
 
 
 @stage_types.register("choose_release_point")
 @dataclass(frozen=True, eq=False)
 class ChooseReleasePoint:
-    """Stage that proposes release points (x, y, height below them) in the given order."""
+    """Stage that proposes release points over the tray, in the given order.
+
+    A release point is x, y and the height of the content below.
+    """
 
     spots: Sequence[tuple[float, float, float]]  # [m, world]
     hang: float  # [m] extent of the held object below the TCP
@@ -120,7 +126,7 @@ class ChooseReleasePoint:
 @stage_types.register("open_above")
 @dataclass(frozen=True, eq=False)
 class OpenAbove:
-    """Stage that opens the hand above the tray and releases its object."""
+    """Stage that opens the hand above the tray and releases the held object."""
 
     gripper: Gripper
     margin: float  # [m] wider than now
@@ -146,9 +152,9 @@ class OpenAbove:
 # --- steps ---
 @dataclass(frozen=True, eq=False)
 class GripUntilForce:
-    """Step that closes until the fingers press with a force [N] or meet.
+    """Step that closes the fingers until they press with a force [N] or meet.
 
-    It adds the object to the planning scene.
+    The step adds the gripped object to the planning scene.
     """
 
     gripper: Gripper
@@ -204,7 +210,7 @@ class StillThere:
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """Step that opens to a width [m] and removes the held object from the scene."""
+    """Step that opens the fingers to a width [m] and removes the held object from the scene."""
 
     gripper: Gripper
     width: float
@@ -217,7 +223,7 @@ class Drop:
 
 
 def holds(reading: GripperReading, thinnest: float) -> bool:
-    """Return whether an object keeps a closing gripper open."""
+    """Return whether an object between the fingers keeps a closing gripper open."""
     return reading.width > thinnest and reading.force_per_finger > 1.0
 
 

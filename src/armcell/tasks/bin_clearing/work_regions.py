@@ -1,4 +1,4 @@
-"""Work regions of bin clearing: where pieces may lie, and what a depth camera sees there."""
+"""Work regions of bin clearing: where pieces may lie, and how a depth camera sees them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Rectangle = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True)
 class WorkRegion:
-    """A level region on which objects may lie."""
+    """Level region on which objects may lie."""
 
     name: str
     rectangle: Rectangle
@@ -34,7 +34,7 @@ class WorkRegion:
 
 @dataclass(frozen=True, eq=False)
 class RegionView:
-    """Result of one look at a work region."""
+    """Result of one depth image of a work region."""
 
     region: WorkRegion
     map: HeightMap
@@ -42,7 +42,10 @@ class RegionView:
 
     @property
     def count(self) -> int:
-        """Number of seen pieces; touching objects may be one piece, one object several pieces."""
+        """Return the number of visible pieces in the region.
+
+        Touching objects may count as one piece, and one object as several pieces.
+        """
         return int(self.labels.max()) + 1
 
 
@@ -69,7 +72,7 @@ def floor_of(scene: PlanningScene, name: str, settings: ClearSettings) -> WorkRe
 def table_around(
     scene: PlanningScene, name: str, table: str, others: tuple[str, ...], s: ClearSettings
 ) -> WorkRegion:
-    """Return the table around a bin or tray, without the objects on it, as a work region."""
+    """Return the table around a bin or tray, without the objects on the table, as a work region."""
     frame, size_x, size_y = support_surface(scene.object(table))
     half = np.abs(frame.rotation.matrix[:2, :2]) @ np.array([size_x, size_y]) / 2
     (x0, y0), (x1, y1) = _outline(scene.object(name), s.hand_room)
@@ -94,7 +97,7 @@ def _outline(item: CollisionObject, room: float) -> Rectangle:
 def first_not_empty(
     ctx: TaskContext, regions: Sequence[tuple[Look, WorkRegion]], s: ClearSettings
 ) -> RegionView | Outcome:
-    """Return the first region with visible pieces.
+    """Return the first work region with visible pieces.
 
     Return an outcome instead if all regions are empty or an image is missing.
     """
@@ -106,7 +109,7 @@ def first_not_empty(
 
 
 def look_at(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) -> RegionView | Outcome:
-    """Return the view of a region in a new image, or an outcome if there is no usable image."""
+    """Return the view of a work region in a new image, or an outcome without a usable image."""
     report = StageReport(f"look {region.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     image = look()
@@ -127,7 +130,7 @@ def look_at(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) 
 
 
 def add_heap(ctx: TaskContext, seen: RegionView) -> None:
-    """Add the seen pieces to the planning scene as a point cloud."""
+    """Add the visible pieces to the planning scene as a point cloud."""
     points = seen.map.at(np.argwhere(seen.labels >= 0)[::3])
     cloud = CollisionObject.single(HEAP, PointCloud(points, 2 * seen.map.resolution))
 
@@ -139,7 +142,7 @@ def add_heap(ctx: TaskContext, seen: RegionView) -> None:
 
 
 def lowest_points(tray: RegionView, s: ClearSettings, count: int = 12) -> list[tuple[float, float, float]]:
-    """Return release points of the tray as (x, y, highest z nearby), lowest first.
+    """Return release points over the tray (x, y, highest z nearby), lowest first.
 
     Points of equal height are sorted by their distance from objects, farthest first.
     """

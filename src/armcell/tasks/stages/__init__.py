@@ -1,4 +1,4 @@
-"""Stages of which recipes consist."""
+"""Stages from which the task recipes are composed."""
 
 from armcell.tasks.stages.explicit_grasps import (
     ExplicitGrasp,

@@ -28,13 +28,13 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class GripperTranslation:
-    """A straight motion of the tip in the world frame, as in moveit_msgs/GripperTranslation."""
+    """Straight motion of the tip in the world frame, as in moveit_msgs/GripperTranslation."""
 
     desired: Vector  # [m] translation
     minimum: float = 0.0  # [m] shorter motions fail; 0: only the full translation succeeds
 
     def accepted(self, result: PlanResult) -> PlanResult:
-        """Return a planned motion as success if it covers at least the minimum distance."""
+        """Return a planned motion as a success if it covers at least the minimum distance."""
         done = result.fraction * float(np.linalg.norm(self.desired))
         if result.trajectory is not None and 0 < self.minimum <= done + 1e-6:
             return replace(result, code=ErrorCode.SUCCESS)
@@ -43,7 +43,7 @@ class GripperTranslation:
 
 @dataclass(frozen=True, eq=False)
 class ExplicitGrasp(Grasp):
-    """A grasp with its own approach and retreat (lift), both in the world frame."""
+    """Grasp with its own approach and retreat (lift), both in the world frame."""
 
     pre_grasp_approach: GripperTranslation = GripperTranslation((0.0, 0.0, -0.1))
     post_grasp_retreat: GripperTranslation = GripperTranslation((0.0, 0.0, 0.1))
@@ -52,7 +52,7 @@ class ExplicitGrasp(Grasp):
 @stage_types.register("use_grasps")
 @dataclass(frozen=True, eq=False)
 class UseGrasps:
-    """Stage that proposes listed grasps that are reachable with a free approach, in list order."""
+    """Stage that proposes reachable grasps of a list in list order, with free approaches."""
 
     object: str
     gripper: Gripper
@@ -100,7 +100,7 @@ class Lift:
 
 @dataclass(frozen=True, eq=False)
 class ExplicitPlacement:
-    """Target pose of an object with the straight motions before and after its release.
+    """Target pose of an object, with straight motions before and after the release.
 
     Pose and motions are in the world frame.
     """
@@ -114,7 +114,7 @@ class ExplicitPlacement:
 @stage_types.register("use_placements")
 @dataclass(frozen=True, eq=False)
 class UsePlacements:
-    """Stage that proposes listed placements that a straight descent reaches, in list order."""
+    """Stage that proposes placements of a list, in list order, that a straight descent reaches."""
 
     object: str
     gripper: Gripper
@@ -184,7 +184,7 @@ class Retreat:
 
 
 def standing_on(scene: PlanningScene, item: str, T_world_object: SE3) -> tuple[str, ...]:
-    """Return the bodies that a held object will touch at a target pose."""
+    """Return the bodies that a held object will touch at its target pose."""
     put = scene.with_detached(item).with_object_pose(item, T_world_object)
     return tuple(neighbors(put, item, UNDER))
 

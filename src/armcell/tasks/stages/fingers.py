@@ -1,4 +1,4 @@
-"""Gripper motions to a width, and the check for collisions of the fingers."""
+"""Gripper motions to a width, and collision checks of the moving fingers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class MoveGripper:
 def finger_collision(
     scene: PlanningScene, grips: Sequence[Grip], trajectory: JointTrajectory | None = None
 ) -> str:
-    """Return the possible contact of fingers that move to their widths, as text.
+    """Return a possible contact of fingers that move to their widths, as text.
 
     The check holds for any finger speed and during an arm motion.
 

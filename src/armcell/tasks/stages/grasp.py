@@ -1,4 +1,4 @@
-"""Stages of picking: choose a grasp with its straight approach, close the hand."""
+"""Stages of picking: choose a grasp with its straight approach, then close the hand."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class ChooseGrasp:
     def _proven(
         self, solution: PartialSolution, planning: Planning, item: CollisionObject, grasps: list[Grasp]
     ) -> tuple[list[Grasp], dict[str, Proof]]:
-        """Return reachable grasps with their proofs, best first.
+        """Return reachable grasps with their proofs of success, best first.
 
         The order is by P(success) x reachability / time.
         """
@@ -224,7 +224,7 @@ class Close:
 
 
 def _turned(proof: Proof) -> Iterator[Grasp]:
-    """Yield a grasp after the object has turned about the pads as far as in its trials."""
+    """Yield a grasp after the object has turned about the finger pads, as in its trials."""
     T = proof.grasp.T_object_tcp
     for angle in (-proof.turn, proof.turn):
         turn = SE3.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, angle, 0.0))
@@ -232,7 +232,7 @@ def _turned(proof: Proof) -> Iterator[Grasp]:
 
 
 def _seconds(scene: PlanningScene, arm: JointState) -> float:
-    """Return the least time [s] to an arm state at full speed, ignoring obstacles."""
+    """Return the least time [s] in which the arm reaches a state, ignoring obstacles."""
     columns = scene.model.columns(arm.joint_names)
     distance = np.abs(arm.positions - scene.positions[columns])
     return float(np.max(distance / scene.model.limits(arm.joint_names, "velocity")))
@@ -245,7 +245,7 @@ def finger_state(gripper: Gripper, width: float) -> JointState:
 def reachable(
     scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, planning: Planning, stage: str, candidate: str
 ) -> Iterator[JointState]:
-    """Yield collision-free arm states with the TCP at a pose; reject the others with a reason."""
+    """Yield collision-free arm states with the TCP at a pose; reject others with a reason."""
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     checker = ExactChecker(scene, ik.joint_names)
     rng = np.random.default_rng(planning.seed)

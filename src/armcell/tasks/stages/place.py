@@ -1,4 +1,4 @@
-"""Stages of placing: choose a placement with its straight descent, open the hand."""
+"""Stages of placing: choose a placement with its straight descent, then open the hand."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def surface_of_place(support: CollisionObject, placement: Placement) -> Surface:
 
 
 def hand_in_support(hand: Hand, T_world_tcp: SE3, surface: Surface) -> float:
-    """Return the depth [m] of a hand's lowest corner below a surface; <= 0 if it is clear."""
+    """Return the depth [m] of a hand's lowest corner below a surface; <= 0 if it is above."""
     low, high = hand.boxes[:, :3], hand.boxes[:, 3:]
     corners = np.concatenate([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])
     frame, size_x, size_y = surface
@@ -184,7 +184,7 @@ def descents(
 @stage_types.register("open")
 @dataclass(frozen=True, eq=False)
 class Open:
-    """Stage that opens the hand wide enough to retreat, and detaches the object."""
+    """Stage that opens the hand wide enough to retreat, and detaches the held object."""
 
     object: str
     support: str
@@ -218,7 +218,7 @@ class Open:
 @stage_types.register("expect_support")
 @dataclass(frozen=True, eq=False)
 class ExpectSupport:
-    """Stage that checks that the hand holds the object and allows contact with its support."""
+    """Stage that checks that the hand holds the object, and allows contact with its support."""
 
     object: str
     support: str

@@ -1,4 +1,4 @@
-"""Estimates of the time from an arm's state to grasps, for sorting equally good grasps."""
+"""Estimates of the time from an arm's state to grasps, to sort equally good grasps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ALIKE = 0.02  # score difference below which grasps count as equally good
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Grasp with the arm's positions (n,) before its approach, and the travel time to them.
+    """Grasp with the arm's positions (n,) before the approach, and the travel time to them.
 
     The time ignores obstacles.
     """
@@ -35,7 +35,7 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class ReachEstimator:
-    """Estimator of an arm's motions to grasps and placements, ignoring obstacles."""
+    """Estimator of the time an arm needs to reach grasps and placements, ignoring obstacles."""
 
     scene: PlanningScene
     gripper: Gripper
@@ -49,7 +49,9 @@ class ReachEstimator:
     def nearest_first(
         self, T_world_object: SE3, grasps: Sequence[Grasp], q: Array, speed: Speed
     ) -> list[Reach]:
-        """Return the equally good best grasps (for example on a cube's four sides), nearest first.
+        """Return the grasps that are about as good as the best grasp, sorted by travel time.
+
+        On a cube, for example, the grasps on its four sides are equally good.
 
         Args:
             q: start positions (n,) of the arm.
@@ -64,14 +66,17 @@ class ReachEstimator:
         return sorted(found, key=lambda reach: reach.seconds)
 
     def to(self, T_world_tcp: SE3, q: Array) -> Array | None:
-        """Return positions (n,) with the TCP at a pose, close to q (n,); None if unreachable."""
+        """Return joint positions (n,) near q (n,) that place the TCP at a pose, or None.
+
+        The result is None if the pose is unreachable.
+        """
         reference = self.scene.positions.copy()
         reference[self.ik.columns] = q
         rng = np.random.default_rng(self.seed)
         return next(self.ik.solutions(T_world_tcp, reference, rng), None)
 
     def seconds(self, q: Array, to: Array, speed: Speed) -> float:
-        """Return the least time [s] of a straight joint-space motion at shares of the joint limits."""
+        """Return the least time [s] of a straight joint-space motion at given speed fractions."""
         if not np.any(to != q):
             return 0.0
         model, names = self.scene.model, self.ik.joint_names

@@ -1,4 +1,4 @@
-"""Behavior tree nodes: `Act` for recipes over many ticks, `Check` for immediate results; trees as text."""
+"""Behavior tree nodes for recipes (`Act`) and immediate checks (`Check`); trees as text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _at_work: WeakKeyDictionary[TaskContext, Behaviour] = WeakKeyDictionary()
 
 
 class Act(Behaviour):
-    """Behavior that runs a recipe: RUNNING, then SUCCESS or FAILURE with its reason as feedback.
+    """Behavior that runs a recipe: RUNNING, then SUCCESS, or FAILURE with the reason.
 
     A tick ends after `tick` seconds of the driver's clock or when the recipe ends; planning takes no time of
     that clock. The recipe has its own thread, which runs only during ticks, so equal seeds give equal runs.
@@ -65,7 +65,7 @@ class Act(Behaviour):
         return Status.SUCCESS if outcome.ok else Status.FAILURE
 
     def terminate(self, new_status: Status) -> None:
-        """Clean up after the recipe has ended, or stop it because the tree left this branch."""
+        """Clean up after the recipe has ended; stop the recipe if the tree has left this branch."""
         if self._turn is not None:
             self._turn.stop()
             self._turn = None
@@ -74,7 +74,7 @@ class Act(Behaviour):
 
 
 class Check(Behaviour):
-    """Behavior with an immediate result: a question to the scene, or a camera look."""
+    """Behavior with an immediate result: a query of the scene, or a camera look."""
 
     def __init__(self, name: str, ask: Callable[[], Outcome]):
         super().__init__(name)
@@ -88,7 +88,10 @@ class Check(Behaviour):
 
 
 class _Turn:
-    """Recipe in a thread that runs only during `step`; observes its cell to follow the clock."""
+    """Recipe in a thread that runs only during `step`.
+
+    It observes its cell to follow the driver's clock.
+    """
 
     def __init__(self, ctx: TaskContext, recipe: Recipe):
         self.stage = ""  # name of the running stage
@@ -177,17 +180,17 @@ def run(root: Behaviour, most_ticks: int = 100_000) -> Outcome:
 
 
 def drawn(root: Behaviour, status: bool = True) -> str:
-    """Return a behavior tree as text, with each node's status and feedback message."""
+    """Return a behavior tree as text, with the status and feedback of each node."""
     return display.ascii_tree(root, show_status=status).rstrip("\n")
 
 
 def as_dot(root: Behaviour) -> str:
-    """Return a behavior tree as a graph in Graphviz format (`dot -Tsvg`)."""
+    """Return a behavior tree as a graph in Graphviz format (for `dot -Tsvg`)."""
     return display.dot_tree(root).to_string()
 
 
 def reasons(root: Behaviour) -> list[str]:
-    """Return the feedback messages of the leaves that failed in the last run."""
+    """Return the feedback messages of all leaves that failed in the last run of a tree."""
     return [
         f"{node.name}: {node.feedback_message}"
         for node in root.iterate()

@@ -1,4 +1,4 @@
-"""Franka Hand's protocol (TCP port 1338 and its UDP state), version 3.
+"""Protocol of the Franka Hand (TCP port 1338 and its UDP state), version 3.
 
 All messages are packed little-endian. Source: Franka's public headers `libfranka-common` (Apache-2.0).
 """
@@ -44,12 +44,12 @@ REQUESTS: dict[Command, struct.Struct] = {
 
 
 def message(command: int, identifier: int, payload: bytes = b"") -> bytes:
-    """Return a request or an answer with its header."""
+    """Encode a request or an answer of the hand's protocol with its header."""
     return HEADER.pack(command, identifier, HEADER.size + len(payload)) + payload
 
 
 def take_message(received: bytearray) -> tuple[int, int, bytes] | None:
-    """Remove the first complete message from a buffer; see `commands.take_message`."""
+    """Remove and return the first complete message of a buffer; see `commands.take_message`."""
     if len(received) < HEADER.size:
         return None
     command, identifier, size = HEADER.unpack_from(received)

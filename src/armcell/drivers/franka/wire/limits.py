@@ -29,7 +29,7 @@ def _rows(*values: float) -> Array:
 
 @dataclass(frozen=True)
 class FrankaLimits:
-    """Limits of one arm; arrays are (7,), Cartesian limits are (translation, rotation).
+    """Motion limits of a Franka arm; arrays are (7,), Cartesian limits (translation, rotation).
 
     Attributes:
         velocity_offset, deceleration: parameters of the FR3's velocity limits near a position limit:
@@ -104,7 +104,7 @@ LIMITS = {each.model: each for each in (FR3, PANDA)}
 
 
 def limits_of(model: str) -> FrankaLimits:
-    """Return the limits of an arm.
+    """Return the motion limits of a Franka arm by model.
 
     Raises:
         UnknownNameError: the model is not an arm of Franka's that armcell knows.

@@ -1,7 +1,8 @@
-"""UDP messages of the Franka Control Interface: robot state (1 kHz) and command, protocol version 10.
+"""UDP messages of the Franka Control Interface, version 10: robot state and motion command.
 
-The state's numbers are float32, the command's float64; matrices are column-major. Source: Franka's public
-headers `libfranka-common` (Apache-2.0), checked with the clients `pylibfranka` and `franky-control`.
+The robot sends a state every millisecond. The state's numbers are float32, the command's float64; matrices
+are column-major. Source: Franka's public headers `libfranka-common` (Apache-2.0), checked with the clients
+`pylibfranka` and `franky-control`.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ class RobotMode(IntEnum):
 
 
 class StateMessage:
-    """A robot state that is written in place; `bytes(state)` is the message.
+    """Robot state message that is written in place; `bytes(state)` returns the message.
 
     Attributes:
         floats: all numbers (COUNT,); `FIELDS` names their positions.
@@ -90,7 +91,7 @@ class StateMessage:
         self.floats[FIELDS[field]] = values
 
     def head(self, identifier: int, generator: int, controller: int, mode: int, success: float) -> None:
-        """Write the fields that are not arrays."""
+        """Write the fields of the robot state message that are not arrays."""
         struct.pack_into("<Q", self._buffer, 0, identifier)
         _MODES.pack_into(self._buffer, _TAIL, generator, controller)
         _REST.pack_into(self._buffer, STATE_SIZE - _REST.size, mode, success)
@@ -101,7 +102,7 @@ class StateMessage:
 
 @dataclass(frozen=True)
 class RobotState:
-    """A received robot state.
+    """Robot state, received from the robot.
 
     Attributes:
         time: message identifier, which counts milliseconds.
@@ -123,7 +124,7 @@ class RobotState:
 
 
 def read_state(data: bytes) -> RobotState:
-    """Read a state message.
+    """Decode a robot state message.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.
@@ -146,7 +147,10 @@ def read_state(data: bytes) -> RobotState:
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """A command that answers one state message; only the fields of the motion's modes count."""
+    """Motion command that answers one state message.
+
+    Only the fields of the motion's modes count.
+    """
 
     time: int  # identifier of the state
     q: tuple[float, ...] = (0.0,) * 7
@@ -167,7 +171,7 @@ class RobotCommand:
 
 
 def read_command(data: bytes) -> RobotCommand:
-    """Read a command message.
+    """Decode a motion command message.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.

@@ -1,1 +1,1 @@
-"""Universal Robots wire protocols: messages between a controller and its clients."""
+"""Wire protocols of Universal Robots: messages between a controller and its clients."""

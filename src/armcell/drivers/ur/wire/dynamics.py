@@ -1,4 +1,4 @@
-"""Rigid-body dynamics of a UR arm: mass matrix, Coriolis torques, Jacobian time derivative.
+"""Rigid-body dynamics of a UR arm: mass matrix, Coriolis torques, rate of the Jacobian.
 
 Links are point masses at their published centers of mass, with a rotor inertia per joint.
 """
@@ -32,7 +32,7 @@ class ArmDynamics:
         self._centers = np.vstack((model.link_centers, np.asarray(cog, dtype=float)))
 
     def _jacobians(self, q: Array) -> Array:
-        """Return the linear Jacobians (7, 3, 6) of the six link masses and the payload, base frame."""
+        """Return the linear Jacobians (7, 3, 6) of six link masses and the payload, base frame."""
         frames = frames_of(self._dh, q)
         axes, origins = frames[:6, :3, 2], frames[:6, :3, 3]
         links = np.vstack((frames[1:], frames[6:]))  # frame i moves with link i, the payload with link 6
@@ -49,7 +49,7 @@ class ArmDynamics:
         return np.einsum("n,nki,nkj->ij", self._masses, J, J) + ROTOR * np.eye(6)
 
     def velocity_torques(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return the Coriolis and centrifugal torques (6,) [Nm].
+        """Return the Coriolis and centrifugal torques (6,) [Nm] of the arm.
 
         The sum of m J^T (dJ/dt) v over the point masses, at positions q (6,) [rad] and speeds v (6,) [rad/s].
         """
@@ -60,7 +60,7 @@ class ArmDynamics:
 
 
 def tool_jacobian(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> Array:
-    """Return the geometric Jacobian (6, 6) of the TCP, base frame."""
+    """Return the geometric Jacobian (6, 6) of the TCP in the base frame."""
     return jacobian(dh, q, forward(dh, q, tcp)[:3, 3])
 
 

@@ -34,18 +34,21 @@ class UrModel:
 
     @property
     def frequency(self) -> float:
-        """Frequency of the arm's control loop and of RTDE [Hz]."""
+        """Return the frequency of the arm's control loop and of RTDE [Hz]."""
         return 500.0 if self.e_series else 125.0
 
     @property
     def version(self) -> tuple[int, int, int, int]:
-        """Software version that an emulated controller reports: major, minor, bugfix, build."""
+        """Return the software version that an emulated controller reports, as four numbers.
+
+        The numbers are major, minor, bugfix and build.
+        """
         if self.software is not None:
             return (*self.software, 100000)
         return (5, 26, 0, 130216) if self.e_series else (3, 15, 8, 106339)
 
     def with_software(self, text: str) -> UrModel:
-        """Return the model with an older software version, such as "3.4" or "5.11.1".
+        """Return the arm model with an older controller software, such as "3.4" or "5.11.1".
 
         Raises:
             InputError: the version is invalid or not emulated for this controller generation.
@@ -63,13 +66,16 @@ class UrModel:
 
     @property
     def cb3_version(self) -> tuple[int, int]:
-        """CB3 software version with the same client interfaces: e-Series 5.0 is 3.5, 5.10 is 3.15."""
+        """Return the CB3 software version with the same client interfaces.
+
+        e-Series 5.0 corresponds to CB3 3.5, 5.10 to 3.15.
+        """
         major, minor = self.version[:2]
         return (3, minor + 5) if major == 5 else (major, minor)
 
     @property
     def dashboard_name(self) -> str:
-        """Model name that the dashboard's `get robot model` returns, without the e of the e-Series."""
+        """Return the model name for the dashboard's `get robot model`, without the e of e-Series."""
         return self.name.removesuffix("e")
 
 
@@ -113,7 +119,7 @@ _SPEEDS = {
 def _model(
     name: str, dh: Kinematics, masses: tuple[float, ...], centers: tuple, size: str, torque: tuple[float, ...]
 ) -> UrModel:
-    """Return one model; `torque` [Nm] is that of the shoulder joints, the elbow and the wrists."""
+    """Return one UR arm model; `torque` [Nm] is that of shoulder joints, elbow and wrists."""
     high, middle, low = torque
     torques = (high, high, middle, low, low, low)
     return UrModel(name, name not in ("UR3", "UR5", "UR10"), dh, masses, centers, torques, _SPEEDS[size])

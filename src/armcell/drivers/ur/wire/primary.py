@@ -22,7 +22,7 @@ MAX_SIZE = 65536
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Denavit-Hartenberg parameters of one robot, usually after its factory calibration."""
+    """Denavit-Hartenberg parameters of one robot, usually with its factory calibration."""
 
     theta: tuple[float, ...]  # (6,) [rad]
     a: tuple[float, ...]  # (6,) [m]
@@ -45,7 +45,7 @@ class Kinematics:
         )  # fmt: skip
 
     def difference(self, other: Kinematics) -> tuple[float, float]:
-        """Return the largest difference between two arm geometries: a length [m] and an angle [rad]."""
+        """Return the largest difference of two arm geometries: a length [m] and an angle [rad]."""
         lengths = np.abs(np.subtract((self.a, self.d), (other.a, other.d)))
         angles = np.abs(np.subtract((self.theta, self.alpha), (other.theta, other.alpha)))
         return float(lengths.max()), float(angles.max())
@@ -148,12 +148,12 @@ def force_mode_package(wrench: Sequence[float], dexterity: float) -> bytes:
 
 
 def additional_package(teaching: bool) -> bytes:
-    """Encode the additional data package: teach button state and what enables freedrive."""
+    """Encode the additional data package: teach button, and what enables freedrive."""
     return package(ADDITIONAL, struct.pack(">B??B", teaching, True, False, 0))
 
 
 def internal_packages() -> list[bytes]:
-    """Return the packages for UR's internal use; clients skip them by their size."""
+    """Return the packages for UR's internal use, which clients skip by their size."""
     return [package(CALIBRATION, bytes(48)), package(SAFETY, bytes(38))]
 
 
@@ -167,7 +167,7 @@ def tool_extras(output_mode: int) -> list[bytes]:
 
 
 def messages(buffer: bytearray) -> list[tuple[int, bytes]]:
-    """Remove the complete messages from the start of a primary interface buffer.
+    """Remove and return the complete messages at the start of a primary interface buffer.
 
     Returns:
         The messages as (type, body).
@@ -187,7 +187,7 @@ def messages(buffer: bytearray) -> list[tuple[int, bytes]]:
 
 
 def packages(body: bytes) -> dict[int, bytes]:
-    """Return the packages of a robot state message's body, by package type."""
+    """Split the body of a robot state message into packages, by package type."""
     found: dict[int, Any] = {}
     at = 0
     while at + 5 <= len(body):

@@ -40,13 +40,13 @@ def text(timestamp_us: int, value: str) -> bytes:
 
 
 def popup(timestamp_us: int, title: str, value: str, warning: bool, error: bool, request: int) -> bytes:
-    """Encode a popup message that neither requests input nor blocks the program."""
+    """Encode a popup message that neither requests input nor blocks the robot program."""
     head = struct.pack(">IB???", request, 0, warning, error, False)
     return _message(timestamp_us, CONTROLLER, POPUP, head + _short(title) + _text(value))
 
 
 def key(timestamp_us: int, title: str, value: str) -> bytes:
-    """Encode a key message, such as PROGRAM_XXX_STARTED with the program's name."""
+    """Encode a key message, such as PROGRAM_XXX_STARTED, with the program's name."""
     return _message(timestamp_us, CONTROLLER, KEY, struct.pack(">ii", 0, 0) + _short(title) + _text(value))
 
 
@@ -56,7 +56,7 @@ def safety_mode(timestamp_us: int, mode: int) -> bytes:
 
 
 def runtime_exception(timestamp_us: int, line: int, column: int, value: str) -> bytes:
-    """Encode the message of a runtime error in a program; line and column count from 1."""
+    """Encode the message of a runtime error in a program, with line and column from 1."""
     body = struct.pack(">ii", line, column) + _text(value)
     return _message(timestamp_us, CONTROLLER, RUNTIME_EXCEPTION, body)
 

@@ -97,7 +97,7 @@ INPUTS: dict[str, str] = {
 
 
 class RtdeError(ArmcellError):
-    """The data is not RTDE, or the other side refused the request."""
+    """Error for data that is not RTDE, or for a request that the other side refused."""
 
 
 def frame(kind: int, payload: bytes = b"") -> bytes:
@@ -105,7 +105,7 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 
 
 def frames(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
-    """Remove the complete RTDE frames from the start of a buffer and yield (type, payload).
+    """Remove the complete RTDE frames at the start of a buffer and yield (type, payload).
 
     Raises:
         RtdeError: a frame has an invalid size.
@@ -122,7 +122,7 @@ def frames(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
 
 
 class Recipe:
-    """An RTDE recipe: variable names and the binary layout of their values after the recipe ID."""
+    """RTDE recipe: variable names, and the binary layout of their values after the recipe ID."""
 
     def __init__(self, names: Sequence[str], types: Sequence[str]):
         self.names, self.types = tuple(names), tuple(types)
@@ -131,7 +131,7 @@ class Recipe:
 
     @property
     def size(self) -> int:
-        """Size of the recipe's packed values in bytes."""
+        """Return the size of the recipe's packed values in bytes."""
         return self._struct.size
 
     def pack(self, values: Iterable[Any]) -> bytes:

@@ -1,4 +1,4 @@
-"""URScript interpreter: parses scripts, compiles them to Python generators, and steps them."""
+"""URScript interpreter: parses scripts, compiles them to Python generators and steps them."""
 
 from armcell.emulators.ur.urscript.machine import Machine, ProgramError
 from armcell.emulators.ur.urscript.parser import ScriptError, parse

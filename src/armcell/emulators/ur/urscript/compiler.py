@@ -1,4 +1,4 @@
-"""Compiler from URScript's syntax tree to Python generators, which yield every control step.
+"""Compiler from URScript's syntax tree to Python generators that yield every control step.
 
 A script reaches Python only through the node types here: variable names get a prefix, and constants are
 written by `repr`.
@@ -48,7 +48,7 @@ class _Scope:
 def compiled(
     statements: list[Node], blocking: Iterable[str], instant: Mapping[str, Callable[..., Any]]
 ) -> CodeType:
-    """Compile a script to Python code that defines the generator function `main(G, F, B, I, M)`.
+    """Compile a URScript text to Python code that defines a generator `main(G, F, B, I, M)`.
 
     Args:
         blocking: names of functions that take time, called as `B[name](...)`.
@@ -80,7 +80,7 @@ class _Compiler:
         self._lines.append("  " * depth + text)
 
     def _find(self, statements: list[Node], top: bool) -> None:
-        """Collect the script's global names: declared global, or assigned in the program's body."""
+        """Collect a script's global names: declared global, or assigned in the program's body."""
         for node in statements:
             if node[0] == "assign" and node[1][0] == "name" and (node[3] == "global" or top):
                 self._globals.add(node[1][1])

@@ -1,4 +1,4 @@
-"""Execution of compiled URScript programs: runs all threads up to their next control step."""
+"""Execution of compiled URScript programs, all threads in turn up to the next control step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_TURNS = 20_000  # largest number of loop iterations between two control step
 
 
 class ProgramError(ArmcellError):
-    """Runtime error for which a controller stops a program.
+    """Runtime error that stops a URScript program.
 
     Attributes:
         line: line in the script's text, from 1.
@@ -39,7 +39,7 @@ def _takes_time(name: str, *_: Any, **__: Any) -> Thread:
 
 
 class Machine:
-    """One URScript program with its threads and variables.
+    """Running URScript program with its threads and variables.
 
     If the script consists of a single function definition without parameters, that function is the program
     (as on UR's controllers); otherwise the statements of the script are.
@@ -75,7 +75,7 @@ class Machine:
         self._next, self.running = 2, True
 
     def step(self) -> None:
-        """Run every thread of the program to its next control step.
+        """Run every thread of the URScript program to its next control step.
 
         Raises:
             ProgramError: a runtime error, with its line.

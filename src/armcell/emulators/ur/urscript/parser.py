@@ -98,7 +98,7 @@ class _Tokens:
 
 
 def parse(text: str) -> list[Node]:
-    """Parse a script and return its statements.
+    """Parse a URScript text and return its statements.
 
     Raises:
         ScriptError: a syntax error, with its line.
@@ -110,7 +110,7 @@ def parse(text: str) -> list[Node]:
 
 
 def depth_after(line: str, depth: int) -> int:
-    """Return the number of open URScript blocks after a line of text that arrives line by line.
+    """Return the number of open URScript blocks after one more line of a streamed text.
 
     Args:
         line: the new line.

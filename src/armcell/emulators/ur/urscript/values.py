@@ -1,4 +1,4 @@
-"""URScript lists and poses: assignment copies them, and arithmetic is item by item."""
+"""URScript lists and poses, which are copied by assignment; arithmetic is item by item."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Vec(list):
-    """A URScript list with arithmetic item by item."""
+    """URScript list with item-by-item arithmetic."""
 
     def _by_item(self, other: Any, act: Callable[[Any, Any], Any]) -> Vec:
         if isinstance(other, list):
@@ -41,11 +41,11 @@ class Vec(list):
 
 
 class Pose(Vec):
-    """A URScript pose p[x, y, z, rx, ry, rz]: position [m] and rotation vector [rad]."""
+    """URScript pose p[x, y, z, rx, ry, rz]: position [m] and rotation vector [rad]."""
 
 
 def copied(value: Any) -> Any:
-    """Return the value that a URScript assignment stores: lists and poses are copied."""
+    """Return the value that URScript assignment stores: a copy of a list or pose."""
     if isinstance(value, Vec):
         return type(value)(copied(v) for v in value)
     return value
