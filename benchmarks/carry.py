@@ -186,8 +186,8 @@ def look_at(problem: Carry, trajectory: JointTrajectory, step: float = 1e-3) -> 
         q, v, a = trajectory.sample(min(t, trajectory.duration))
         full[columns] = q
         hands = {g: tree.link_pose(full, problem.carried.tips[g]) for g in (first, second)}
-        metres, radians = wanted.distance_to(hands[first].inv() @ hands[second])
-        off, turn = max(off, metres), max(turn, radians)
+        meters, radians = wanted.distance_to(hands[first].inv() @ hands[second])
+        off, turn = max(off, meters), max(turn, radians)
         share = max(share, float(np.max(np.abs(v) / limits[0])), float(np.max(np.abs(a) / limits[1])))
         rod = hands[first] @ problem.carried.grasps[first].inv()
         near = min(rod.distance_to(end)[0] for end in (problem.start, problem.goal)) < 2e-3
@@ -219,8 +219,8 @@ def measured(count: int, recheck: int, seconds: float) -> dict:
         found["solved"] += 1
         kinds[kind] += 1
         spent.append(cpu)
-        metres = problem.start.distance_to(problem.goal)[0]
-        longer.append(_length(problem, result.trajectory) / metres)
+        meters = problem.start.distance_to(problem.goal)[0]
+        longer.append(_length(problem, result.trajectory) / meters)
         poses_tried.append(result.evidence["poses_looked_at"])
         if len(seen) < recheck:
             seen.append(look_at(problem, result.trajectory))

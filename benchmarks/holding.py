@@ -74,8 +74,8 @@ def creep(cell: armcell.Cell, gripper: str, load: Load, seconds: float) -> tuple
     world.step(round(seconds / world.timestep))
     if world.gripper_state(gripper).held != "load":
         raise RuntimeError(f"{cell.name}: {gripper} lost {load.name}")
-    metres, radians = world.slip(gripper)
-    return metres / seconds * 1e6, radians / seconds * 1e6
+    meters, radians = world.slip(gripper)
+    return meters / seconds * 1e6, radians / seconds * 1e6
 
 
 def print_creep(seconds: float) -> bool:

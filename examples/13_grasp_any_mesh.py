@@ -1,4 +1,4 @@
-"""Grasp any mesh: a file in millimetres, how it can be held and why not otherwise, picked and placed."""
+"""Grasp any mesh: a file in millimeters, how it can be held and why not otherwise, picked and placed."""
 
 import tempfile
 from collections import Counter
@@ -17,7 +17,7 @@ gripper = cell.model.gripper()
 hand = hand_of(cell.model, gripper)
 
 with tempfile.TemporaryDirectory() as folder:
-    # --- a part as a drawing programme writes it: a ring with a bar across, in millimetres
+    # --- a part as a drawing programme writes it: a ring with a bar across, in millimeters
     ring = trimesh.creation.annulus(30, 45, 40)
     bar = trimesh.creation.box((64, 12, 20))
     part = trimesh.util.concatenate([ring, bar])

@@ -43,7 +43,7 @@ for item in things:
     position, angle = pose_error(item.shapes, sight[item.name].T_world_object, item.T_world_object)
     print(f"{item.name} found, {position * 1000:.2f} mm and {np.rad2deg(angle):.2f} deg off")
 
-# 4. The same from files: camera info as ROS writes it, colours and depth as PNG.
+# 4. The same from files: camera info as ROS writes it, colors and depth as PNG.
 with tempfile.TemporaryDirectory() as folder:
     save_image(Path(folder, "shot"), image)
     again = look(load_image(Path(folder, "shot.yaml")), known=known)

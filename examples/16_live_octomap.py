@@ -59,7 +59,7 @@ with cell.connect() as live:
             break
     touched = [c for c in live.driver.unwanted_contacts() if "panda" in c.body_a + c.body_b]
     print(f"contacts of the robot: {len(touched)}")
-    cells = watch.map.octree.centres
+    cells = watch.map.octree.centers
     live.driver.world.set_object_pose("post", SE3.from_xyz(3, 3, 0.35))
     live.ctx.advance(1.0)  # rays go through where it was, but for those that end in the open sky
     low = cells[cells[:, 2] < 0.3]  # before the table

@@ -27,4 +27,4 @@ for stage in cell.reports:
     print(f"{stage.started_s:6.2f} s  {stage.name:16} {stage.motion_time_s:.2f} s")
 print(f"over {seen.ticks} ticks the hands were at most {1000 * seen.off_m:.2f} mm off each other,")
 print(f"squeezed with {seen.squeeze_n:.1f} N, and the rod slipped {1000 * seen.slip_m:.2f} mm")
-print(f"it lies {1000 * slipped:.2f} mm from where it should")
+print(f"it lies {1000 * slipped:.2f} mm from its target pose")

@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 ROBOTS = {"panda": "Panda, 7 joints", "ur5": "UR5, 6 joints", "baxter": "Baxter, 14 joints"}
-COLOURS = ("#1f6f8b", "#d1495b", "#edae49", "#66a182")
+COLORS = ("#1f6f8b", "#d1495b", "#edae49", "#66a182")
 Row = dict[str, Any]
 
 
@@ -87,11 +87,11 @@ def _planners_table(rows: list[Row]) -> str:
 def _plot(rows: list[Row], title: str, file: Path) -> None:
     planners = _by_planner(rows)
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
-    for (name, some), colour in zip(planners.items(), COLOURS):
+    for (name, some), color in zip(planners.items(), COLORS):
         ms = np.sort([total_us(r) / 1000 for r in solved(some)])
         if len(ms):
             share = 100 * np.arange(len(ms) + 1) / len(some)
-            left.step([ms[0], *ms], share, where="post", label=name, color=colour)
+            left.step([ms[0], *ms], share, where="post", label=name, color=color)
     left.set(xscale="log", xlabel="planned, shortened (armcell: and proven) within [ms CPU]",
              ylabel="problems [%]", title=title)  # fmt: skip
     left.set_ylim(0, 102)
@@ -99,10 +99,10 @@ def _plot(rows: list[Row], title: str, file: Path) -> None:
     left.grid(alpha=0.3)
     families = list(dict.fromkeys(r["family"] for r in rows))
     width = 0.8 / len(planners)
-    for i, ((name, some), colour) in enumerate(zip(planners.items(), COLOURS)):
+    for i, ((name, some), color) in enumerate(zip(planners.items(), COLORS)):
         medians = [middle([total_us(r) for r in solved(some) if r["family"] == f])[0] for f in families]
         heights = [m / 1000 if np.isfinite(m) else 0.0 for m in medians]
-        right.bar(np.arange(len(families)) + i * width, heights, width, label=name, color=colour)
+        right.bar(np.arange(len(families)) + i * width, heights, width, label=name, color=color)
     right.set(yscale="log", ylabel="median [ms CPU]", title="by family")
     right.set_xticks(
         np.arange(len(families)) + 0.4 - width / 2, families, rotation=25, ha="right", fontsize=8

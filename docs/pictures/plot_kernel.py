@@ -26,14 +26,14 @@ def picture_of_cover() -> None:
     shape = model.links["panda_hand"].collisions[0].shape
     found = cover(shape, 0.010)
     figure = plt.figure(figsize=(8, 3.4))
-    for k, title in enumerate(("the hand's mesh", f"{len(found.centres)} spheres that hold it")):
+    for k, title in enumerate(("the hand's mesh", f"{len(found.centers)} spheres that hold it")):
         axes = figure.add_subplot(1, 2, k + 1, projection="3d")
         x, y, z = shape.vertices.T
         if k == 0:
             axes.plot_trisurf(x, y, z, triangles=shape.faces, color="#9fb8d0", edgecolor="#5b7896", lw=0.2)
         u, v = np.mgrid[0 : 2 * np.pi : 14j, 0 : np.pi : 8j]
         if k == 1:
-            for c, r in zip(found.centres, found.outer, strict=True):
+            for c, r in zip(found.centers, found.outer, strict=True):
                 axes.plot_surface(
                     c[0] + r * np.cos(u) * np.sin(v), c[1] + r * np.sin(u) * np.sin(v), c[2] + r * np.cos(v),
                     color="#e0a96d", alpha=0.35, lw=0,

@@ -196,8 +196,8 @@ def test_pictures_without_any_depth_end_it_before_anything_moves():
     with two_things().connect("sim", seed=0) as live:
         eye = live.cameras["above_bin"].image(rgb=False)
         blind = replace(eye, depth=np.full_like(eye.depth, np.nan))
-        colour = replace(eye, depth=None)
-        for image, says in ((blind, "no pixel has a depth"), (colour, "has no depth")):
+        color = replace(eye, depth=None)
+        for image, says in ((blind, "no pixel has a depth"), (color, "has no depth")):
             outcome = clear_bin(
                 live.ctx, live.model.gripper(), "bin", "tray", "work_table", lambda i=image: i, lambda: eye
             )

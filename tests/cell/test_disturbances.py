@@ -125,7 +125,7 @@ def test_a_pushed_arm_gives_way_by_its_gains(cell, reference):
         reference.place(kinematic_tree(cell.model).full_positions(moved))
         J = reference.jacobian(HAND)[:, :7]
         arm = world.mj_data.xipos[world.built.body[HAND]] - reference.pose(HAND)[:3, 3]
-        torque = J[:3].T @ force + J[3:].T @ np.cross(arm, force)  # the force acts at the centre of mass
+        torque = J[:3].T @ force + J[3:].T @ np.cross(arm, force)  # the force acts at the center of mass
         np.testing.assert_allclose(moved[:7] - start, torque / kp, atol=3e-5)
 
 
@@ -233,7 +233,7 @@ def test_where_a_moved_cube_is_put_is_judged_by_physics():
         off = np.linalg.norm((is_at.translation - believed.translation)[:2])
         assert off == pytest.approx(0.006, abs=1e-3)
         assert result["placement_error_m"] == pytest.approx(off, abs=1e-3)
-        assert not result["success"] and "mm from where it should" in result["message"]
+        assert not result["success"] and "mm from its target pose" in result["message"]
 
 
 def test_others_than_the_moved_one_are_known_in_the_hand():
@@ -272,8 +272,8 @@ def test_what_is_wrong_is_named(cell):
         ("disturbances.moved.blok.by.x", 0.1, "did you mean 'block'"),
         ("disturbances.moved.block.buy.x", 0.1, "unknown"),
         ("disturbances.moved.block.turn", 0.1, "did you mean 'turn_deg'"),
-        ("disturbances.moved.block.by.x", float("nan"), "nan is none: give one"),
-        ("disturbances.moved.block.turn_deg", float("inf"), "inf is none: give one"),
+        ("disturbances.moved.block.by.x", float("nan"), "nan is not a finite number"),
+        ("disturbances.moved.block.turn_deg", float("inf"), "inf is not a finite number"),
         ("disturbances.moved.block.at", -1.0, "greater than or equal to 0"),
         ("disturbance.latency", 1.0, "did you mean 'disturbances.latency'"),
         ("physics.arm_kq", 1.0, "did you mean 'arm_k"),

@@ -25,7 +25,7 @@ def test_a_library_object_with_its_own_name_mass_and_size(tmp_path):
     assert light.mass_kg == pytest.approx(50 * can.volume) and light.material.friction == 0.9
 
 
-def test_a_mesh_in_millimetres_names_file_object_and_cure(tmp_path):
+def test_a_mesh_in_millimeters_names_file_object_and_cure(tmp_path):
     trimesh.creation.box((50, 50, 50)).export(tmp_path / "cube.stl")
     with pytest.raises(InputError, match=r"cube\.stl.*50 m large.*scale: 0\.001"):
         load_objects(written(tmp_path, {"mesh": "cube.stl", "movable": True}))

@@ -61,7 +61,7 @@ def test_round_trip(tmp_path):
                 case PointCloud(), PointCloud():
                     assert np.array_equal(a.points, b.points) and a.radius == b.radius
                 case Octree(), Octree():
-                    assert np.array_equal(a.centres, b.centres) and np.array_equal(a.sizes, b.sizes)
+                    assert np.array_equal(a.centers, b.centers) and np.array_equal(a.sizes, b.sizes)
                 case _:
                     assert a == b
     text = yaml.safe_load((tmp_path / "things.yaml").read_text())
@@ -133,10 +133,10 @@ def test_bad_files(text, reason, tmp_path):
 
 
 def test_bad_cells(tmp_path):
-    np.savez(tmp_path / "seen.npz", centres=np.zeros((2, 3)))
+    np.savez(tmp_path / "seen.npz", centers=np.zeros((2, 3)))
     with pytest.raises(InputError, match=r"seen\.npz.*sizes"):
         cell(tmp_path, "{seen: {cloud: seen.npz}}")
-    np.savez(tmp_path / "seen.npz", centres=np.zeros((2, 3)), sizes=[0.1, -1])
+    np.savez(tmp_path / "seen.npz", centers=np.zeros((2, 3)), sizes=[0.1, -1])
     with pytest.raises(InputError, match=r"seen\.npz.*not a positive"):
         cell(tmp_path, "{seen: {cloud: seen.npz}}")
     (tmp_path / "seen.npz").write_bytes((tmp_path / "seen.npz").read_bytes()[:100])

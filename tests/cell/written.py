@@ -95,8 +95,8 @@ class Written:
         known: dict[int, tuple[np.ndarray, bool]] = {}  # of links that do not move relative to each other
         for i in range(samples):
             self.sample(rng)
-            centres = np.array([self.data.oMf[f].act(b[:3]) for f, b in zip(frames, balls, strict=True)])
-            apart = np.linalg.norm(centres[at[:, 0]] - centres[at[:, 1]], axis=1)
+            centers = np.array([self.data.oMf[f].act(b[:3]) for f, b in zip(frames, balls, strict=True)])
+            apart = np.linalg.norm(centers[at[:, 0]] - centers[at[:, 1]], axis=1)
             for k in np.flatnonzero(apart <= reach):
                 a, b = pairs[k]
                 T = self.data.oMf[self.frame[a]].actInv(self.data.oMf[self.frame[b]]).homogeneous
@@ -111,8 +111,8 @@ def _ball(shapes: list[tuple[coal.CollisionGeometry, pin.SE3]]) -> np.ndarray:
     corners = []
     for shape, own in shapes:
         shape.computeLocalAABB()
-        centre, radius = own.act(shape.aabb_center), shape.aabb_radius
-        corners += [centre - radius, centre + radius]
+        center, radius = own.act(shape.aabb_center), shape.aabb_radius
+        corners += [center - radius, center + radius]
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     return np.append((low + high) / 2, np.linalg.norm(high - low) / 2)
 

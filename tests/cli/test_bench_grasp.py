@@ -96,7 +96,7 @@ def test_bad_folders(name, says, capsys, tmp_path):
     assert said.status == 1 and says in said.err
 
 
-def test_a_mesh_in_millimetres_names_the_cure(capsys, tmp_path):
+def test_a_mesh_in_millimeters_names_the_cure(capsys, tmp_path):
     trimesh.creation.box((120, 50, 9000)).export(tmp_path / "block.stl")
     said = call(capsys, "bench", "grasp", "--no-library", "--objects", tmp_path)
     assert said.status == 1 and "block.stl" in said.err and "scale: 0.001" in said.err

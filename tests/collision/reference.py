@@ -167,7 +167,7 @@ def signed_distance(shape: Shape, points: np.ndarray) -> np.ndarray:
         case Capsule(r, length):
             return np.hypot(radial, z - np.clip(z, -length / 2, length / 2)) - r
         case Cone(r, length):
-            # In the (radius, z) half plane: the triangle of base centre, base rim and apex.
+            # In the (radius, z) half plane: the triangle of base center, base rim and apex.
             p, rim, apex = (
                 np.column_stack([radial, z]),
                 np.array([r, -length / 2]),

@@ -42,7 +42,7 @@ def cube_distance(shape: PointCloud | Octree, T: SE3, x: float) -> float:
         return float(signed_distance(CUBE, T.apply(shape.points) - [x, 0, 0]).min()) - shape.radius
     step = np.linspace(-0.5, 0.5, 21)
     grid = np.stack(np.meshgrid(step, step, step), -1).reshape(-1, 3)
-    points = shape.centres[:, None] + grid[None] * shape.sizes[:, None, None]
+    points = shape.centers[:, None] + grid[None] * shape.sizes[:, None, None]
     return float(signed_distance(CUBE, T.apply(points.reshape(-1, 3)) - [x, 0, 0]).min())
 
 
@@ -51,7 +51,7 @@ def test_points_that_are_not_finite():
     points = np.array([[0.0, 0, 0], [np.nan, 0, 0], [1, np.inf, 0]])
     with pytest.raises(InputError, match=r"2 of 3 points.*finite_points"):
         PointCloud(points, 0.01)
-    with pytest.raises(InputError, match=r"2 of 3 centres"):
+    with pytest.raises(InputError, match=r"2 of 3 centers"):
         Octree(points, np.ones(3))
     kept, dropped = finite_points(points)
     assert dropped == 2 and np.array_equal(PointCloud(kept, 0.01).points, [[0, 0, 0]])
@@ -70,10 +70,10 @@ def test_a_grid_as_an_octree():
     grid = rng.random((9, 6, 13)) < 0.3
     grid[2:8, 0:5, 3:12] = True
     tree = Octree.from_grid(grid, 0.1, (1.0, 2.0, 3.0))
-    assert len(tree.centres) < grid.sum() - 100  # some were put together
+    assert len(tree.centers) < grid.sum() - 100  # some were put together
     cells = np.argwhere(np.ones_like(grid))
     middles = (cells + 0.5) * 0.1 + [1.0, 2.0, 3.0]
-    inside = np.abs(middles[:, None] - tree.centres) < tree.sizes[:, None] / 2 - 1e-9
+    inside = np.abs(middles[:, None] - tree.centers) < tree.sizes[:, None] / 2 - 1e-9
     held = inside.all(axis=2).sum(axis=1)
     assert np.array_equal(held, grid[tuple(cells.T)].astype(int))  # each occupied one held once, no other
     assert np.isclose(np.sum(tree.sizes**3), grid.sum() * 1e-3)
@@ -119,7 +119,7 @@ def test_a_cube_sliding_past(name, T, pads):
     kernel, exact = KernelChecker(scene), ExactChecker(scene)
     margin = pads.get("padding", 0.0)
     for x in np.linspace(-2, 2, 61):
-        if len(getattr(shape, "points", ())) == len(getattr(shape, "centres", ())) == 0:
+        if len(getattr(shape, "points", ())) == len(getattr(shape, "centers", ())) == 0:
             distance = np.inf
         else:
             distance = cube_distance(shape, T, x)
@@ -155,11 +155,11 @@ class BareMeshes:
         frames = [model.frames[o.parentFrame].name for o in self.geometry.geometryObjects]
         self.moving = [k for k, name in enumerate(frames) if name not in rigid]
         self.points = isinstance(shape, PointCloud)
-        self.centres = shape.points if isinstance(shape, PointCloud) else shape.centres
+        self.centers = shape.points if isinstance(shape, PointCloud) else shape.centers
         for item in self.geometry.geometryObjects:
             item.geometry.computeLocalAABB()
-        sizes = np.full(len(self.centres), shape.radius) if isinstance(shape, PointCloud) else shape.sizes / 2
-        self.sizes, self.near = sizes, cKDTree(self.centres)
+        sizes = np.full(len(self.centers), shape.radius) if isinstance(shape, PointCloud) else shape.sizes / 2
+        self.sizes, self.near = sizes, cKDTree(self.centers)
 
     def distance(self, q: np.ndarray, within: float = 0.05) -> float:
         import pinocchio as pin
@@ -176,7 +176,7 @@ class BareMeshes:
             for i in self.near.query_ball_point(M.rotation @ shape.aabb_center + M.translation, ball):
                 size = float(self.sizes[i])
                 part = coal.Sphere(size) if self.points else coal.Box(*[2 * size] * 3)
-                at = coal.Transform3s(np.eye(3), self.centres[i])
+                at = coal.Transform3s(np.eye(3), self.centers[i])
                 d = coal.distance(shape, T, part, at, coal.DistanceRequest(), coal.DistanceResult())
                 best = min(best, d, -1.0 if contains(shape, T, part, at) else np.inf)
         return best

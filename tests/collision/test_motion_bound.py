@@ -93,7 +93,7 @@ def displacements(checker: ExactChecker, before: np.ndarray, after: np.ndarray) 
 def _corners(geometry) -> np.ndarray:
     """Corners (8, 4) of the box around a geometry, homogeneous, in its link's frame."""
     signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
-    points = geometry.T_link_solid.apply(geometry.solid.centre + signs * geometry.solid.half)
+    points = geometry.T_link_solid.apply(geometry.solid.center + signs * geometry.solid.half)
     return np.column_stack([points, np.ones(8)])
 
 

@@ -49,14 +49,14 @@ def test_a_missing_extra_says_what_to_install():
 
 
 def test_registry_finds_lists_and_refuses():
-    table: Registry[int] = Registry("colour")
+    table: Registry[int] = Registry("color")
     assert table.register("red")(1) == 1
     table.register("green")(2)
     assert (table["red"], len(table), list(table), "red" in table, "blue" in table) == (
         1, 2, ["green", "red"], True, False,
     )  # fmt: skip
     with pytest.raises(
-        UnknownNameError, match=r"unknown colour 'gren'; known: green, red \(did you mean 'green'"
+        UnknownNameError, match=r"unknown color 'gren'; known: green, red \(did you mean 'green'"
     ):
         table["gren"]
     with pytest.raises(ValueError, match="twice"):

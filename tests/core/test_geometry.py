@@ -66,13 +66,13 @@ def surfaces():
 
 @pytest.mark.parametrize(("shape", "surface"), surfaces(), ids=lambda x: type(x).__name__)
 def test_bounds_are_the_tightest_box(shape, surface):
-    centre, half = local_bounds(shape)
+    center, half = local_bounds(shape)
     low, high = surface.bounds
-    np.testing.assert_allclose(centre, (low + high) / 2, atol=2e-3)
+    np.testing.assert_allclose(center, (low + high) / 2, atol=2e-3)
     np.testing.assert_allclose(half, (high - low) / 2, atol=2e-3)
     assert np.all(np.abs(surface.vertices) <= shape.half_extents + 1e-9)
 
 
 def test_a_plane_s_bounds_lie_below_it():
-    centre, half = local_bounds(Plane())
-    assert centre[2] + half[2] == 0.0 and np.all(half >= 50.0)
+    center, half = local_bounds(Plane())
+    assert center[2] + half[2] == 0.0 and np.all(half >= 50.0)

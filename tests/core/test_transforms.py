@@ -96,13 +96,13 @@ def test_skew_is_the_cross_product(v, w):
 def test_interpolation_is_straight_and_uniform(a, b, t):
     assert_same(a.interpolate(b, 0.0), a)
     middle = a.interpolate(b, t)
-    metres, radians = a.distance_to(b)
+    meters, radians = a.distance_to(b)
     if radians < np.pi - 1e-3:  # at half a turn the way round is not unique
         assert_same(a.interpolate(b, 1.0), b, 1e-7)
         assert a.distance_to(middle)[1] == pytest.approx(t * radians, abs=1e-6)
         assert middle.distance_to(b)[1] == pytest.approx((1 - t) * radians, abs=1e-6)
-    assert a.distance_to(middle)[0] == pytest.approx(t * metres, abs=1e-9)
-    assert middle.distance_to(b)[0] == pytest.approx((1 - t) * metres, abs=1e-9)
+    assert a.distance_to(middle)[0] == pytest.approx(t * meters, abs=1e-9)
+    assert middle.distance_to(b)[0] == pytest.approx((1 - t) * meters, abs=1e-9)
 
 
 @given(poses, poses, poses)

@@ -177,8 +177,8 @@ def test_a_held_object_comes_along(driver):
     driver.advance(0.3)
     moved = driver.object_poses()["cube"].distance_to(scene().object("cube").T_world_object)[0]
     assert moved > 0.05
-    metres, radians = before.distance_to(T_tcp_cube())
-    assert metres < 1e-3 and radians < 0.02
+    meters, radians = before.distance_to(T_tcp_cube())
+    assert meters < 1e-3 and radians < 0.02
 
 
 def test_stop_holds_the_measured_position(driver):

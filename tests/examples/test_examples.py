@@ -275,7 +275,7 @@ def test_12_ptp_lin_circ(printed):
 @pytest.mark.slow
 def test_13_grasp_any_mesh(printed):
     said = printed("13_grasp_any_mesh.py")
-    assert "90 m large: it is probably in millimetres -> give 'scale: 0.001'" in said
+    assert "90 m large: it is probably in millimeters -> give 'scale: 0.001'" in said
     area = np.pi * (0.045**2 - 0.030**2)  # of the ring; the bar's ends are in it
     assert number(r"wheel: (\d+) g", said) == pytest.approx(
         400e3 * (area * 0.04 + 0.06 * 0.012 * 0.02), abs=10

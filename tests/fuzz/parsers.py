@@ -205,7 +205,7 @@ def _cloud_as(kind: str) -> bytes:
     if kind == "npy":
         np.save(file, points)
     elif kind == "npz":
-        np.savez(file, centres=points, sizes=np.full(6, 0.1))
+        np.savez(file, centers=points, sizes=np.full(6, 0.1))
     else:
         head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 6\n"
         head += "HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 6\nDATA binary\n"

@@ -221,11 +221,11 @@ def test_the_boundary_of_reach():
     along = wrist - upper - v * (v @ (wrist - upper))
     along /= np.linalg.norm(along)
     target = ik.tree.link_pose(q, ik.tip_link)
-    for metres, reachable in ((-1e-3, True), (-1e-9, True), (0.0, True), (1e-8, True), (1e-5, False)):
-        there = SE3(target.rotation, target.translation + metres * along)
+    for meters, reachable in ((-1e-3, True), (-1e-9, True), (0.0, True), (1e-8, True), (1e-5, False)):
+        there = SE3(target.rotation, target.translation + meters * along)
         found = check(ik, there, q, 1e-6)
         near = [s for s in found if apart(s, q) < 0.3]  # the branches on this side
-        assert bool(near) == reachable, metres
+        assert bool(near) == reachable, meters
     # Axes 5 and 6 cross one tool length below the tip: there on axis 1, without their offset from it.
     for turn in (0.0, 1.0, np.pi / 2):
         rotation = SO3.from_rpy((turn, 0.2, 0.3))

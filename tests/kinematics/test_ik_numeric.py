@@ -39,9 +39,9 @@ def check(ik: NumericIK, target: SE3, result, reference: np.ndarray) -> None:
     ik.model.check_positions(result.positions, ik.joint_names)
     full = reference.copy()
     full[ik.columns] = result.positions
-    metres, radians = ik.tree.link_pose(full, ik.tip_link).distance_to(target)
-    assert metres <= 1.001e-6 and radians <= 1.001e-6 + 1e-7  # log of a rotation matrix is good to 1e-8
-    assert result.position_error == pytest.approx(metres, abs=1e-9)
+    meters, radians = ik.tree.link_pose(full, ik.tip_link).distance_to(target)
+    assert meters <= 1.001e-6 and radians <= 1.001e-6 + 1e-7  # log of a rotation matrix is good to 1e-8
+    assert result.position_error == pytest.approx(meters, abs=1e-9)
 
 
 @pytest.mark.slow

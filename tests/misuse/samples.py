@@ -65,7 +65,7 @@ def by_name() -> dict[str, Any]:
         "links": links, "touch_links": links, "q": q, "positions": q, "seed": q, "start": q, "goal": q,
         "velocities": 0 * q, "accelerations": 0 * q, "q0": q, "lower": q - 1, "upper": q + 1, "limits": q + 3,
         "waypoints": np.array([q, q + 0.1]), "path": np.array([q, q + 0.1]), "configurations": q[None],
-        "points": points, "vertices": points, "centres": points, "centers": points, "cloud": points,
+        "points": points, "vertices": points, "centers": points, "cloud": points,
         "normals": points / np.linalg.norm(points, axis=1)[:, None], "faces": np.array(FACES),
         "times": np.array([0.0, 1.0]), "depth": np.ones((4, 5)), "image": np.zeros((4, 5, 3), np.uint8),
         "matrix": np.eye(3), "xyz": [0.1, 0.2, 0.3], "rpy": [0.1, 0.2, 0.3], "axis": [0.0, 0.0, 1.0],

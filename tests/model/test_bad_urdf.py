@@ -99,7 +99,7 @@ BAD = {
     "no shape": (sized(""), ":2: <collision>", "has no <geometry>"),
     "missing mesh": (sized('<mesh filename="no.stl"/>'), ":2: <mesh>", "no.stl not found"),
     "flat mesh": (sized('<mesh filename="no.stl" scale="1 0 1"/>'), ":2: <mesh>", "mesh scale has a zero"),
-    "colour": (('<material name="m"><color rgba="1 1"/></material>',), ":2: <color>", "4 finite numbers"),
+    "color": (('<material name="m"><color rgba="1 1"/></material>',), ":2: <color>", "4 finite numbers"),
 }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What a URDF may say: joint types, defaults, shapes, colours, meshes, order."""
+"""What a URDF may say: joint types, defaults, shapes, colors, meshes, order."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_every_primitive():
     assert [c.shape for c in found] == [Box(1, 2, 3), Sphere(0.5), Cylinder(0.1, 0.2), Capsule(0.3, 0.4)]
 
 
-def test_colours_come_from_the_visual_or_by_name():
+def test_colors_come_from_the_visual_or_by_name():
     def visual(material):
         return f'<visual><geometry><sphere radius="1"/></geometry>{material}</visual>'
 

@@ -18,7 +18,7 @@ from armcell.perception import (
     load_image,
     load_record,
     look,
-    organised,
+    organized,
     pose_error,
     save_image,
 )
@@ -56,13 +56,13 @@ def test_png_and_yaml(seen, tmp_path):
         tmp_path / "shot.yaml", depth=tmp_path / "shot_depth.png", T_world_camera=SE3.identity()
     )
     assert moved.rgb is None and moved.T_world_camera.isclose(SE3.identity())
-    np.save(tmp_path / "metres.npy", seen.image.depth)
-    exact = load_image(tmp_path / "shot.yaml", depth=tmp_path / "metres.npy")
+    np.save(tmp_path / "meters.npy", seen.image.depth)
+    exact = load_image(tmp_path / "shot.yaml", depth=tmp_path / "meters.npy")
     assert np.array_equal(exact.depth, seen.image.depth)
 
 
 def test_a_cloud_without_rows_and_columns(seen):
-    points = seen.image.T_world_camera.apply(organised(seen.image.depth, seen.image.pinhole).reshape(-1, 3))
+    points = seen.image.T_world_camera.apply(organized(seen.image.depth, seen.image.pinhole).reshape(-1, 3))
     points = points[np.isfinite(points[:, 0])]
     rng = np.random.default_rng(0)
     found_as(seen, look(cloud_image(rng.permutation(points), seen.image.T_world_camera)))
@@ -71,7 +71,7 @@ def test_a_cloud_without_rows_and_columns(seen):
 
 
 def record(path: Path, image, with_info: bool = True) -> None:
-    """As rosbag2 writes it: static transform, info, colour and depth, a cloud."""
+    """As rosbag2 writes it: static transform, info, color and depth, a cloud."""
     t = STORE.types
     header = t["std_msgs/msg/Header"](t["builtin_interfaces/msg/Time"](3, 500_000_000), "eye")
     p, (h, w) = image.pinhole, image.depth.shape
@@ -144,7 +144,7 @@ def test_broken_pictures_are_named(seen, tmp_path):
     with pytest.raises(InputError, match="archive"):
         load_image(tmp_path / "shot.yaml", depth=tmp_path / "z.npy")
     np.save(tmp_path / "z.npy", np.zeros(5))
-    with pytest.raises(InputError, match="metres"):
+    with pytest.raises(InputError, match="meters"):
         load_image(tmp_path / "shot.yaml", depth=tmp_path / "z.npy")
 
 

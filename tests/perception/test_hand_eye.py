@@ -128,6 +128,6 @@ def test_end_to_end_with_a_panda(mount):
     found = calibrate_hand_eye(hands, markers, mount)
     assert found.ok, found.message
     position, angle = found.T_mount_camera.distance_to(T)
-    # across the cell the marker is 50 pixels wide and a metre away: a tenth of a degree is 2 mm
+    # across the cell the marker is 50 pixels wide and a meter away: a tenth of a degree is 2 mm
     most = (0.001, 0.1) if mount == "in_hand" else (0.006, 0.3)
     assert position < most[0] and np.rad2deg(angle) < most[1], (position, np.rad2deg(angle))

@@ -111,7 +111,7 @@ def test_pictures_that_cannot_be_used():
     stale = find_markers(image, "apriltag_36h11", SIZE, [3], now=9.0)
     assert stale.code is ErrorCode.SENSOR_INFO_STALE and stale.missing == (3,)
     grey = find_markers(replace(image, rgb=None), "apriltag_36h11", SIZE)
-    assert grey.code is ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA and "no colour" in grey.message
+    assert grey.code is ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA and "no color" in grey.message
     with pytest.raises(UnknownNameError, match="apriltag_36h11"):
         find_markers(image, "apriltag_36h12", SIZE)
     with pytest.raises(InputError, match="marker size"):

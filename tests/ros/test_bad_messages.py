@@ -81,7 +81,7 @@ def test_poses_that_are_none(remote, caplog):
         wait_for(lambda: remote._poses)
     assert [p.translation[0] for p in remote._poses.values()] == [0.25]
     lines = [r.getMessage() for r in caplog.records if "pose of" in r.getMessage()]
-    assert len(lines) == 2 and "503 m away (in millimetres?" in lines[1]
+    assert len(lines) == 2 and "503 m away (in millimeters?" in lines[1]
 
 
 def test_a_simulator_that_only_sends_degrees_is_told_where_somebody_waits(remote, scene, monkeypatch):
@@ -100,11 +100,11 @@ def test_which_angles_look_like_degrees(scene, scale, fault):
     assert found is None if fault is None else fault in found
 
 
-def test_which_lengths_look_like_millimetres(scene):
+def test_which_lengths_look_like_millimeters(scene):
     finger = next(n for n in scene.model.joint_names if "finger" in n)
     assert unit_fault(scene.model, [finger], [0.03]) is None
     assert unit_fault(scene.model, [finger], [0.05]) is None  # beyond its limit, but not by a thousand
-    assert "millimetres" in unit_fault(scene.model, [finger], [30.0])
+    assert "millimeters" in unit_fault(scene.model, [finger], [30.0])
 
 
 def test_time_may_go_back(remote):

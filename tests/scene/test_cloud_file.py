@@ -47,7 +47,7 @@ def test_xyz_and_npy(tmp_path):
     np.testing.assert_array_equal(load_points(save(tmp_path, "a.xyz", with_more)), [[1, 2, 3]] * 4)
     np.save(tmp_path / "a.npy", POINTS)
     np.testing.assert_array_equal(load_points(tmp_path / "a.npy"), POINTS)
-    np.save(tmp_path / "a.npy", np.zeros((4, 5, 6), np.float32))  # as from a camera, with colours
+    np.save(tmp_path / "a.npy", np.zeros((4, 5, 6), np.float32))  # as from a camera, with colors
     assert load_points(tmp_path / "a.npy").shape == (20, 3)
 
 

@@ -42,7 +42,7 @@ def test_what_is_not_seen():
     assert depth_points(np.full((4, 4), np.nan), K).shape == (0, 3)
 
 
-def test_millimetres():
+def test_millimeters():
     in_mm = np.round(plane_depth() * 1000).astype(np.uint16)
     np.testing.assert_allclose(depth_points(in_mm, K), depth_points(plane_depth(), K), atol=1e-3)
 

@@ -105,7 +105,7 @@ BAD = {
     "scale of nothing": (SetPadding(scales={"panda_hand": 0.0}), "scale", InputError),
     "joint limit": (SetState(JointState(("panda_joint4",), [3.0])), "panda_joint4", InputError),
     "unknown joint": (SetState(JointState(("elbow",), [0.0])), "elbow", InputError),
-    "colour": (SetColor("cube", (2.0, 0, 0, 1)), "color", InputError),
+    "color": (SetColor("cube", (2.0, 0, 0, 1)), "color", InputError),
     "a held cloud": (AttachObject(OCTOMAP, "panda_hand"), "cannot move", InputError),
     "a frame's name": (SetFixedFrame("cube", SE3.identity()), "cube", InputError),
 }
@@ -172,7 +172,7 @@ def test_diffs_add_up():
 
 
 @pytest.mark.parametrize("color", [(1, 1, 1), (1, 1, 1, 2), (np.nan, 0, 0, 1)])
-def test_colours_of_objects(color):
+def test_colors_of_objects(color):
     with pytest.raises(InputError, match="color"):
         CollisionObject.single("a", Box(1, 1, 1), color=color)
 

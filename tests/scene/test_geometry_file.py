@@ -159,7 +159,7 @@ BAD = {
     "not finite": (OLD.replace("1.36", "nan"), r":5: .*finite"),
     "negative size": (OLD.replace("1.36", "-1.36"), r":5: .*positive"),
     "no rotation": (OLD.replace("0 0 4.16377e-05 1", "0 0 0 0"), r":7: .*norm"),
-    "colour": (OLD.replace("0 0 1 0.3", "0 0 7 1"), "color"),
+    "color": (OLD.replace("0 0 1 0.3", "0 0 7 1"), "color"),
     "count": (OLD.replace("* ball\n1", "* ball\n-1"), r":10: '-1' stands where the number of shapes"),
     "huge count": (OLD.replace("* ball\n1", "* ball\n999999999999"), "number of shapes"),
     "marker": (OLD.replace("* ball", "+ ball"), r":9: '\+' stands where"),

@@ -40,9 +40,9 @@ def test_each_stands_on_its_origin_with_the_inertia_of_its_solids(kind):
     assert all(p.is_watertight and p.volume > 0 for p in pieces)
     masses = np.array([p.volume for p in pieces]) * library[kind].density
     assert item.mass_kg == pytest.approx(masses.sum(), rel=1e-3)
-    centre, inertia = solid_inertia(item.shapes, item.mass_kg)
+    center, inertia = solid_inertia(item.shapes, item.mass_kg)
     about = masses @ np.array([p.center_mass for p in pieces]) / masses.sum()
-    np.testing.assert_allclose(centre, about, atol=2e-5)
+    np.testing.assert_allclose(center, about, atol=2e-5)
     expected = np.zeros((3, 3))
     for piece, mass in zip(pieces, masses, strict=True):
         d = piece.center_mass - about
@@ -87,9 +87,9 @@ def test_a_mesh_file_of_each_format(suffix, tmp_path):
     )
 
 
-def test_a_mesh_in_millimetres_is_told_with_the_cure(tmp_path):
+def test_a_mesh_in_millimeters_is_told_with_the_cure(tmp_path):
     trimesh.creation.torus(40.0, 10.0).export(tmp_path / "ring.stl")
-    with pytest.raises(InputError, match=r"100 m large.*millimetres.*scale: 0.001"):
+    with pytest.raises(InputError, match=r"100 m large.*millimeters.*scale: 0.001"):
         mesh_object("ring", tmp_path / "ring.stl")
     assert max(mesh_object("ring", tmp_path / "ring.stl", scale=0.001).bounds()[1]) == pytest.approx(0.05)
     with pytest.raises(InputError, match="scale: 1000"):

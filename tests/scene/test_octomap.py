@@ -54,8 +54,8 @@ def octomaps(tmp_path_factory) -> Path:
 
 def voxels(tree: Octree, size: float = RESOLUTION) -> set[tuple[int, int, int]]:
     found = set()
-    for centre, edge in zip(tree.centres, tree.sizes, strict=True):
-        low = np.round((centre - edge / 2) / size).astype(int)
+    for center, edge in zip(tree.centers, tree.sizes, strict=True):
+        low = np.round((center - edge / 2) / size).astype(int)
         found |= {tuple(low + step) for step in np.ndindex(*[round(edge / size)] * 3)}
     return found
 
@@ -75,7 +75,7 @@ def test_readers_agree_with_coals(octomaps):
     mine = load_octree(octomaps / "a.bt")
     assert len(mine.sizes) == len(boxes)
     key = lambda rows: np.array(sorted(map(tuple, np.round(rows, 4))))  # noqa: E731
-    np.testing.assert_allclose(key(np.column_stack([mine.centres, mine.sizes])), key(boxes[:, :4]), atol=2e-4)
+    np.testing.assert_allclose(key(np.column_stack([mine.centers, mine.sizes])), key(boxes[:, :4]), atol=2e-4)
     for full in ("a.bt.ot", "a.bt_ml.ot"):
         assert voxels(load_octree(octomaps / full)) == voxels(mine)
 
@@ -85,7 +85,7 @@ def test_what_is_written_coal_reads(octomaps, tmp_path):
     """A map with cells of several sizes goes out and comes back, through OctoMap's own reader."""
     ball = load_octree(octomaps / "a.bt")
     block = Octree.from_grid(np.ones((9, 8, 20), bool), RESOLUTION, (2.0, 0.4, -0.8))
-    mine = Octree(np.vstack([ball.centres, block.centres]), np.concatenate([ball.sizes, block.sizes]))
+    mine = Octree(np.vstack([ball.centers, block.centers]), np.concatenate([ball.sizes, block.sizes]))
     save_octree(mine, tmp_path / "mine.bt")
     theirs = np.array([list(b) for b in coal.MeshLoader().loadOctree(str(tmp_path / "mine.bt")).toBoxes()])
     assert len(set(mine.sizes)) > 1
@@ -100,9 +100,9 @@ def test_written_and_read_again(tmp_path):
     tree = Octree.from_grid(grid, 0.1, (-0.4, -0.8, 1.6))
     save_octree(tree, tmp_path / "a.bt")
     assert voxels(load_octree(tmp_path / "a.bt"), 0.1) == voxels(tree, 0.1)
-    twice = Octree(np.vstack([tree.centres] * 2), np.concatenate([tree.sizes] * 2))
+    twice = Octree(np.vstack([tree.centers] * 2), np.concatenate([tree.sizes] * 2))
     assert octree_bytes(twice) == octree_bytes(tree)
-    beside = Octree(tree.centres + 0.03, tree.sizes)  # off the grid: every voxel that is reached into
+    beside = Octree(tree.centers + 0.03, tree.sizes)  # off the grid: every voxel that is reached into
     save_octree(beside, tmp_path / "b.bt")
     reached = {tuple(np.array(v) + s) for v in voxels(tree, 0.1) for s in np.ndindex(2, 2, 2)}
     assert voxels(load_octree(tmp_path / "b.bt"), 0.1) == reached
@@ -135,7 +135,7 @@ def test_what_is_seen_through_is_cleared():
     assert np.all(seen.at(ball) > 0)
     for _ in range(3):  # 0.85 - 3 * 0.41 < 0
         seen = seen.updated(wall, eye)
-    assert np.all(seen.at(ball) < 0) and np.all(seen.octree().centres[:, 0] > 0.9)
+    assert np.all(seen.at(ball) < 0) and np.all(seen.octree().centers[:, 0] > 0.9)
 
 
 def test_far_points_only_clear():
@@ -205,7 +205,7 @@ BAD = {
     "empty": (b"", "is empty"),
     "text": (b"hello", "is no octomap"),
     "kind": (HEADER.replace(b"id OcTree", b"id QuadTree") + bytes(2), "'QuadTree' is not read"),
-    "entry": (HEADER.replace(b"id OcTree", b"colour red") + bytes(2), ":2: unknown entry 'colour'"),
+    "entry": (HEADER.replace(b"id OcTree", b"color red") + bytes(2), ":2: unknown entry 'color'"),
     "resolution": (HEADER.replace(b"0.1", b"-1") + bytes(2), "resolution"),
     "size": (HEADER.replace(b"3", b"x") + bytes(2), "'size' and 'res'"),
     "left over": (HEADER + bytes(2) + b"abc", "3 bytes too many"),
@@ -226,7 +226,7 @@ def test_a_tiny_file_by_hand(tmp_path):
     (tmp_path / "a.bt").write_bytes(HEADER + bytes([0b10000001, 0]))
     tree = load_octree(tmp_path / "a.bt")
     np.testing.assert_allclose(tree.sizes, [2**15 * 0.1])
-    np.testing.assert_allclose(tree.centres, [[1638.4, 1638.4, -1638.4]])
+    np.testing.assert_allclose(tree.centers, [[1638.4, 1638.4, -1638.4]])
 
 
 def test_no_file(tmp_path):

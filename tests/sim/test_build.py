@@ -153,20 +153,20 @@ def test_inertia_against_a_fine_mesh(shape):
         Cone: lambda s: trimesh.Trimesh(cone_mesh(s, 256).vertices, cone_mesh(s, 256).faces),
     }[type(shape)](shape)
     T = SE3.from_xyz_rpy((0.1, -0.2, 0.3), (0.4, 0.5, 0.6))
-    centre, inertia = solid_inertia([(shape, T)], 3.0)
+    center, inertia = solid_inertia([(shape, T)], 3.0)
     R = T.rotation.matrix
-    assert centre == pytest.approx(T.apply(mesh.center_mass), abs=1e-3)
+    assert center == pytest.approx(T.apply(mesh.center_mass), abs=1e-3)
     assert inertia == pytest.approx(R @ mesh.moment_inertia @ R.T * 3.0 / mesh.volume, rel=5e-3, abs=1e-4)
 
 
 def test_two_boxes_weigh_like_one():
     halves = [(Box(0.1, 0.1, 0.1), SE3.from_xyz(x, 0, 0)) for x in (-0.05, 0.05)]
-    centre, inertia = solid_inertia(halves, 2.0)
+    center, inertia = solid_inertia(halves, 2.0)
     _, whole = solid_inertia([(Box(0.2, 0.1, 0.1), SE3.identity())], 2.0)
-    assert centre == pytest.approx(np.zeros(3)) and inertia == pytest.approx(whole)
+    assert center == pytest.approx(np.zeros(3)) and inertia == pytest.approx(whole)
 
 
-def test_neighbours_are_excluded_and_the_scene_may_add_pairs():
+def test_neighbors_are_excluded_and_the_scene_may_add_pairs():
     model = load_robot("panda")
     scene = PlanningScene.of(model)
     names = {name for name, link in model.links.items() if link.collisions}

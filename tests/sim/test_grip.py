@@ -27,8 +27,8 @@ def test_friction_grasp_holds(robot, mass, friction):
     assert world.object_pose("cube").translation[2] == pytest.approx(0.175, abs=2e-3)
     world.watch_slip("cube", gripper)
     world.step(round(HOLD / world.timestep))
-    metres, radians = world.slip()
-    assert metres < 0.0005 and radians < 0.005
+    meters, radians = world.slip()
+    assert meters < 0.0005 and radians < 0.005
     assert world.gripper_state(gripper).held == "cube"
     assert world.monitor.unwanted == () and world.welds == ()
 
@@ -38,8 +38,8 @@ def test_a_moving_hand_does_not_slip():
     grasp.close()
     grasp.world.watch_slip("cube", "hand")
     grasp.lift(seconds=0.6, settle=0.0)  # 0.5 m/s
-    metres, radians = grasp.world.slip()
-    assert metres < 0.0006 and radians < 0.001
+    meters, radians = grasp.world.slip()
+    assert meters < 0.0006 and radians < 0.001
 
 
 @pytest.mark.parametrize("force", (5.0, 20.0, 60.0))

@@ -10,7 +10,7 @@ from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import Camera, Decal, DepthNoise, SimWorld, has_gl, look_at, take_image
 
-OFF_CENTRE = Pinhole(160, 120, 145.0, 150.0, 70.0, 66.0)
+OFF_CENTER = Pinhole(160, 120, 145.0, 150.0, 70.0, 66.0)
 PICTURE = np.array([[0, 255, 0], [255, 255, 0], [0, 0, 255]], np.uint8)
 
 
@@ -30,8 +30,8 @@ def backends() -> list[bool]:
 
 @pytest.mark.skipif(not has_gl(), reason="no OpenGL here")
 def test_opengl_and_rays_agree(world):
-    """Depth to 10 micrometres, but for pixels on an edge; colours on average."""
-    camera = Camera("c", look_at([1.6, -0.4, 0.8], [0.4, 0.2, 0.1]), pinhole=OFF_CENTRE)
+    """Depth to 10 micrometers, but for pixels on an edge; colors on average."""
+    camera = Camera("c", look_at([1.6, -0.4, 0.8], [0.4, 0.2, 0.1]), pinhole=OFF_CENTER)
     a, b = (take_image(world, camera, gl) for gl in (True, False))
     off = np.abs(a.depth - b.depth)
     assert np.median(off) < 1e-5 and np.mean(off > 1e-3) < 0.01
@@ -41,14 +41,14 @@ def test_opengl_and_rays_agree(world):
 
 @pytest.mark.parametrize("gl", backends())
 def test_depth_is_where_geometry_says(world, gl):
-    """The block's top in a camera that is not centred: its pixels back in the world are on the plane."""
-    camera = Camera("c", look_at([1.2, 0.0, 0.8], [0.9, 0.6, -0.1]), pinhole=OFF_CENTRE)
+    """The block's top in a camera that is not centerd: its pixels back in the world are on the plane."""
+    camera = Camera("c", look_at([1.2, 0.0, 0.8], [0.9, 0.6, -0.1]), pinhole=OFF_CENTER)
     image = take_image(world, camera, gl, rgb=False)
     assert image.rgb is None and image.camera == "c"
     corners = np.array([[0.8 + 0.2 * i, 0.45 + 0.3 * j, -0.1] for i in (0, 1) for j in (0, 1)])
     inside = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * 0.9
     for point in inside:
-        (u, v), z = OFF_CENTRE.project(camera.T_world_camera.inv().apply(point))[0], image.depth
+        (u, v), z = OFF_CENTER.project(camera.T_world_camera.inv().apply(point))[0], image.depth
         u, v = round(u), round(v)
         seen = np.array([(u - 70.0) / 145.0, (v - 66.0) / 150.0, 1.0]) * z[v, u]
         assert camera.T_world_camera.apply(seen)[2] == pytest.approx(-0.1, abs=1e-5)

@@ -29,7 +29,7 @@ def world(tmp_path):
 
 
 def turned(world, torque, seconds=0.5):
-    """Turn the bolt by a torque about its axis; (turns, metres) it has gone."""
+    """Turn the bolt by a torque about its axis; (turns, meters) it has gone."""
     joint = world.mj_model.joint("bolt:turn").dofadr[0]
     for _ in range(round(seconds / world.timestep)):
         world.mj_data.qfrc_applied[joint] = torque
@@ -49,11 +49,11 @@ def test_it_stays_where_it_is_and_its_pose_is_told(world):
 
 @pytest.mark.parametrize("torque", [-0.3, -0.5])
 def test_clockwise_goes_in_by_the_pitch(world, torque):
-    turns, metres = turned(world, torque, 0.4)
+    turns, meters = turned(world, torque, 0.4)
     assert turns < -0.05
-    assert metres == pytest.approx(0.002 * turns, abs=3e-5)
+    assert meters == pytest.approx(0.002 * turns, abs=3e-5)
     T = world.object_pose("block").inv() @ world.object_pose("bolt")
-    assert T.translation[2] == pytest.approx(0.08 + metres, abs=1e-6)
+    assert T.translation[2] == pytest.approx(0.08 + meters, abs=1e-6)
 
 
 def test_less_than_its_friction_does_not_turn_it(world):
@@ -62,8 +62,8 @@ def test_less_than_its_friction_does_not_turn_it(world):
 
 
 def test_it_ends_where_its_travel_does(world):
-    turns, metres = turned(world, -1.5, 3.0)
-    assert metres == pytest.approx(-0.01, abs=3e-4) and turns == pytest.approx(-5, abs=0.15)
+    turns, meters = turned(world, -1.5, 3.0)
+    assert meters == pytest.approx(-0.01, abs=3e-4) and turns == pytest.approx(-5, abs=0.15)
 
 
 def test_a_reset_brings_it_back(world):
@@ -155,5 +155,5 @@ def test_a_lifted_rod_weighs_on_both_hands():
         tips = [live.scene().frame_pose(f"{side}_gripper_tcp").translation for side in ("left", "right")]
         middle = live.driver.object_poses()["rod"].translation
         about = sum(h[3:] + np.cross(p - middle, h[:3]) for h, p in zip(hands, tips, strict=True))
-        np.testing.assert_allclose(about, 0, atol=0.15)  # no torque about the centre of mass: it rests
+        np.testing.assert_allclose(about, 0, atol=0.15)  # no torque about the center of mass: it rests
         assert rod.record.off_m <= 5e-4 and rod.record.squeeze_n <= 30

@@ -54,8 +54,8 @@ def test_the_scene_shows_what_the_driver_measures(done):
 def test_place_leaves_it_in_the_tray(done):
     assert done.placed.ok, done.placed.message
     target, found = done.placed.evidence["placement"].T_world_object, done.driver.object_poses()["cube"]
-    metres, radians = target.distance_to(found)
-    assert metres < 0.005 and radians < 0.02
+    meters, radians = target.distance_to(found)
+    assert meters < 0.005 and radians < 0.02
     T_tray_cube = nominal().object("tray").T_world_object.inv() @ found
     assert np.abs(T_tray_cube.translation[:2]).max() < 0.12 - 0.025
     assert T_tray_cube.translation[2] == pytest.approx(0.01 + 0.025, abs=2e-3)
@@ -235,8 +235,8 @@ def test_move_to_a_name_a_pose_and_joints(mode):
         np.testing.assert_allclose(reached.positions, named.positions, atol=6e-3)
         pose = SE3.from_xyz_rpy((0.4, -0.3, 0.4), (np.pi, 0, 0))
         assert cell.arm.move_to(pose).ok
-        metres, radians = cell.scene().frame_pose("panda_hand_tcp").distance_to(pose)
-        assert metres < 5e-3 and radians < 0.02
+        meters, radians = cell.scene().frame_pose("panda_hand_tcp").distance_to(pose)
+        assert meters < 5e-3 and radians < 0.02
         assert cell.arm.move_to(JointState(("panda_joint1",), [0.4])).ok
         assert cell.driver.joint_state()["panda_joint1"] == pytest.approx(0.4, abs=6e-3)
         assert stages(cell) == ["move to extended", "move", "move"]

@@ -33,7 +33,7 @@ def sorting():
 @pytest.mark.parametrize(
     ("by", "into", "word"),
     [
-        ("colour", {"red": "red_mat", "blue": "blue_mat"}, 0),
+        ("color", {"red": "red_mat", "blue": "blue_mat"}, 0),
         ("shape", {"cylinder": "red_mat", "box": "blue_mat"}, 1),
     ],
 )
@@ -51,7 +51,7 @@ def test_everything_gets_to_its_mat(sorting, by, into, word):
 
 @pytest.mark.slow
 def test_what_is_knocked_out_of_the_hand_is_seen_and_sorted_again(sorting):
-    """The hand opens on the way; things of one colour have no place and stay."""
+    """The hand opens on the way; things of one color have no place and stay."""
     with sorting.connect(seed=4) as cell:
         hand = cell.model.gripper()
         drop = AtStage("lift", lambda: cell.driver.command_gripper(hand.name, hand.max_width, hand.max_force))
@@ -67,11 +67,11 @@ def test_what_is_knocked_out_of_the_hand_is_seen_and_sorted_again(sorting):
 
 def test_names_that_do_not_exist(sorting):
     with sorting.connect(seed=3) as cell:
-        with pytest.raises(UnknownNameError, match="thing to sort by 'size'; known: colour, shape"):
+        with pytest.raises(UnknownNameError, match="property to sort by 'size'; known: color, shape"):
             cell.sort({"red": "red_mat"}, camera="above", by="size")
         with pytest.raises(UnknownNameError, match="unknown object 'rad_mat'"):
             cell.sort({"red": "rad_mat"}, camera="above")
-        with pytest.raises(InputError, match="nothing says where things are to go"):
+        with pytest.raises(InputError, match="no destinations are given"):
             cell.sort({}, camera="above")
 
 

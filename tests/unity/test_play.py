@@ -80,8 +80,8 @@ def test_links_are_where_armcell_has_them(player, exported, scene):
             if name in names:
                 x, y, z, qx, qy, qz, qw = map(float, numbers)
                 T = SE3.from_quat_xyzw((z, -x, y), (qz, -qx, qy, -qw))
-                metres, radians = T.distance_to(SE3.from_matrix(Ts[names.index(name)]))
-                assert metres < 2e-6 and radians < 2e-6, (case, name, metres, radians)
+                meters, radians = T.distance_to(SE3.from_matrix(Ts[names.index(name)]))
+                assert meters < 2e-6 and radians < 2e-6, (case, name, meters, radians)
                 seen += 1
         assert seen == len(names)
 

@@ -1,6 +1,6 @@
 """The viewer in a real browser: a screenshot shows the arm at its pose, and follows when it moves.
 
-The floor is green and the Panda is not: a pixel without colour is the arm's, a green one is not.
+The floor is green and the Panda is not: a pixel without color is the arm's, a green one is not.
 """
 
 import os
@@ -57,7 +57,7 @@ def places(scene, q):
 
 
 def around(picture, place, reach=2):
-    """The median colour of the pixels around a place, (3,)."""
+    """The median color of the pixels around a place, (3,)."""
     u, v = place
     assert 10 < u < SIZE[0] - 340 and 10 < v < SIZE[1] - 10, f"{place} is outside or under the panel"
     return np.median(picture[v - reach : v + reach + 1, u - reach : u + reach + 1].reshape(-1, 3), axis=0)

@@ -213,9 +213,9 @@ SHAPES = [
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
 def test_triangles_fill_the_bounds_of_their_shape(shape):
     part = g.shape_part(shape, (1, 0, 0, 1))
-    centre, half = local_bounds(shape)
-    np.testing.assert_allclose(part.vertices.min(axis=0), centre - half, atol=2e-3)
-    np.testing.assert_allclose(part.vertices.max(axis=0), centre + half, atol=2e-3)
+    center, half = local_bounds(shape)
+    np.testing.assert_allclose(part.vertices.min(axis=0), center - half, atol=2e-3)
+    np.testing.assert_allclose(part.vertices.max(axis=0), center + half, atol=2e-3)
 
 
 def test_a_cone_points_up_and_a_plane_lies_below_zero():
@@ -250,7 +250,7 @@ def test_every_link_with_a_body_is_drawn(robot):
         assert all(len(p.faces) <= g.MAX_FACES and np.isfinite(p.vertices).all() for p in parts)
 
 
-def test_the_panda_keeps_its_colours():
+def test_the_panda_keeps_its_colors():
     link = load_robot("panda").links["panda_link6"]
     colors = {tuple(round(255 * c) for c in p.color[:3]) for v in link.visuals for p in g.visual_parts(v)}
     assert {(255, 255, 255), (64, 64, 64), (10, 138, 199)} <= colors

@@ -73,7 +73,7 @@ class BringUp:
         steps.append(("identity", "all", "asks every robot who it is; nothing moves", self._identity))
         for name in arms:
             steps.append(("power", name, "powers the arm on and releases its brakes (they click, the arm may "
-                          "sag a millimetre)", lambda name=name: self._power(name)))  # fmt: skip
+                          "sag a millimeter)", lambda name=name: self._power(name)))  # fmt: skip
         for name in arms:
             steps.append(("geometry", name, "compares the robot's tool pose with the cell's model; nothing "
                           "moves. Look: does the arm stand as in the viewer?",

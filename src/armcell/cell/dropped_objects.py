@@ -126,8 +126,8 @@ def _above(item: CollisionObject, frame: SE3, half: np.ndarray, top: float, rng:
     R = SO3.from_quat_wxyz(_unit(rng.normal(size=4)))
     room = np.maximum(half - min(reach, 0.05) - 0.01, 0.0)
     xy = frame.translation[:2] + frame.rotation.matrix[:2, :2] @ rng.uniform(-room, room)
-    centre = np.array([*xy, top + FALL + reach])
-    return SE3(R, centre - R.matrix @ middle)
+    center = np.array([*xy, top + FALL + reach])
+    return SE3(R, center - R.matrix @ middle)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -241,7 +241,7 @@ class Bench:
         wanted = placed.evidence["placement"].T_world_object
         evidence["error_m"] = wanted.distance_to(ctx.driver.object_poses()[OBJECT])[0]
         if evidence["error_m"] > NEAR_ENOUGH:
-            text = f"lies {evidence['error_m'] * 1000:.1f} mm from where it should"
+            text = f"is {evidence['error_m'] * 1000:.1f} mm from its target pose"
             return Outcome(ErrorCode.CONTROL_FAILED, text, evidence)
         if unwanted := ctx.driver.unwanted_contacts():
             text = f"{unwanted[0].body_a} touched {unwanted[0].body_b}"

@@ -456,7 +456,7 @@ class LiveCell:
         return clear_with(self.ctx, self.scene_at_start, gripper, bin, into, table, *eyes, settings)
 
     def sort(
-        self, into: Mapping[str, str], camera: str, by: str | Kind = "colour",
+        self, into: Mapping[str, str], camera: str, by: str | Kind = "color",
         settings: SortSettings = SortSettings(),
     ) -> Outcome:  # fmt: skip
         """Place every object that a camera sees on the target for its color (or shape).

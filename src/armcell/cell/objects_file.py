@@ -250,6 +250,6 @@ def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
             return {"cloud": target.name, "radius": float(shape.radius)}
         case Octree():
             target = beside.with_name(beside.name + ".npz")
-            np.savez(target, centres=shape.centres, sizes=shape.sizes)
+            np.savez(target, centers=shape.centers, sizes=shape.sizes)
             return {"cloud": target.name}
     raise AssertionError(f"{shape_name(shape)} has no row in the table of shapes")

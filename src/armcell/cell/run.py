@@ -212,6 +212,6 @@ def _judged(
         return Outcome(ErrorCode.CONTROL_FAILED, lost[0]["how"])
     if errors and max(errors) > tolerance:
         return Outcome(
-            ErrorCode.CONTROL_FAILED, f"the object lies {max(errors) * 1000:.1f} mm from where it should"
+            ErrorCode.CONTROL_FAILED, f"the object is {max(errors) * 1000:.1f} mm from its target pose"
         )
     return outcome

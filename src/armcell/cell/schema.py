@@ -434,7 +434,7 @@ def validated(data: dict[str, Any], file: Path) -> CellSpec:
                 raise UnknownNameError("key", first["loc"][-1], known, file=file, element=place) from None
         more = len(errors) - 1
         reason = first["msg"].removeprefix("Value error, ") + (f" (and {more} more)" if more else "")
-        hint = f"{first['input']} is none: give one" if first["type"] == "finite_number" else None
+        hint = f"{first['input']} is not a finite number" if first["type"] == "finite_number" else None
         raise InputError(reason, file=file, element=place, hint=hint) from None
 
 

@@ -120,9 +120,9 @@ def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str,
 
     wide, bent = drawn(low, high), drawn(middle - half, middle + half)
     judge = _Judge(model, wide)
-    zero, centre = rest.copy(), rest.copy()
-    zero[columns], centre[columns] = model.neutral()[columns], middle[columns]
-    simple = [zero, centre, *_quarter_turns(zero, columns, low, high)]
+    zero, center = rest.copy(), rest.copy()
+    zero[columns], center[columns] = model.neutral()[columns], middle[columns]
+    simple = [zero, center, *_quarter_turns(zero, columns, low, high)]
     near_middle = sorted(
         (q for q in np.vstack([bent, wide]) if judge.is_free(q)),
         key=lambda q: float(np.sum((q - middle)[columns] ** 2)),

@@ -23,7 +23,7 @@ Examples:
 
   armcell bench grasp --objects meshes/ --json grasps.json    and those of a folder, a row per object
 
-  armcell bench grasp --objects parts_mm/ --scale 0.001       meshes in millimetres
+  armcell bench grasp --objects parts_mm/ --scale 0.001       meshes in millimeters
 """
 
 
@@ -34,7 +34,7 @@ def grasp(
     count: int = typer.Option(100, min=1, help="How many of the folder's files, by name."),
     skip: int = typer.Option(0, min=0, help="Leave out so many of the folder's files first."),
     scale: float = typer.Option(
-        1.0, min=1e-9, help="Metres per unit of the mesh files; URDFs have their own."
+        1.0, min=1e-9, help="Meters per unit of the mesh files; URDFs have their own."
     ),
     library: bool = typer.Option(True, help="The objects that armcell brings."),
     robot: str = typer.Option("panda", help="A robot of the library with a gripper."),

@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from armcell.cli import goals
-from armcell.cli.console import console, millimetres
+from armcell.cli.console import console, millimeters
 
 
 def check_state(
@@ -59,7 +59,7 @@ def check_state(
         console.print(
             "touches nothing"
             + (f"; nearest: {nearest.describe()}" if nearest is not None else "")
-            + (f", within the padding of {millimetres(scene.padding)}" if within else ""),
+            + (f", within the padding of {millimeters(scene.padding)}" if within else ""),
             markup=False,
         )
     goals.save(

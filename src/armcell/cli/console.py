@@ -59,7 +59,7 @@ def write_json(path: Path, data: Any) -> None:
         raise
 
 
-def millimetres(value: float | None, digits: int = 1) -> str:
+def millimeters(value: float | None, digits: int = 1) -> str:
     return "" if value is None else f"{value * 1000:.{digits}f} mm"
 
 
@@ -75,8 +75,8 @@ def stage_table(result: dict[str, Any]) -> Table:
             stage["planner"],
             f"{stage['planning_time_s'] * 1000:.0f} ms" if stage["planner"] else "",
             f"{stage['motion_time_s']:.2f} s",
-            millimetres(stage["clearance_m"]),
-            millimetres(stage["slip_m"], 2),
+            millimeters(stage["clearance_m"]),
+            millimeters(stage["slip_m"], 2),
             stage["error"],
             style=None if stage["ok"] else "red",
         )

@@ -40,7 +40,7 @@ def look(
     camera: str | None = typer.Option(None, help="Camera of the cell, or frame in the record."),
     seed: int | None = typer.Option(None, min=0, help="Draw of the cell's randomised values."),
     info: Path | None = typer.Option(None, help="Camera info (YAML of ROS's camera_calibration)."),
-    rgb: Path | None = typer.Option(None, help="Colour picture, with --info."),
+    rgb: Path | None = typer.Option(None, help="Color picture, with --info."),
     depth: Path | None = typer.Option(None, help="Depth with --info: 16 bit PNG of mm, or .npy of m."),
     place: Place | None = typer.Option(
         None, metavar="X Y Z R P Y", help="Where the camera is [m, deg]; its z axis looks, y is down."

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from armcell.cli import goals
-from armcell.cli.console import console, millimetres
+from armcell.cli.console import console, millimeters
 from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt
 
 
@@ -62,7 +62,7 @@ def plan(
         console.print(
             f"planned by {result.planner_id} in {result.planning_time * 1000:.1f} ms: "
             f"{data['duration_s']:.2f} s, {data['waypoints']} waypoints, {data['length_rad']:.2f} rad long, "
-            f"clearance {millimetres(data['clearance_m'])}"
+            f"clearance {millimeters(data['clearance_m'])}"
         )
     goals.save(json_file, data)
     if view:

@@ -11,7 +11,7 @@ from typing import Any
 import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from armcell.cli.console import check_writable, console, errors, millimetres, stage_table
+from armcell.cli.console import check_writable, console, errors, millimeters, stage_table
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import gate_of, gate_words, tell_unwatched
 from armcell.cli.goals import GAINS
@@ -257,11 +257,11 @@ def _print(result: dict[str, Any]) -> None:
 
     console.print(stage_table(result))
     numbers = [
-        f"slip in hold {millimetres(result['slip_m'], 3)}" if result["slip_m"] is not None else "",
-        f"placed {millimetres(result['placement_error_m'], 2)} off"
+        f"slip in hold {millimeters(result['slip_m'], 3)}" if result["slip_m"] is not None else "",
+        f"placed {millimeters(result['placement_error_m'], 2)} off"
         if result["placement_error_m"] is not None
         else "",
-        f"clearance {millimetres(result['min_clearance_m'])}"
+        f"clearance {millimeters(result['min_clearance_m'])}"
         if result["min_clearance_m"] is not None
         else "",
         f"unwanted contacts {len(result['unwanted_contacts'])}",

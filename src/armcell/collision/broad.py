@@ -10,13 +10,13 @@ from numba import njit
 
 
 @njit(cache=True)
-def world_boxes(Ts, link, centre, R_half, is_static, out_centre, out_half):
+def world_boxes(Ts, link, center, R_half, is_static, out_center, out_half):
     """Compute the axis-aligned world boxes of geometries that move with their links.
 
     Args:
         Ts: T_world_link (links, 4, 4).
         link: link of each geometry (g,).
-        centre: box centre in the link frame (g, 3) [m].
+        center: box center in the link frame (g, 3) [m].
         R_half: columns are the box's half axes in the link frame (g, 3, 3) [m].
         is_static: geometries whose box is already in `out_*` (g,).
     """
@@ -25,8 +25,8 @@ def world_boxes(Ts, link, centre, R_half, is_static, out_centre, out_half):
             continue
         T = Ts[link[g]]
         for i in range(3):
-            out_centre[g, i] = (
-                T[i, 3] + T[i, 0] * centre[g, 0] + T[i, 1] * centre[g, 1] + T[i, 2] * centre[g, 2]
+            out_center[g, i] = (
+                T[i, 3] + T[i, 0] * center[g, 0] + T[i, 1] * center[g, 1] + T[i, 2] * center[g, 2]
             )
             h = 0.0
             for k in range(3):
@@ -35,7 +35,7 @@ def world_boxes(Ts, link, centre, R_half, is_static, out_centre, out_half):
 
 
 @njit(cache=True)
-def box_gaps(pairs, centre, half, out):
+def box_gaps(pairs, center, half, out):
     """Compute the distance between the boxes of each pair (p, 2), 0 where boxes overlap.
 
     The distance is never above the true one.
@@ -44,7 +44,7 @@ def box_gaps(pairs, centre, half, out):
         a, b = pairs[p, 0], pairs[p, 1]
         total = 0.0
         for i in range(3):
-            gap = abs(centre[a, i] - centre[b, i]) - half[a, i] - half[b, i]
+            gap = abs(center[a, i] - center[b, i]) - half[a, i] - half[b, i]
             if gap > 0.0:
                 total += gap * gap
         out[p] = np.sqrt(total)

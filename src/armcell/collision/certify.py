@@ -61,7 +61,7 @@ class MotionBound:
         for i, (lever, geometry) in enumerate(zip(levers, checker.geometries, strict=True)):
             if geometry.link < 0 or i not in wanted:
                 continue
-            middle = geometry.T_link_solid.apply(geometry.solid.centre)
+            middle = geometry.T_link_solid.apply(geometry.solid.center)
             radius = float(np.linalg.norm(middle) + np.linalg.norm(geometry.solid.half))
             for joint in reversed(tree.path_to(tree.link_names[geometry.link]).tolist()):
                 if tree.kind[joint] != FIXED:

@@ -101,6 +101,6 @@ def _radius(shapes: Solids) -> float:
     """Return an upper bound [m] of the distance from the origin to any point of shapes."""
     reach = 0.0
     for shape, T in shapes:
-        centre, half = local_bounds(shape)
-        reach = max(reach, float(np.linalg.norm(T.apply(centre)) + np.linalg.norm(half)))
+        center, half = local_bounds(shape)
+        reach = max(reach, float(np.linalg.norm(T.apply(center)) + np.linalg.norm(half)))
     return reach

@@ -60,11 +60,11 @@ class ExactChecker:
         n = len(self.geometries)
         self._link = np.array([g.link for g in self.geometries], dtype=np.int64)
         self._static = self._link < 0
-        self._centre = np.array([g.T_link_solid.apply(g.solid.centre) for g in self.geometries]).reshape(n, 3)
+        self._center = np.array([g.T_link_solid.apply(g.solid.center) for g in self.geometries]).reshape(n, 3)
         self._R_half = np.array(
             [g.T_link_solid.rotation.matrix * g.solid.half for g in self.geometries]
         ).reshape(n, 3, 3)
-        self._world_centre = self._centre.copy()
+        self._world_center = self._center.copy()
         self._world_half = np.abs(self._R_half).sum(axis=2)
         self._transforms = [coal.Transform3s() for _ in range(n)]
         self._R_local = [g.T_link_solid.rotation.matrix for g in self.geometries]
@@ -132,10 +132,10 @@ class ExactChecker:
         world_boxes(
             self.Ts,
             self._link,
-            self._centre,
+            self._center,
             self._R_half,
             self._static,
-            self._world_centre,
+            self._world_center,
             self._world_half,
         )
         self._query += 1
@@ -144,7 +144,7 @@ class ExactChecker:
         """Move a world geometry, given by index, to a pose that it keeps until the next call."""
         R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
         self._transforms[i].setTransform(R, T_world_solid.translation)
-        self._world_centre[i] = T_world_solid.apply(g.centre)
+        self._world_center[i] = T_world_solid.apply(g.center)
         self._world_half[i] = np.abs(R) @ g.half
 
     def _transform(self, i: int) -> coal.Transform3s:
@@ -166,7 +166,7 @@ class ExactChecker:
         if not isinstance(pairs, np.ndarray) or pairs.ndim != 2 or pairs.dtype != np.int64:
             raise InputError(f"pairs must be whole numbers (p, 2), not {pairs!r}")
         gaps = np.empty(len(pairs))
-        box_gaps(pairs, self._world_centre, self._world_half, gaps)
+        box_gaps(pairs, self._world_center, self._world_half, gaps)
         return gaps
 
     def _touch(self, a: int, b: int, margin: float) -> bool:
@@ -187,7 +187,7 @@ class ExactChecker:
             around, other = self.geometries[outer].solid, self.geometries[inner].solid
             if around.hollow is None or not self._solid_inside(outer):
                 continue
-            point = other.hollow.vertices[0] if other.hollow is not None else other.centre
+            point = other.hollow.vertices[0] if other.hollow is not None else other.center
             here, there = self._transform(inner), self._transform(outer)
             world = here.getRotation() @ point + here.getTranslation()
             if around.holds(there.getRotation().T @ (world - there.getTranslation())):
@@ -256,7 +256,7 @@ class ExactChecker:
             distance = self.pair_distance(a, b)
         p = (self._distance_result.getNearestPoint1() + self._distance_result.getNearestPoint2()) / 2
         if not np.all(np.isfinite(p)):
-            p = (self._world_centre[a] + self._world_centre[b]) / 2
+            p = (self._world_center[a] + self._world_center[b]) / 2
         x, y, z = (float(v) for v in p)
         return Contact(self.geometries[a].body, self.geometries[b].body, distance, (x, y, z))
 
@@ -265,7 +265,7 @@ class ExactChecker:
         """Return whether no body that the group can move touches another body (with padding)."""
         self.checks += 1
         self.place(q)
-        box_gaps(self.pairs, self._world_centre, self._world_half, self._gaps)
+        box_gaps(self.pairs, self._world_center, self._world_half, self._gaps)
         for p in np.flatnonzero(self._gaps <= self.margins):
             if self._touch(self.pairs[p, 0], self.pairs[p, 1], float(self.margins[p])):
                 return False

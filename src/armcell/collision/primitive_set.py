@@ -33,7 +33,7 @@ class PrimitiveSet:
     """
 
     cubes: bool
-    centres: Array  # (n, 3)
+    centers: Array  # (n, 3)
     sizes: Array  # (n,)
     low: Array  # (chunks, 3)
     high: Array
@@ -42,23 +42,23 @@ class PrimitiveSet:
     def of(shape: PointCloud | Octree, scale: float = 1.0) -> PrimitiveSet:
         cubes = isinstance(shape, Octree)
         if isinstance(shape, Octree):
-            centres, sizes = shape.centres, shape.sizes / 2
+            centers, sizes = shape.centers, shape.sizes / 2
         else:
-            centres, sizes = shape.points, np.full(len(shape.points), shape.radius)
-        order = _halved(centres)
-        centres, sizes = centres[order] * scale, sizes[order] * scale
+            centers, sizes = shape.points, np.full(len(shape.points), shape.radius)
+        order = _halved(centers)
+        centers, sizes = centers[order] * scale, sizes[order] * scale
         starts = np.arange(0, len(order), CHUNK)
         if len(order) == 0:
-            return PrimitiveSet(cubes, centres, sizes, np.zeros((0, 3)), np.zeros((0, 3)))
-        low = np.minimum.reduceat(centres - sizes[:, None], starts)
-        high = np.maximum.reduceat(centres + sizes[:, None], starts)
-        return PrimitiveSet(cubes, centres, sizes, low, high)
+            return PrimitiveSet(cubes, centers, sizes, np.zeros((0, 3)), np.zeros((0, 3)))
+        low = np.minimum.reduceat(centers - sizes[:, None], starts)
+        high = np.maximum.reduceat(centers + sizes[:, None], starts)
+        return PrimitiveSet(cubes, centers, sizes, low, high)
 
-    def near(self, centre: Array, half: Array, R: Array, t: Array, within: float) -> tuple[Array, Index]:
+    def near(self, center: Array, half: Array, R: Array, t: Array, within: float) -> tuple[Array, Index]:
         """Return the parts of the set that may be near an oriented box, nearest first.
 
         Args:
-            centre: (3,) center of the box, box frame.
+            center: (3,) center of the box, box frame.
             half: (3,) half extents of the box.
             R: (3, 3) rotation of the box frame in the parts' frame.
             t: (3,) translation of the box frame in the parts' frame.
@@ -66,12 +66,12 @@ class PrimitiveSet:
         Returns:
             Lower bounds of the distances (k,) [m], and part indices (k,).
         """
-        middle, reach = R @ centre + t, np.abs(R) @ half
+        middle, reach = R @ center + t, np.abs(R) @ half
         gap = np.maximum(np.maximum(self.low - middle - reach, middle - reach - self.high), 0.0)
         chunks = np.flatnonzero(np.linalg.norm(gap, axis=1) <= within)
         index = (chunks[:, None] * CHUNK + np.arange(CHUNK)).ravel()
-        index = index[index < len(self.centres)]
-        inside = np.abs((self.centres[index] - t) @ R - centre)  # in the box's frame
+        index = index[index < len(self.centers)]
+        inside = np.abs((self.centers[index] - t) @ R - center)  # in the box's frame
         radius = self.sizes[index] * (np.sqrt(3) if self.cubes else 1.0)
         bound = np.linalg.norm(np.maximum(inside - half, 0.0), axis=1) - radius
         order = np.argsort(bound, kind="stable")
@@ -86,7 +86,7 @@ class PrimitiveSet:
             size = float(self.sizes[k])
             if size not in known:
                 known[size] = coal.Box(*[2 * size] * 3) if self.cubes else coal.Sphere(size)
-            here.setTransform(R, R @ self.centres[k] + t)
+            here.setTransform(R, R @ self.centers[k] + t)
             yield known[size], here
 
 
@@ -95,7 +95,7 @@ def _near(
 ) -> tuple[Array, Index]:
     back = T_primitives.getRotation().T
     R, t = back @ T.getRotation(), back @ (T.getTranslation() - T_primitives.getTranslation())
-    return primitives.near(solid.centre, solid.half, R, t, within)
+    return primitives.near(solid.center, solid.half, R, t, within)
 
 
 def _holds(solid: Solid, T: coal.Transform3s, part: coal.Transform3s) -> bool:
@@ -146,19 +146,19 @@ def distance_to_primitives(solid: Solid, T: coal.Transform3s,
     return best
 
 
-def _halved(centres: Array) -> Index:
+def _halved(centers: Array) -> Index:
     """Return an order of points in which each run of `CHUNK` points is spatially compact.
 
     The algorithm splits the points in halves along the longest axis.
     """
-    done, left = [], [np.arange(len(centres))]
+    done, left = [], [np.arange(len(centers))]
     while left:
         index = left.pop()
         if len(index) <= CHUNK:
             done.append(index)
             continue
-        axis = int(np.argmax(np.ptp(centres[index], axis=0)))
+        axis = int(np.argmax(np.ptp(centers[index], axis=0)))
         half = CHUNK * max(round(len(index) / 2 / CHUNK), 1)
-        order = np.argpartition(centres[index, axis], half)
+        order = np.argpartition(centers[index, axis], half)
         left += [index[order[half:]], index[order[:half]]]
     return np.concatenate([np.zeros(0, np.intp), *done])

@@ -404,7 +404,7 @@ class Leaving:
         if geometry.link >= 0:
             T = self.exact.Ts[geometry.link] @ T
         solid = geometry.solid
-        corners = solid.centre + np.minimum(solid.half, LARGEST) * CORNERS
+        corners = solid.center + np.minimum(solid.half, LARGEST) * CORNERS
         return T, corners @ T[:3, :3].T + T[:3, 3]
 
     def _contact(self, k: int) -> Contact:

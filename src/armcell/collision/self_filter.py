@@ -107,12 +107,12 @@ def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shap
 
 def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) -> NDArray[np.bool_]:
     """Return a mask of the points (3, n) inside the padded world bounding box of a shape."""
-    centre, half = local_bounds(shape)
-    centre = T.apply(centre * scale)
+    center, half = local_bounds(shape)
+    center = T.apply(center * scale)
     half = np.abs(T.rotation.matrix) @ (half * scale + padding)
-    inside = np.abs(columns[0] - centre[0]) <= half[0]
+    inside = np.abs(columns[0] - center[0]) <= half[0]
     for axis in (1, 2):
-        inside &= np.abs(columns[axis] - centre[axis]) <= half[axis]
+        inside &= np.abs(columns[axis] - center[axis]) <= half[axis]
     return inside
 
 

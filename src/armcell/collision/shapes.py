@@ -33,7 +33,7 @@ class Solid:
 
     exact: coal.CollisionGeometry
     outer: coal.CollisionGeometry
-    centre: Array  # (3,) center of the bounding box [m, shape frame]
+    center: Array  # (3,) center of the bounding box [m, shape frame]
     half: Array  # (3,) half extents of the bounding box [m]
     hollow: Mesh | None = None
     primitives: PrimitiveSet | None = None
@@ -41,7 +41,7 @@ class Solid:
 
     def holds(self, point: Array) -> bool:
         """Return whether a point (3,) [m, shape frame] is inside a nonconvex mesh."""
-        if self.hollow is None or np.any(np.abs(point - self.centre) > self.half):
+        if self.hollow is None or np.any(np.abs(point - self.center) > self.half):
             return False
         return bool(abs(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0]) > 0.5)
 
@@ -49,7 +49,7 @@ class Solid:
 @lru_cache(maxsize=1024)
 def solid(shape: Shape, scale: float = 1.0) -> Solid:
     """Return the coal geometry of a shape, scaled by a factor about its origin (cached)."""
-    centre, half = local_bounds(shape)
+    center, half = local_bounds(shape)
     match shape:
         case Box():
             exact = coal.Box(shape.x * scale, shape.y * scale, shape.z * scale)
@@ -65,15 +65,15 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
             exact = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
         case PointCloud() | Octree():
             around = coal.Box(*np.maximum(2 * half * scale, 1e-6))
-            return Solid(around, around, centre * scale, half * scale, None, PrimitiveSet.of(shape, scale))
+            return Solid(around, around, center * scale, half * scale, None, PrimitiveSet.of(shape, scale))
         case Mesh():
             outer = convex_hull(shape.vertices * scale)
             if is_convex(shape):
-                return Solid(outer, outer, centre * scale, half * scale)
+                return Solid(outer, outer, center * scale, half * scale)
             hollow = Mesh(shape.vertices * scale, shape.faces)
             exact = triangle_model(hollow.vertices, hollow.faces)
-            return Solid(exact, outer, centre * scale, half * scale, hollow, closed=is_closed(shape))
-    return Solid(exact, exact, centre * scale, half * scale)
+            return Solid(exact, outer, center * scale, half * scale, hollow, closed=is_closed(shape))
+    return Solid(exact, exact, center * scale, half * scale)
 
 
 @lru_cache(maxsize=1024)

@@ -42,7 +42,7 @@ class PointCloud:
     def __post_init__(self) -> None:
         if not np.isfinite(self.radius) or self.radius <= 0:
             raise InputError(
-                f"point cloud has radius {self.radius:g}, it must be a positive number of metres"
+                f"point cloud has radius {self.radius:g}, it must be a positive number of meters"
             )
         object.__setattr__(self, "points", _rows("point cloud", "points", self.points))
 
@@ -63,22 +63,22 @@ class PointCloud:
 class Octree:
     """Occupied cells of an octomap: cubes aligned with the axes of the octree's frame.
 
-    centres (n, 3) [m], sizes (n,) full edge lengths [m]. Cubes may overlap and need no common grid.
+    centers (n, 3) [m], sizes (n,) full edge lengths [m]. Cubes may overlap and need no common grid.
     """
 
-    centres: Array
+    centers: Array
     sizes: Array
 
     def __post_init__(self) -> None:
-        centres = _rows("octree", "centres", self.centres)
+        centers = _rows("octree", "centers", self.centers)
         sizes = np.ascontiguousarray(float_array(self.sizes, None, "sizes", finite=False))
-        if sizes.shape != (len(centres),):
-            raise InputError(f"octree has {len(centres)} centres but sizes of shape {sizes.shape}")
+        if sizes.shape != (len(centers),):
+            raise InputError(f"octree has {len(centers)} centers but sizes of shape {sizes.shape}")
         bad = int(np.sum(~np.isfinite(sizes) | (sizes <= 0)))
         if bad:
-            raise InputError(f"octree has {bad} cells whose size is not a positive number of metres")
+            raise InputError(f"octree has {bad} cells whose size is not a positive number of meters")
         sizes.setflags(write=False)
-        object.__setattr__(self, "centres", centres)
+        object.__setattr__(self, "centers", centers)
         object.__setattr__(self, "sizes", sizes)
 
     @staticmethod
@@ -91,17 +91,17 @@ class Octree:
         left = float_array(occupied, None, "occupied", finite=False).astype(bool)
         if left.ndim != 3:
             raise InputError(f"an occupancy grid has three dimensions, this one {left.ndim}")
-        centres, sizes, edge = [], [], float(size)
+        centers, sizes, edge = [], [], float(size)
         while left.any():
             left = np.pad(left, [(0, n % 2) for n in left.shape])
             i, j, k = (n // 2 for n in left.shape)
             full = left.reshape(i, 2, j, 2, k, 2).all(axis=(1, 3, 5))
             single = left & ~full.repeat(2, 0).repeat(2, 1).repeat(2, 2)
             cells = np.argwhere(single)
-            centres.append((cells + 0.5) * edge + float_array(origin, (3,), "origin"))
+            centers.append((cells + 0.5) * edge + float_array(origin, (3,), "origin"))
             sizes.append(np.full(len(cells), edge))
             left, edge = full, edge * 2
-        return Octree(np.vstack([np.zeros((0, 3)), *centres]), np.concatenate([np.zeros(0), *sizes]))
+        return Octree(np.vstack([np.zeros((0, 3)), *centers]), np.concatenate([np.zeros(0), *sizes]))
 
     @property
     def half_extents(self) -> Array:
@@ -114,7 +114,7 @@ class Octree:
 
         Both corners are zero if the octree is empty.
         """
-        return _bounds(self.centres, self.sizes[:, None] / 2)
+        return _bounds(self.centers, self.sizes[:, None] / 2)
 
 
 def _rows(what: str, name: str, values: ArrayLike) -> Array:

@@ -24,7 +24,7 @@ PLANE_EXTENT_M = 100.0
 def _positive(what: str, **sizes: float) -> None:
     for name, value in sizes.items():
         if not np.isfinite(value) or value <= 0:
-            raise InputError(f"{what} has {name} {value:g}, it must be a positive number of metres")
+            raise InputError(f"{what} has {name} {value:g}, it must be a positive number of meters")
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def extent(shape: Shape, direction: Array) -> tuple[float, float]:
             along = shape.points @ np.asarray(direction)
             return float(along.min(initial=0.0)) - shape.radius, float(along.max(initial=0.0)) + shape.radius
         case Octree():
-            along = shape.centres @ np.asarray(direction)
+            along = shape.centers @ np.asarray(direction)
             reach = float(np.abs(direction).sum()) * shape.sizes / 2
             return float((along - reach).min(initial=0.0)), float((along + reach).max(initial=0.0))
         case Box():

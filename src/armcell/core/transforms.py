@@ -297,8 +297,8 @@ class SE3:
         return _length(self.translation - other.translation), angle
 
     def isclose(self, other: SE3, position: float = 1e-9, rotation: float = 1e-9) -> bool:
-        metres, radians = self.distance_to(other)
-        return metres <= position and radians <= rotation
+        meters, radians = self.distance_to(other)
+        return meters <= position and radians <= rotation
 
     def interpolate(self, other: SE3, fraction: float) -> SE3:
         """Interpolate between two poses: linear position and constant angular velocity."""

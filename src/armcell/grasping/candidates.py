@@ -177,7 +177,7 @@ def _judged(
     axis /= apart[:, None]
     twist = np.sqrt(1 - axis[:, 1] ** 2) / np.maximum(np.abs(axis[:, 1]), 1e-6)
     up_tcp = R.transpose(0, 2, 1) @ up
-    mass_at = np.einsum("kji,kj->ki", R, fitted.surface.centre_of_mass - at) - a
+    mass_at = np.einsum("kji,kj->ki", R, fitted.surface.center_of_mass - at) - a
     arm = np.cross(mass_at, axis)
     tilting = np.abs(np.einsum("ki,ki->k", arm, up_tcp))  # hand at rest
     lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # in motion, for any orientation of the hand

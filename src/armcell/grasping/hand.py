@@ -67,8 +67,8 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
                     at = T.apply(piece.vertices)
                     box = np.concatenate([at.min(0), at.max(0)])
                 else:
-                    centre, half = local_bounds(piece)
-                    middle, reach = T.apply(centre), np.abs(T.rotation.matrix) @ half
+                    center, half = local_bounds(piece)
+                    middle, reach = T.apply(center), np.abs(T.rotation.matrix) @ half
                     box = np.concatenate([middle - reach, middle + reach])
                 side = (
                     "palm" if name not in gripper.finger_links else "left" if box[1] + box[4] > 0 else "right"

@@ -96,8 +96,8 @@ def _lowest(R, p, box, up, shift):
     cz = (box[2] + box[5]) / 2
     height = 0.0
     for a in range(3):
-        centre = R[a, 0] * cx + R[a, 1] * cy + R[a, 2] * cz + p[a]
-        height += up[a] * centre
+        center = R[a, 0] * cx + R[a, 1] * cy + R[a, 2] * cz + p[a]
+        height += up[a] * center
     for b in range(3):
         along = up[0] * R[0, b] + up[1] * R[1, b] + up[2] * R[2, b]
         height -= abs(along) * (box[3 + b] - box[b]) / 2

@@ -94,7 +94,7 @@ def place_candidates(
     frame, size_x, size_y = surface_for(item, support)
     if abs(cx) > size_x / 2 or abs(cy) > size_y / 2:
         raise InputError(
-            f"place {at} m is beside {support.name!r}: {size_x:.2f} x {size_y:.2f} m from its centre on"
+            f"place {at} m is beside {support.name!r}: {size_x:.2f} x {size_y:.2f} m from its center on"
         )
     normal = frame.rotation.matrix[:, 2]
     open_edges = _highest(support, normal) < float(frame.translation @ normal) + 1e-3
@@ -144,7 +144,7 @@ def _highest(support: CollisionObject, normal: Array) -> float:
 
 def _mass_height(item: CollisionObject, side: Rest) -> float:
     """Return the height [m] of an object's center of mass above its base."""
-    return float(surface_of(item).centre_of_mass @ side.up) + side.height
+    return float(surface_of(item).center_of_mass @ side.up) + side.height
 
 
 def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, SO3]]:
@@ -189,7 +189,7 @@ def _tilt_held(item: CollisionObject, side: Rest, turned: Array, frame: SE3) -> 
         return np.pi / 2
     down = _slope(frame) / steepness
     ring = (side.foot @ turned.T)[:, :2]
-    mass = (turned @ surface_of(item).centre_of_mass)[:2]
+    mass = (turned @ surface_of(item).center_of_mass)[:2]
     edges = np.roll(ring, -1, axis=0) - ring
     inwards = np.column_stack([-edges[:, 1], edges[:, 0]])
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
@@ -227,7 +227,7 @@ def _on_side(
         whole = (corners @ turned.T)[:, :2]
         low, high = whole.min(0), whole.max(0)
         middle, foot = (low + high) / 2, (high - low) / 2
-        plumb = (turned @ surface.centre_of_mass)[:2] + slope * height
+        plumb = (turned @ surface.center_of_mass)[:2] + slope * height
         room_x, room_y = (half - foot).tolist()
         for x, y, cost, central in places:
             if abs(x) > room_x or abs(y) > room_y:

@@ -117,7 +117,7 @@ def hull_quality(wrenches: Array) -> Quality:
 def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
     """Return force closure, epsilon and volume of a grasp about the object's center of mass."""
     surface = surface_of(item)
-    about = grasp.T_object_tcp.inv().apply(surface.centre_of_mass)
+    about = grasp.T_object_tcp.inv().apply(surface.center_of_mass)
     low, high = surface.bounds
     size = float(np.linalg.norm(high - low)) / 2
     return hull_quality(contact_wrenches(grasp.contacts, about, size, item.material))
@@ -150,7 +150,7 @@ def robustness(
             continue
         axis = (b.point - a.point) / max(float(np.linalg.norm(b.point - a.point)), 1e-9)
         T_tcp_object = np.linalg.inv(poses[i])
-        mass_at = T_tcp_object[:3, :3] @ surface.centre_of_mass + T_tcp_object[:3, 3]
+        mass_at = T_tcp_object[:3, :3] @ surface.center_of_mass + T_tcp_object[:3, 3]
         lever = float(np.linalg.norm(np.cross(mass_at - a.point, axis)))
         factor = holding_factor(
             friction,

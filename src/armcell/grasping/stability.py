@@ -70,7 +70,7 @@ def _rests(surface: Surface) -> list[Rest]:
         seen = np.vstack([seen, down])
         foot = points[points @ down + offset > -FLAT]
         ring = polygon(foot, -down)
-        margin = margin_of(ring, -down, surface.centre_of_mass)
+        margin = margin_of(ring, -down, surface.center_of_mass)
         if margin >= 0:
             found.append(Rest(-down, ring, margin))
     return sorted(found, key=lambda r: -r.margin)

@@ -32,7 +32,7 @@ SECTIONS = 48  # segments of round shapes
 SPACING = 0.004  # [m] spacing of points, if their number is then within the next two limits
 FEWEST, MOST = 400, 1500
 KEPT = 64  # cached surfaces
-NEIGHBOURS = 16  # neighbors used for a cloud point's normal
+NEIGHBORS = 16  # neighbors used for a cloud point's normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Surface:
     points: Array  # (n, 3) [m]
     normals: Array  # (n, 3)
     triangles: Array  # (t, 3, 3) [m]; empty for a cloud
-    centre_of_mass: Array  # (3,) [m]; for a cloud its center
+    center_of_mass: Array  # (3,) [m]; for a cloud its center
     key: tuple  # equal for equal shapes
 
     @property
@@ -82,15 +82,15 @@ def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
     from scipy.spatial import KDTree
 
     points = float_array(points, (None, 3), "points")
-    if len(points) <= NEIGHBOURS:
+    if len(points) <= NEIGHBORS:
         raise InputError(f"a cloud of {len(points)} points is too thin to be gripped", hint="look closer")
     if len(points) > MOST:  # thin evenly: one point per cell, with growing cells
         edge = SPACING / 2
         while len(points) > MOST:
             _, first = np.unique(np.floor(points / edge).astype(np.int64), axis=0, return_index=True)
             points, edge = points[np.sort(first)], edge * 1.25
-        require(len(points) > NEIGHBOURS, "the cloud's points are all in one place")
-    _, near = KDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
+        require(len(points) > NEIGHBORS, "the cloud's points are all in one place")
+    _, near = KDTree(points).query(points, k=min(NEIGHBORS, len(points)))
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.svd(around)[2][:, 2]
     middle = (points.min(0) + points.max(0)) / 2
@@ -104,7 +104,7 @@ def _cloud_surface(item: CollisionObject, key: tuple) -> Surface:
         if isinstance(shape, PointCloud):
             parts.append(T.apply(shape.points))
         elif isinstance(shape, Octree):
-            parts.append(T.apply(shape.centres))
+            parts.append(T.apply(shape.centers))
         else:
             parts.append(T.apply(_sampled(triangles_of(shape), MOST)[0]))
     return cloud_surface(np.vstack(parts), key)
@@ -126,8 +126,8 @@ def _solid_surface(item: CollisionObject, key: tuple) -> Surface:
         points.append(found[outside])
         normals.append(ways[outside])
     movable = [(s, T) for s, T in item.shapes if not isinstance(s, Plane)]
-    centre, _ = solid_inertia(movable, 1.0)
-    return Surface(np.vstack(points), np.vstack(normals), np.concatenate(each), centre, key)
+    center, _ = solid_inertia(movable, 1.0)
+    return Surface(np.vstack(points), np.vstack(normals), np.concatenate(each), center, key)
 
 
 def _key(shape: Shape) -> tuple:
@@ -136,7 +136,7 @@ def _key(shape: Shape) -> tuple:
     if isinstance(shape, PointCloud):
         return ("cloud", hash(shape.points.tobytes()), shape.radius)
     if isinstance(shape, Octree):
-        return ("octree", hash(shape.centres.tobytes()), hash(shape.sizes.tobytes()))
+        return ("octree", hash(shape.centers.tobytes()), hash(shape.sizes.tobytes()))
     return (type(shape).__name__, *shape.half_extents.tolist(), getattr(shape, "length", 0.0))
 
 

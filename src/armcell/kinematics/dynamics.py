@@ -30,13 +30,13 @@ def _cross(a, b, out):
 
 
 @njit(cache=True)
-def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset, mass, centre, inertia,
+def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset, mass, center, inertia,
                  gravity, q, dq, ddq, out):  # fmt: skip
     """Compute the joint torques of m states q, dq, ddq (m, dof) into `out` (m, dof).
 
     Args:
         parent, ..., offset: the tree, see `KinematicTree`.
-        mass, centre, inertia: of every link (links,), (links, 3), (links, 3, 3), in the link's frame,
+        mass, center, inertia: of every link (links,), (links, 3), (links, 3, 3), in the link's frame,
             inertia about the center of mass.
         gravity: acceleration (3,) in the root frame.
     """
@@ -82,7 +82,7 @@ def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset,
             if mass[link] == 0.0 and np.all(inertia[link] == 0.0):
                 continue
             for i in range(3):
-                c[i] = T[i, 0] * centre[link, 0] + T[i, 1] * centre[link, 1] + T[i, 2] * centre[link, 2]
+                c[i] = T[i, 0] * center[link, 0] + T[i, 1] * center[link, 1] + T[i, 2] * center[link, 2]
             _cross(turn[link], c, t1)
             _cross(spin[link], c, t2)
             _cross(spin[link], t2, t2)
@@ -149,7 +149,7 @@ class InverseDynamics:
         self.gravity = np.array(float_array(gravity, (3,), "gravity"))
         tree = self._tree = kinematic_tree(model)
         links = len(tree.link_names)
-        self.mass, self.centre = np.zeros(links), np.zeros((links, 3))
+        self.mass, self.center = np.zeros(links), np.zeros((links, 3))
         self.inertia = np.zeros((links, 3, 3))
         for i, name in enumerate(tree.link_names):
             inertial = model.links[name].inertial
@@ -171,15 +171,15 @@ class InverseDynamics:
     def _add(self, link: int, inertial: Inertial) -> None:
         """Add a body to a link: sum the masses, and the inertias about the common center of mass."""
         R = inertial.T_link_com.rotation.matrix
-        m0, m1, c0, c1 = self.mass[link], inertial.mass, self.centre[link], inertial.T_link_com.translation
+        m0, m1, c0, c1 = self.mass[link], inertial.mass, self.center[link], inertial.T_link_com.translation
         mass = m0 + m1
         # A link without mass may still have a moment of inertia in its URDF; pinocchio includes it too.
-        centre = (m0 * c0 + m1 * c1) / mass if mass > 0.0 else c1
+        center = (m0 * c0 + m1 * c1) / mass if mass > 0.0 else c1
         total = np.zeros((3, 3))
         for m, c, I in ((m0, c0, self.inertia[link]), (m1, c1, R @ inertial.inertia @ R.T)):
-            d = c - centre
+            d = c - center
             total += I + m * ((d @ d) * np.eye(3) - np.outer(d, d))
-        self.mass[link], self.centre[link], self.inertia[link] = mass, centre, total
+        self.mass[link], self.center[link], self.inertia[link] = mass, center, total
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Return joint torques (m, n) [Nm or N] for positions, velocities, accelerations (m, n)."""
@@ -188,7 +188,7 @@ class InverseDynamics:
         tree = self._tree
         newton_euler(
             tree.parent, tree.T_parent_joint, tree.kind, tree.axis, tree.column, tree.multiplier, tree.offset,
-            self.mass, self.centre, self.inertia, self.gravity, at, speed, gain, out,
+            self.mass, self.center, self.inertia, self.gravity, at, speed, gain, out,
         )  # fmt: skip
         return out[:, self.columns]
 

@@ -81,8 +81,8 @@ def pose_constraints(
         ball = session.new("shape_msgs/SolidPrimitive", type=2, dimensions=[float(position)])
         upright = session.new("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
         p = target.pose.position
-        centre = session.new("geometry_msgs/Pose", session.new("geometry_msgs/Point", p.x, p.y, p.z), upright)
-        volume = session.new("moveit_msgs/BoundingVolume", [ball], [centre], [], [])
+        center = session.new("geometry_msgs/Pose", session.new("geometry_msgs/Point", p.x, p.y, p.z), upright)
+        volume = session.new("moveit_msgs/BoundingVolume", [ball], [center], [], [])
         offset = session.new("geometry_msgs/Vector3")
         found.position_constraints = [
             session.new("moveit_msgs/PositionConstraint", target.header, link, offset, volume, 1.0)

@@ -5,8 +5,8 @@ The package is independent of tasks and physics.
 
 from armcell.perception.bag import CameraRecord, cloud_points, depth_pixels, load_record
 from armcell.perception.camera_info import CameraInfo, load_camera_info, rectified, save_camera_info
-from armcell.perception.cloud import organised
-from armcell.perception.colours import colour_distance, colour_name
+from armcell.perception.cloud import organized
+from armcell.perception.colors import color_distance, color_name
 from armcell.perception.draw import drawn
 from armcell.perception.files import cloud_image, load_image, save_image
 from armcell.perception.hand_eye import HandEye, calibrate_hand_eye
@@ -47,8 +47,8 @@ __all__ = [
     "closest_equivalent",
     "cloud_image",
     "cloud_points",
-    "colour_distance",
-    "colour_name",
+    "color_distance",
+    "color_name",
     "depth_pixels",
     "drawn",
     "find_markers",
@@ -60,7 +60,7 @@ __all__ = [
     "load_sensors_3d",
     "look",
     "marker_picture",
-    "organised",
+    "organized",
     "picture_size",
     "pieces",
     "pose_error",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, CameraImage, InputError, Pinhole
 from armcell.model.files import Bounded
 from armcell.perception.camera_info import rectified
-from armcell.perception.cloud import metres
+from armcell.perception.cloud import meters
 
 F64 = NDArray[np.float64]
 MAX_MESSAGES = 200_000
@@ -124,7 +124,7 @@ def depth_pixels(m: Any) -> NDArray[np.float32]:
     if m.encoding not in _DEPTHS:
         raise InputError(f"encoding {m.encoding!r} is not a depth image's", hint=" or ".join(_DEPTHS))
     dtype = np.dtype(_DEPTHS[m.encoding]).newbyteorder(">" if m.is_bigendian else "<")
-    return metres(_rows(m, m.width * dtype.itemsize).view(dtype).astype(_DEPTHS[m.encoding]))
+    return meters(_rows(m, m.width * dtype.itemsize).view(dtype).astype(_DEPTHS[m.encoding]))
 
 
 def _rows(m: Any, used: int) -> NDArray[np.uint8]:

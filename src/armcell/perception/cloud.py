@@ -12,7 +12,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
-def metres(depth: ArrayLike) -> F32:
+def meters(depth: ArrayLike) -> F32:
     """Convert a depth image (h, w) to meters, with 0 for pixels without depth.
 
     Integers are millimeters (ROS's 16UC1).
@@ -24,22 +24,22 @@ def metres(depth: ArrayLike) -> F32:
     return np.where(np.isfinite(z) & (z > 0), z, np.float32(0.0))
 
 
-def organised(depth: ArrayLike, pinhole: Pinhole) -> F64:
+def organized(depth: ArrayLike, pinhole: Pinhole) -> F64:
     """Return the organized point cloud (h, w, 3) [m, camera frame] of a depth image.
 
     Pixels without depth yield NaN.
     """
-    z = metres(depth)
+    z = meters(depth)
     if z.shape != (pinhole.height, pinhole.width):
         raise InputError(
             f"depth of {z.shape[1]} x {z.shape[0]} pixels for a camera of {pinhole.width} x {pinhole.height}",
             hint="use the camera info of this picture's size",
         )
-    return _organised(z, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
+    return _organized(z, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
 
 
 @njit(cache=True)
-def _organised(z, fx, fy, cx, cy):
+def _organized(z, fx, fy, cx, cy):
     h, w = z.shape
     out = np.empty((h, w, 3))
     for v in range(h):

@@ -103,14 +103,14 @@ def load_depth(path: str | Path) -> NDArray[np.float32]:
             raise InputError("is an archive of arrays (.npz), depth is one array", file=file)
         if array.ndim != 2 or array.dtype.kind != "f":
             raise InputError(
-                f"holds {array.dtype} of shape {array.shape}, depth needs metres (h, w)", file=file
+                f"holds {array.dtype} of shape {array.shape}, depth needs meters (h, w)", file=file
             )
         return array.astype(np.float32)
     picture = _opened(file)
     if picture.mode not in ("I;16", "I;16B", "I"):
         raise InputError(
-            f"is a picture of kind {picture.mode!r}, depth needs 16 bits of millimetres", file=file,
-            hint="write it as mono16, or as .npy of metres",
+            f"is a picture of kind {picture.mode!r}, depth needs 16 bits of millimeters", file=file,
+            hint="write it as mono16, or as .npy of meters",
         )  # fmt: skip
     return (np.asarray(picture).astype(np.float32) * np.float32(1e-3)).astype(np.float32)
 

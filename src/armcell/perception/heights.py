@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from armcell.collision import robot_mask
 from armcell.core import CameraImage, HeightMap
-from armcell.perception.cloud import organised
+from armcell.perception.cloud import organized
 from armcell.perception.segment import clusters
 from armcell.scene import PlanningScene
 
@@ -36,7 +36,7 @@ def height_map(
         resolution: [m] edge length of a cell.
     """
     assert image.depth is not None
-    points = organised(image.depth, image.pinhole).reshape(-1, 3)
+    points = organized(image.depth, image.pinhole).reshape(-1, 3)
     points = image.T_world_camera.apply(points[np.isfinite(points[:, 0])])
     shape = tuple(int(np.ceil((b - a) / resolution)) + 1 for a, b in zip(low, high, strict=True))
     cells = np.round((points[:, :2] - low) / resolution).astype(np.int64)

@@ -28,8 +28,8 @@ from armcell.core import (
 )
 from armcell.core.checks import checked
 from armcell.core.geometry import local_bounds
-from armcell.perception.cloud import organised
-from armcell.perception.colours import colour_distance
+from armcell.perception.cloud import organized
+from armcell.perception.colors import color_distance
 from armcell.perception.fit import Evidence
 from armcell.perception.known import Match, closest_equivalent, match_known, rough_match
 from armcell.perception.plane import SupportPlane, find_plane
@@ -41,7 +41,7 @@ from armcell.scene import CollisionObject, PlanningScene
 
 F64 = NDArray[np.float64]
 _HOPELESS = 0.6  # maximum cost of a rough match that is refined
-_OTHER_COLOUR = 0.1  # extra cost of a known object with another color, for equal shapes
+_OTHER_COLOR = 0.1  # extra cost of a known object with another color, for equal shapes
 _JOINED = 0.5  # cost factor for ranking a match of two clusters, because it explains more points
 _MOST_JOINED = 12  # maximum number of clusters for which pairs are evaluated
 _RIVAL = 3.0  # maximum cost ratio to the best match of the same cluster or object
@@ -152,7 +152,7 @@ def look(
     if trouble is not None:
         return ended(Sight(trouble.code, trouble.message, trouble.evidence, missing=_names(known)))
     assert image.depth is not None
-    seen = organised(image.depth, image.pinhole)
+    seen = organized(image.depth, image.pinhole)
     T = image.T_world_camera
     flat = seen.reshape(-1, 3) @ T.rotation.matrix.T + T.translation
     points = flat.reshape(seen.shape)
@@ -317,7 +317,7 @@ def _named(
     things: dict[frozenset[int], _Thing],
     known: Sequence[CollisionObject],
     settings: LookSettings,
-    image_has_colour: bool,
+    image_has_color: bool,
 ) -> tuple[SeenObject, ...]:
     """Assign each point cluster to the known object that fits best, or to a primitive.
 
@@ -337,8 +337,8 @@ def _named(
             match = match_known(things[part].evidence, known[k].shapes, start)
             if match.cost <= settings.most_cost:
                 rank = match.cost if len(part) == 1 else match.cost * _JOINED
-                if image_has_colour:
-                    rank += _OTHER_COLOUR * colour_distance(things[part].color, known[k].color)
+                if image_has_color:
+                    rank += _OTHER_COLOR * color_distance(things[part].color, known[k].color)
                 offers.append((rank, sorted(part), k, match))
     taken: dict[frozenset[int], tuple[int, Match]] = {}
     used: set[int] = set()
@@ -350,13 +350,13 @@ def _named(
     for part, thing in things.items():
         if part in taken:
             k, match = taken[part]
-            found.append(_recognised(thing, known[k], match))
+            found.append(_recognized(thing, known[k], match))
         elif len(part) == 1 and not part & used:
             found.append(_unknown(thing, settings, counts))
     return tuple(sorted(found, key=lambda item: -len(item.points)))
 
 
-def _recognised(thing: _Thing, item: CollisionObject, match: Match) -> SeenObject:
+def _recognized(thing: _Thing, item: CollisionObject, match: Match) -> SeenObject:
     T = closest_equivalent(item.shapes, thing.T_world_support @ match.T, item.T_world_object)
     return SeenObject(
         ErrorCode.SUCCESS, "", {}, name=item.name, known=True, shapes=item.shapes, T_world_object=T,

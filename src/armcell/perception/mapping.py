@@ -12,7 +12,7 @@ from scipy import ndimage
 from armcell.collision import object_mask, robot_mask
 from armcell.core import CameraImage, ErrorCode, InputError, Outcome
 from armcell.core.checks import checked
-from armcell.perception.cloud import organised
+from armcell.perception.cloud import organized
 from armcell.perception.usable import unusable
 from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, with_octomap
 
@@ -83,7 +83,7 @@ class CameraMap:
             return MapUpdate(trouble.code, trouble.message, trouble.evidence, cells=len(self.octree.sizes))
         assert image.depth is not None
         step = slice(s.every // 2, None, s.every)
-        grid = organised(image.depth, image.pinhole)[step, step]
+        grid = organized(image.depth, image.pinhole)[step, step]
         seen = np.isfinite(grid[..., 0])
         points = image.T_world_camera.apply(grid[seen])
         robot = robot_mask(scene, points, s.robot_padding)

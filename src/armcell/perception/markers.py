@@ -97,7 +97,7 @@ def find_markers(
     sizes = size if isinstance(size, Mapping) else None
     for value in sizes.values() if sizes is not None else (size,):
         if not (isinstance(value, int | float) and np.isfinite(value) and value > 0):
-            raise InputError(f"marker size is {value}, it must be a positive number of metres")
+            raise InputError(f"marker size is {value}, it must be a positive number of meters")
     cv2, dictionary = _dictionary(family)
     expected = tuple(sorted(set(wanted)))
     name = f"camera {image.camera!r}"
@@ -106,7 +106,7 @@ def find_markers(
         return MarkerSight(old.code, old.message, old.evidence, missing=expected, time=image.time)
     if image.rgb is None:
         return MarkerSight(
-            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, f"{name} gave no colour, markers need it",
+            ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, f"{name} gave no color, markers need it",
             missing=expected, time=image.time,
         )  # fmt: skip
     parameters = cv2.aruco.DetectorParameters()
@@ -224,9 +224,9 @@ def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
 
 def _line(points: F64) -> tuple[F64, float]:
     """Fit a line to points (n, 2) by least squares; return its normal (2,) and offset."""
-    centre = points.mean(axis=0)
-    normal = np.linalg.eigh((points - centre).T @ (points - centre))[1][:, 0]
-    return normal, float(normal @ centre)
+    center = points.mean(axis=0)
+    normal = np.linalg.eigh((points - center).T @ (points - center))[1][:, 0]
+    return normal, float(normal @ center)
 
 
 def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float, hidden: bool) -> SeenMarker:

@@ -204,8 +204,8 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
                 found.setdefault(name, []).append((a.time, abs(value - theirs[name])))
         for name in a.poses:
             if name in b.poses:
-                metres = float(np.linalg.norm(a.poses[name][:3] - b.poses[name][:3]))
-                found.setdefault(name, []).append((a.time, metres))
+                meters = float(np.linalg.norm(a.poses[name][:3] - b.poses[name][:3]))
+                found.setdefault(name, []).append((a.time, meters))
     rows = []
     for name, course in found.items():
         at, largest = max(course, key=lambda row: row[1])

@@ -104,7 +104,7 @@ def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> s
     return f"{float(value) * scale:.{digits}f}{' ' + unit if unit else ''}"
 
 
-def millimetres(value: Any, digits: int = 2) -> str:
+def millimeters(value: Any, digits: int = 2) -> str:
     """Format a length given in meters as millimeters."""
     return number(value, "mm", 1000.0, digits)
 

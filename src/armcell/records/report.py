@@ -11,7 +11,7 @@ from typing import Any
 
 from armcell.core import ErrorCode, Event
 from armcell.records import html
-from armcell.records.html import millimetres, number, seconds, text
+from armcell.records.html import millimeters, number, seconds, text
 from armcell.records.reader import stage_name, stage_spans
 from armcell.records.recorder import RunRecorder
 
@@ -133,9 +133,9 @@ def _stages(result: Mapping[str, Any]) -> str:
                 text(stage.get("planner")),
                 number(stage.get("planning_time_s"), "ms", 1000.0, 1),
                 seconds(stage.get("motion_time_s")),
-                millimetres(stage.get("clearance_m"), 1),
-                millimetres(stage.get("slip_m"), 3),
-                millimetres(stage["error_m"], 3) if "error_m" in stage else text(stage.get("error")),
+                millimeters(stage.get("clearance_m"), 1),
+                millimeters(stage.get("slip_m"), 3),
+                millimeters(stage["error_m"], 3) if "error_m" in stage else text(stage.get("error")),
                 outcome,
             ]
         )
@@ -153,9 +153,9 @@ def _stages(result: Mapping[str, Any]) -> str:
 def _key_numbers(result: Mapping[str, Any]) -> str:
     contacts, welds = result.get("unwanted_contacts"), result.get("welds")
     cards = [
-        html.key("slip during hold", millimetres(result.get("slip_m"), 3)),
-        html.key("placement error", millimetres(result.get("placement_error_m"))),
-        html.key("smallest clearance", millimetres(result.get("min_clearance_m"))),
+        html.key("slip during hold", millimeters(result.get("slip_m"), 3)),
+        html.key("placement error", millimeters(result.get("placement_error_m"))),
+        html.key("smallest clearance", millimeters(result.get("min_clearance_m"))),
         html.key("unwanted contacts", _count(contacts), bad=bool(contacts)),
         html.key("welds", _count(welds), bad=bool(welds)),
         html.key("seed", text(result.get("seed"))),

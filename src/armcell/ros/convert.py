@@ -57,7 +57,7 @@ def pose_from_message(pose: Any) -> SE3:
     if not (np.isfinite(xyz).all() and np.isfinite(length)):
         raise InputError("a pose has a number that is not finite")
     if abs(length - 1.0) > 0.1:
-        raise InputError(f"quaternion {xyzw.round(4).tolist()} has length {length:.3f}", hint="normalise it")
+        raise InputError(f"quaternion {xyzw.round(4).tolist()} has length {length:.3f}", hint="normalize it")
     return SE3.from_quat_xyzw(xyz, xyzw / length)
 
 

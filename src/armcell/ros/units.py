@@ -33,7 +33,7 @@ def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[floa
     if any(abs(v) > MANY * max(abs(x.lower), abs(x.upper)) for v, x in sliding) and all(
         x.lower <= v / 1000 <= x.upper for v, x in sliding
     ):
-        return "these look like millimetres: ROS has metres"
+        return "these look like millimeters: ROS has meters"
     return None
 
 
@@ -45,4 +45,4 @@ def check_near(T: SE3) -> None:
     """
     distance = float(np.linalg.norm(T.translation))
     if distance > FAR:
-        raise InputError(f"it is {distance:.4g} m away", hint="in millimetres? ROS has metres")
+        raise InputError(f"it is {distance:.4g} m away", hint="in millimeters? ROS has meters")

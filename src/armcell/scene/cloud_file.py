@@ -1,6 +1,6 @@
 """Readers for point cloud files (.ply, .pcd, .xyz, .npy) and octomaps (.bt, .ot, .npz).
 
-The data of a .pcd file are ascii, binary or binary_compressed. An .npz file with `centres` (n, 3) and
+The data of a .pcd file are ascii, binary or binary_compressed. An .npz file with `centers` (n, 3) and
 `sizes` (n,) contains the cells of a `core.Octree`.
 """
 
@@ -125,11 +125,11 @@ def _cells(file: Path) -> Octree:
         if unpacked > MAX_BYTES:
             raise InputError(f"unpacks to more than {MAX_BYTES} bytes", file=file)
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return Octree(arrays["centres"], arrays["sizes"])
+            return Octree(arrays["centers"], arrays["sizes"])
     except InputError as error:
         raise error if error.file else InputError(error.reason, file=file) from None
     except Exception as error:  # NumPy raises different errors for invalid headers
-        reason = f"cannot be read as cells (arrays 'centres' and 'sizes'): {error}"
+        reason = f"cannot be read as cells (arrays 'centers' and 'sizes'): {error}"
         raise InputError(reason, file=file) from None
 
 

@@ -180,7 +180,7 @@ class _Reader:
         for i in range(self.count(f"the number of shapes of {what}")):
             shape, T_shape = self._shape(f"shape {i} of {what}")
             shapes.append((shape, self.pose(f"shape {i} of {what}") @ T_shape))
-            r, g, b, a = (self.number(f"the colour of {what}") for _ in range(4))
+            r, g, b, a = (self.number(f"the color of {what}") for _ in range(4))
             if max(r, g, b, a) > 0:
                 color = (r, g, b, a)
         subframes = {}

@@ -62,14 +62,14 @@ def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[Arr
     parts = []
     volumes = []
     for shape, T in shapes:
-        centre, inertia = _unit_inertia(shape)
+        center, inertia = _unit_inertia(shape)
         R = T.rotation.matrix
-        parts.append((T.apply(centre), R @ inertia @ R.T))
+        parts.append((T.apply(center), R @ inertia @ R.T))
         volumes.append(shape_volume(shape))
     masses = mass * np.array(volumes) / sum(volumes)
-    centre = masses @ np.array([c for c, _ in parts]) / mass
+    center = masses @ np.array([c for c, _ in parts]) / mass
     total = np.zeros((3, 3))
     for m, (c, inertia) in zip(masses, parts, strict=True):
-        d = c - centre
+        d = c - center
         total += m * (inertia + (d @ d) * np.eye(3) - np.outer(d, d))
-    return centre, total
+    return center, total

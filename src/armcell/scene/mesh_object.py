@@ -64,12 +64,12 @@ def check_mesh(mesh: Mesh, movable: bool) -> MeshFacts:
     size = max(facts.size)
     if size > (LARGEST_MOVABLE if movable else LARGEST):
         raise InputError(
-            f"mesh is {size:.4g} m large: it is probably in millimetres",
+            f"mesh is {size:.4g} m large: it is probably in millimeters",
             file=mesh.file, hint="give 'scale: 0.001'",
         )  # fmt: skip
     if size < SMALLEST:
         raise InputError(
-            f"mesh is {size * 1000:.2g} mm large: it is probably in kilometres or was scaled twice",
+            f"mesh is {size * 1000:.2g} mm large: it is probably in kilometers or was scaled twice",
             file=mesh.file, hint="give 'scale: 1000'",
         )  # fmt: skip
     if movable and not facts.closed:

@@ -38,7 +38,7 @@ class MovingObject:
             raise InputError(f"moving object {name!r}: a cloud or plane cannot move")
         # Upper bound of the distance [m] that any point of the object has moved by each time.
         far = [a.distance_to(b) for a, b in zip(self.poses, self.poses[1:], strict=False)]
-        steps = [metres + radians * self.reach for metres, radians in far]
+        steps = [meters + radians * self.reach for meters, radians in far]
         object.__setattr__(self, "_travelled", np.concatenate([[0.0], np.cumsum(steps)]))
 
     @property
@@ -50,9 +50,9 @@ class MovingObject:
         """Return an upper bound of the distance [m] from a moving object's origin to its points."""
         found = 0.0
         for shape, T in self.object.shapes:
-            centre, half = local_bounds(shape)
+            center, half = local_bounds(shape)
             limit = np.inf if half.max() >= 50 else np.linalg.norm(half)  # a plane is infinite
-            found = max(found, float(np.linalg.norm(T.apply(centre)) + limit))
+            found = max(found, float(np.linalg.norm(T.apply(center)) + limit))
         return found
 
     def pose(self, t: float) -> SE3:

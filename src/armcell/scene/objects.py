@@ -202,10 +202,10 @@ class CollisionObject:
         """Return the corners (3,), (3,) [m] of the object's bounding box, in the object's frame."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for shape, T in self.shapes:
-            centre, half = local_bounds(shape)
-            centre = T.apply(centre)
+            center, half = local_bounds(shape)
+            center = T.apply(center)
             half = np.abs(T.rotation.matrix) @ half
-            low, high = np.minimum(low, centre - half), np.maximum(high, centre + half)
+            low, high = np.minimum(low, center - half), np.maximum(high, center + half)
         return low, high
 
 

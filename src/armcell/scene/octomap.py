@@ -67,7 +67,7 @@ class OccupancyMap:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.resolution) and self.resolution > 0):
-            raise InputError(f"resolution is {self.resolution:g}, it must be a positive number of metres")
+            raise InputError(f"resolution is {self.resolution:g}, it must be a positive number of meters")
 
     def updated(
         self,

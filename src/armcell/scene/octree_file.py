@@ -12,7 +12,7 @@ from armcell.core import InputError, Octree
 MAX_BYTES = 500_000_000
 DEPTH = 16
 FULL, BINARY = b"# Octomap OcTree file", b"# Octomap OcTree binary file"
-COLOUR_BYTES = {"OcTree": 0, "OcTreeStamped": 0, "ColorOcTree": 3}
+COLOR_BYTES = {"OcTree": 0, "OcTreeStamped": 0, "ColorOcTree": 3}
 MORE, TRUNCATED, TOO_DEEP = 0, 1, 2
 
 
@@ -42,8 +42,8 @@ def load_octree(path: str | Path) -> Octree:
                 raise InputError(f"unknown entry {key!r} in the octomap's header", file=file, line=number)
             words[key] = value.strip()
     kind = words.get("id", "OcTree" if binary else "")
-    if kind not in COLOUR_BYTES:
-        raise InputError(f"octomap of kind {kind!r} is not read; known: {', '.join(COLOUR_BYTES)}", file=file)
+    if kind not in COLOR_BYTES:
+        raise InputError(f"octomap of kind {kind!r} is not read; known: {', '.join(COLOR_BYTES)}", file=file)
     try:
         size, resolution = int(words["size"]), float(words["res"])
     except (KeyError, ValueError):
@@ -63,13 +63,13 @@ def octree_from_bytes(
     Raises:
         InputError: the octomap has an unknown kind, is truncated, is too deep, or has extra bytes.
     """
-    if kind not in COLOUR_BYTES:
-        raise InputError(f"octomap of kind {kind!r} is not read; known: {', '.join(COLOUR_BYTES)}", file=file)
+    if kind not in COLOR_BYTES:
+        raise InputError(f"octomap of kind {kind!r} is not read; known: {', '.join(COLOR_BYTES)}", file=file)
     if not (np.isfinite(resolution) and resolution > 0):
         raise InputError(f"the octomap's resolution is {resolution:g} m, it must be positive", file=file)
     bytes_ = np.frombuffer(body, np.uint8)
     read, state, keys, depths = (
-        _read_binary(bytes_) if binary else _read_full(bytes_, 4 + COLOUR_BYTES[kind])
+        _read_binary(bytes_) if binary else _read_full(bytes_, 4 + COLOR_BYTES[kind])
     )  # fmt: skip
     if state == TRUNCATED:
         raise InputError(f"the octomap is cut off after {len(body)} bytes of data", file=file)

@@ -72,7 +72,7 @@ def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
     """Return the code of the first voxel (n,) and the voxel count (n,) of each octree cell."""
     edges = octree.sizes / resolution
     whole = 2.0 ** np.round(np.log2(edges))
-    low = octree.centres / resolution - edges[:, None] / 2
+    low = octree.centers / resolution - edges[:, None] / 2
     keys = np.round(low)
     on = (np.abs(edges - whole) < OFF) & np.all(np.abs(low - keys) < OFF, axis=1)
     on &= np.all(np.mod(keys, whole[:, None]) == 0, axis=1)

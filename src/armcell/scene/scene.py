@@ -259,7 +259,7 @@ class PlanningScene:
         """
         values = [padding or 0.0, *(link_padding or {}).values()]
         if any(not np.isfinite(v) or v < 0 for v in values):
-            raise InputError("padding must be a number of metres >= 0")
+            raise InputError("padding must be a number of meters >= 0")
         if any(not np.isfinite(v) or v <= 0 for v in (link_scale or {}).values()):
             raise InputError("scale must be a positive factor")
         for link in [*(link_padding or {}), *(link_scale or {})]:

@@ -109,7 +109,7 @@ class Camera:
             for name in ("width", "height", "fovy_deg"):
                 object.__setattr__(self, name, getattr(self.pinhole, name))
         try:
-            object.__setattr__(self, "model", self.pinhole or self._centred())
+            object.__setattr__(self, "model", self.pinhole or self._centerd())
         except InputError as error:
             raise InputError(f"camera {self.name!r}: {error.reason}", hint=error.hint) from None
         if (self.link is None) != (self.T_link_camera is None):
@@ -128,7 +128,7 @@ class Camera:
     def at(self, T_world_camera: SE3) -> Camera:
         return replace(self, T_world_camera=T_world_camera)
 
-    def _centred(self) -> Pinhole:
+    def _centerd(self) -> Pinhole:
         return Pinhole.of_fov(self.width, self.height, self.fovy_deg)
 
     @property

@@ -106,7 +106,7 @@ class GLRenderer:
         buffer = np.empty((height, width), dtype=np.float32)
         self._gl.make_current()
         mujoco.mjr_readPixels(None, buffer, mujoco.MjrRect(0, 0, width, height), self._context)
-        return np.ascontiguousarray(self._metres(buffer)[::-1])
+        return np.ascontiguousarray(self._meters(buffer)[::-1])
 
     def _draw(self, data: mujoco.MjData, camera: int, sides: Sides | None) -> None:
         self._gl.make_current()
@@ -121,7 +121,7 @@ class GLRenderer:
                 eye.frustum_bottom, eye.frustum_top = bottom, top
         mujoco.mjr_render(mujoco.MjrRect(0, 0, *self.size), self._scene, self._context)
 
-    def _metres(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _meters(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
         """Convert OpenGL's depth buffer (1 at the near plane, 0 at the far plane) to meters."""
         extent, clip = self._model.stat.extent, self._model.vis.map
         near, far = clip.znear * extent, clip.zfar * extent

@@ -265,11 +265,11 @@ class Welder:
 
     def _slipped(self, data: mujoco.MjData, name: str, grip: _Grip) -> _Grip:
         assert grip.T_tcp_item is not None
-        metres, radians = grip.T_tcp_item.distance_to(self._pose(data, self._built.grippers[name], grip))
-        if metres <= self._settings.hybrid_slip and radians <= self._settings.hybrid_turn:
+        meters, radians = grip.T_tcp_item.distance_to(self._pose(data, self._built.grippers[name], grip))
+        if meters <= self._settings.hybrid_slip and radians <= self._settings.hybrid_turn:
             return grip
         return self._weld(
-            data, name, grip, f"slipped {metres * 1000:.2f} mm and {np.rad2deg(radians):.2f} deg"
+            data, name, grip, f"slipped {meters * 1000:.2f} mm and {np.rad2deg(radians):.2f} deg"
         )
 
     def _pose(self, data: mujoco.MjData, index: GripperIndex, grip: _Grip) -> SE3:

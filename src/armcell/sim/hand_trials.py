@@ -125,7 +125,7 @@ class _World:
     gripper: Gripper
     settings: TrialSettings
     T_root_tcp: SE3
-    centre: Array  # (3,) center of mass [m, object frame]
+    center: Array  # (3,) center of mass [m, object frame]
     shapes: tuple[tuple[Shape, SE3], ...]
     body: int
 
@@ -140,8 +140,8 @@ class _World:
         mj = built.spec.compile()
         tree = kinematic_tree(hand)
         T_root_tcp = tree.link_pose(hand.default_positions(), gripper.tcp_link)
-        centre, _ = solid_inertia(item.shapes, 1.0)
-        return _World(built, mj, gripper, settings, T_root_tcp, centre, item.shapes, mj.body(OBJECT).id)
+        center, _ = solid_inertia(item.shapes, 1.0)
+        return _World(built, mj, gripper, settings, T_root_tcp, center, item.shapes, mj.body(OBJECT).id)
 
     def variant(self, trial: Trial) -> mujoco.MjModel:
         """Return a copy of the MuJoCo model with a trial's friction, mass, and finger force."""
@@ -165,9 +165,9 @@ class _World:
             extent(shape, X.rotation.matrix.T @ up_here)[0] + float(X.translation @ up_here)
             for shape, X in self.shapes
         )
-        centre = T.apply(self.centre)
+        center = T.apply(self.center)
         foot = (
-            centre + (lowest - float(self.centre @ up_here)) * up
+            center + (lowest - float(self.center @ up_here)) * up
         )  # on the support, below the center of mass
         # --- the start
         data = mujoco.MjData(mj)
@@ -218,7 +218,7 @@ class _World:
         turn = closed.distance_to(end)[1]
         between = closed.inv().apply(self.T_root_tcp.translation)  # the object's point at the tcp
         slip = float(np.linalg.norm(closed.apply(between) - end.apply(between)))
-        closing = float(np.linalg.norm(before.apply(self.centre) - closed.apply(self.centre)))
+        closing = float(np.linalg.norm(before.apply(self.center) - closed.apply(self.center)))
         return TrialResult(closing, slip, turn, slip > 0.03)
 
 

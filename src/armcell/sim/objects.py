@@ -58,9 +58,9 @@ def add_free_body(parent: Any, item: CollisionObject, T_parent_object: SE3) -> A
 
 
 def _set_inertia(body: Any, item: CollisionObject) -> None:
-    centre, inertia = solid_inertia(item.shapes, item.mass_kg)
+    center, inertia = solid_inertia(item.shapes, item.mass_kg)
     body.explicitinertial = True
-    body.mass, body.ipos, body.fullinertia = item.mass_kg, centre, full_inertia(inertia)
+    body.mass, body.ipos, body.fullinertia = item.mass_kg, center, full_inertia(inertia)
 
 
 def sliding(item: CollisionObject) -> list[float]:

@@ -11,7 +11,7 @@ from armcell.core import ErrorCode, InputError, Outcome, UnknownNameError
 from armcell.core.checks import checked, require
 from armcell.grasping import support_surface
 from armcell.model import Gripper
-from armcell.perception import SeenObject, Sight, colour_name
+from armcell.perception import SeenObject, Sight, color_name
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import back_off, pick
@@ -21,10 +21,10 @@ Kind = Callable[[SeenObject], str]
 """Sorting criterion: maps a seen object to its kind."""
 
 KINDS: Mapping[str, Kind] = {
-    "colour": lambda thing: colour_name(thing.color),
+    "color": lambda thing: color_name(thing.color),
     "shape": lambda thing: thing.kind,
 }
-"""`colour`: red, orange, yellow, green, cyan, blue, purple, black, grey, white. `shape`: box, cylinder,
+"""`color`: red, orange, yellow, green, cyan, blue, purple, black, grey, white. `shape`: box, cylinder,
 sphere, mesh, compound."""
 GRID = 0.02  # [m] grid spacing of candidate points on a target
 SPOTS = 4  # maximum number of candidate points tried
@@ -59,7 +59,7 @@ def sort(
     gripper: Gripper,
     look: Callable[[], Sight],
     into: Mapping[str, str],
-    by: str | Kind = "colour",
+    by: str | Kind = "color",
     settings: SortSettings = SortSettings(),
 ) -> Outcome:
     """Sort visible objects by kind into their targets, until an image shows all of them there.
@@ -69,7 +69,7 @@ def sort(
     Args:
         look: takes an image with the arm at rest; must update the planning scene (as `LiveCell.look` does).
         into: target object by kind; objects of other kinds stay where they are.
-        by: "colour", "shape", or a function of the seen object.
+        by: "color", "shape", or a function of the seen object.
     Returns:
         SUCCESS when all objects of these kinds are in their targets. Evidence: `sorted` (object names by
         target), `other` (kinds without a target), `failures` (reasons by object), `picks`.
@@ -99,12 +99,12 @@ def sort(
 
 def _kind(name: str) -> Kind:
     if name not in KINDS:
-        raise UnknownNameError("thing to sort by", name, KINDS)
+        raise UnknownNameError("property to sort by", name, KINDS)
     return KINDS[name]
 
 
 def _check(scene: PlanningScene, into: Mapping[str, str]) -> None:
-    require(bool(into), "nothing says where things are to go")
+    require(bool(into), "no destinations are given")
     for place_on in into.values():
         support_surface(scene.object(place_on))
 

@@ -45,10 +45,10 @@ def grid(kind, length, turn, line_step):
 
 
 @njit(cache=True, fastmath=FAST)
-def _largest_x(centre, half, slope, i, ds, reach, cap):
+def _largest_x(center, half, slope, i, ds, reach, cap):
     """Return the largest squared path speed x in [0, cap] that interval i allows.
 
-    x is allowed if some u has |u - centre + slope x| <= half in every row of interval i and
+    x is allowed if some u has |u - center + slope x| <= half in every row of interval i and
     0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function takes a few steps.
     """
     x = cap
@@ -56,7 +56,7 @@ def _largest_x(centre, half, slope, i, ds, reach, cap):
         low, high = -x / (2.0 * ds), (reach - x) / (2.0 * ds)
         low_slope = high_slope = -1.0 / (2.0 * ds)
         for r in range(half.shape[1]):
-            middle = centre[i, r] - slope[i, r] * x
+            middle = center[i, r] - slope[i, r] * x
             upper, lower = middle + half[i, r], middle - half[i, r]
             high_slope = -slope[i, r] if upper < high else high_slope
             low_slope = -slope[i, r] if lower > low else low_slope
@@ -72,16 +72,16 @@ def _largest_x(centre, half, slope, i, ds, reach, cap):
 
 
 @njit(cache=True)
-def _row(alpha, beta, constant, limit, i, r, centre, half, slope, cap):
+def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
     """Store the constraint |alpha u + beta x + constant| <= limit as row r of interval i.
 
     Return the upper bound that the constraint sets on x, at most `cap`.
     """
     if abs(alpha) > EPS:
         inverse = 1.0 / alpha
-        centre[i, r], half[i, r], slope[i, r] = -constant * inverse, limit * abs(inverse), beta * inverse
+        center[i, r], half[i, r], slope[i, r] = -constant * inverse, limit * abs(inverse), beta * inverse
         return cap
-    centre[i, r], half[i, r], slope[i, r] = 0.0, 1e18, 0.0
+    center[i, r], half[i, r], slope[i, r] = 0.0, 1e18, 0.0
     if abs(beta) > EPS:
         return min(cap, (limit - constant * np.sign(beta)) / abs(beta))
     return cap
@@ -110,7 +110,7 @@ def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, veloci
     m, n = len(piece), len(velocity)
     gridded = len(torque) > 0
     rows = 4 * n if gridded else 2 * n
-    centre, half, slope = np.empty((m, rows)), np.empty((m, rows)), np.empty((m, rows))
+    center, half, slope = np.empty((m, rows)), np.empty((m, rows)), np.empty((m, rows))
     cap = np.full(m + 1, 1e18)  # of x, at the grid points
     most, line_cap = np.empty(m), np.empty(m)  # largest |u| and x on straight intervals
     d0, c0, d1, c1 = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
@@ -136,15 +136,15 @@ def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, veloci
             continue
         for k in range(n):
             a = acceleration[k]
-            cap[i] = _row(d0[k], c0[k], 0.0, a, i, 2 * k, centre, half, slope, cap[i])
-            cap[i] = _row(d1[k] + 2.0 * ds * c1[k], c1[k], 0.0, a, i, 2 * k + 1, centre, half, slope, cap[i])
+            cap[i] = _row(d0[k], c0[k], 0.0, a, i, 2 * k, center, half, slope, cap[i])
+            cap[i] = _row(d1[k] + 2.0 * ds * c1[k], c1[k], 0.0, a, i, 2 * k + 1, center, half, slope, cap[i])
         if gridded:
             for k in range(n):
                 r, limit = 2 * n + 2 * k, torque_limit[k]
                 t0, t1 = torque[i, 0], torque[i, 1]
-                cap[i] = _row(t0[0, k], t0[1, k], t0[2, k], limit, i, r, centre, half, slope, cap[i])
+                cap[i] = _row(t0[0, k], t0[1, k], t0[2, k], limit, i, r, center, half, slope, cap[i])
                 cap[i] = _row(t1[0, k] + 2.0 * ds * t1[1, k], t1[1, k], t1[2, k], limit, i, r + 1,
-                              centre, half, slope, cap[i])  # fmt: skip
+                              center, half, slope, cap[i])  # fmt: skip
     cap[0] = cap[m] = 0.0
     for i in range(m - 1):
         if rests[piece[i]] and piece[i + 1] != piece[i]:
@@ -156,7 +156,7 @@ def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, veloci
         if kind[piece[i]] == LINE and not gridded:
             reach[i] = min(cap[i], reach[i + 1] + 2.0 * most[i] * ds)
         else:
-            reach[i] = _largest_x(centre, half, slope, i, ds, reach[i + 1], cap[i])
+            reach[i] = _largest_x(center, half, slope, i, ds, reach[i + 1], cap[i])
 
     out_piece, out_s = np.empty(3 * m, np.int64), np.empty(3 * m)
     out_v, out_u, out_t = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m + 1)
@@ -174,7 +174,7 @@ def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, veloci
         else:
             low, high = -1e18, (reach[i + 1] - now) / (2.0 * ds)
             for r in range(rows):
-                middle = centre[i, r] - slope[i, r] * now
+                middle = center[i, r] - slope[i, r] * now
                 low, high = max(low, middle - half[i, r]), min(high, middle + half[i, r])
             then = min(max(now + 2.0 * ds * max(low, high), 0.0), reach[i + 1])
             steps[0], steps[1], steps[2] = ds, 0.0, 0.0

@@ -219,7 +219,7 @@ def _add_cells(api: SceneApi, name: str, shape: Octree, T: SE3, color: Color) ->
         np.asarray(cube.vertices, np.float32),
         np.asarray(cube.faces),
         batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (len(some), 1)),
-        batched_positions=shape.centres[some],
+        batched_positions=shape.centers[some],
         batched_scales=shape.sizes[some],
         batched_colors=tuple(round(255 * c) for c in color[:3]),  # pyright: ignore[reportArgumentType]
         wxyz=T.quat_wxyz,

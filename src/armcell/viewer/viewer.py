@@ -144,10 +144,10 @@ class CellViewer:
         for name in (*self._scene.objects, *self._scene.attached):
             self._draw_object(self._scene.object(name))
         self._place_links()
-        centre, radius = extent(self._scene)
+        center, radius = extent(self._scene)
         camera = self._server.initial_camera
-        camera.look_at = centre
-        camera.position = centre + radius * np.array([2.0, 1.45, 1.05])
+        camera.look_at = center
+        camera.position = center + radius * np.array([2.0, 1.45, 1.05])
         camera.fov = float(np.deg2rad(45.0))
 
     def _draw_object(self, item: CollisionObject) -> None:

@@ -38,7 +38,7 @@ def flange(dh: Kinematics, q) -> np.ndarray:
 
 
 def far_and_back(seed: int) -> Kinematics:
-    """As factory files have it: nearly parallel axes meet a hundred metres away."""
+    """As factory files have it: nearly parallel axes meet a hundred meters away."""
     dh = factory_calibration(UR10, seed)
     d, alpha, theta = list(dh.d), list(dh.alpha), list(dh.theta)
     d[1], d[2], d[3] = d[1] + 95.0, d[2] - 140.0, d[3] + 45.0

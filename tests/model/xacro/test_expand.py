@@ -80,9 +80,9 @@ PACKAGE = {
     "mass: 1.5\nwhen: 2024-01-02\nlength: !millimeters 250\n",
     "urdf/common.xacro": ROBOT.format(
         '<xacro:property name="density" value="7850"/>'
-        '<xacro:macro name="cylinder" params="name r h:=0.1 *origin **extra colour:=^|red mass:=${1.5*2}">'
+        '<xacro:macro name="cylinder" params="name r h:=0.1 *origin **extra color:=^|red mass:=${1.5*2}">'
         '<link name="${name}"><inertial><xacro:insert_block name="origin"/><mass value="${mass}"/></inertial>'
-        '<xacro:insert_block name="extra"/><material name="${colour}"/></link></xacro:macro>'
+        '<xacro:insert_block name="extra"/><material name="${color}"/></link></xacro:macro>'
     ),
     "urdf/deep/inner.xacro": ROBOT.format('<xacro:include filename="../common.xacro"/><link name="inner"/>'),
 }
@@ -103,7 +103,7 @@ FILES = {
         <xacro:unless value="1"><l v="${nope}"/></xacro:unless>""",
     "macros": """
         <xacro:include filename="$(find my_robot)/urdf/common.xacro"/>
-        <xacro:property name="colour" value="blue"/>
+        <xacro:property name="color" value="blue"/>
         <xacro:cylinder name="a" r="2"><origin xyz="0 0 ${density}"/>
           <more><m v="${1+1}"/><n/></more></xacro:cylinder>
         <xacro:macro name="twice" params="n:=1 name=x"><xacro:if value="${n}">
@@ -121,7 +121,7 @@ FILES = {
         <xacro:m/><l v="${x} ${y} ${z}"/>""",
     "name spaces": """
         <xacro:include filename="common.xacro" ns="com"/>
-        <xacro:com.cylinder name="b" r="1" colour="red"><origin/><extra/></xacro:com.cylinder>
+        <xacro:com.cylinder name="b" r="1" color="red"><origin/><extra/></xacro:com.cylinder>
         <l v="${com.density}"/><xacro:include filename="missing.xacro" optional="true"/>
         <xacro:include filename="deep/*.xacro"/>""",
     "yaml": """

@@ -134,11 +134,11 @@ def test_the_way_out_does_not_go_into_something_else():
 
 @pytest.mark.parametrize("radius", [0.3, 1.0])
 def test_the_nearest_free_configuration_is_near_the_edge_of_a_ball(radius):
-    """Free is everything outside a ball: the nearest point is on the ray from its centre."""
-    centre, q = np.array([0.2, -0.1, 0.3]), np.array([0.2 + 0.4 * radius, -0.1, 0.3])
+    """Free is everything outside a ball: the nearest point is on the ray from its center."""
+    center, q = np.array([0.2, -0.1, 0.3]), np.array([0.2 + 0.4 * radius, -0.1, 0.3])
     low, high = np.full(3, -3.0), np.full(3, 3.0)
-    found = nearest_free(q, lambda p: bool(np.linalg.norm(p - centre) >= radius), low, high)
-    assert np.linalg.norm(found - centre) >= radius
+    found = nearest_free(q, lambda p: bool(np.linalg.norm(p - center) >= radius), low, high)
+    assert np.linalg.norm(found - center) >= radius
     assert np.linalg.norm(found - q) == pytest.approx(0.6 * radius, rel=0.05)
 
 

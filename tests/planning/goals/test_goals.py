@@ -50,8 +50,8 @@ def tip_pose(result) -> np.ndarray:
     return data.oMf[model.getFrameId(TIP, pin.FrameType.BODY)].homogeneous
 
 
-def in_box(centre, size=(0.2, 0.2, 0.2)) -> PositionConstraint:
-    return PositionConstraint(((Box(*size), SE3.from_xyz(*centre)),))
+def in_box(center, size=(0.2, 0.2, 0.2)) -> PositionConstraint:
+    return PositionConstraint(((Box(*size), SE3.from_xyz(*center)),))
 
 
 # --- tolerances ---
@@ -334,10 +334,10 @@ def test_errors_of_constraints_against_pinocchio_and_scipy():
     names = scene.model.group("arm").joint_names
     model = pin_library("panda")
     data, frame = model.createData(), model.getFrameId(TIP, pin.FrameType.BODY)
-    wanted, centre = SO3.exp((0.3, -0.4, 2.0)), np.array([0.4, 0.1, 0.5])
+    wanted, center = SO3.exp((0.3, -0.4, 2.0)), np.array([0.4, 0.1, 0.5])
     constraints = Constraints(
         joints=(JointConstraint("panda_joint2", 0.2, 0.3, 0.1),),
-        positions=(PositionConstraint(((Sphere(0.1), SE3.from_xyz(*centre)),), point=(0.0, 0.1, 0.02)),),
+        positions=(PositionConstraint(((Sphere(0.1), SE3.from_xyz(*center)),), point=(0.0, 0.1, 0.02)),),
         orientations=(
             OrientationConstraint(wanted, (0.5, 0.6, np.pi)),
             OrientationConstraint(wanted, (0.5, 0.6, 0.7), parameterization="xyz_euler"),
@@ -354,7 +354,7 @@ def test_errors_of_constraints_against_pinocchio_and_scipy():
         joint, position, vector, euler = constraint_errors(scene, "arm", constraints, q)
         assert joint.error[0] == pytest.approx(q[1] - 0.2)
         assert joint.excess[0] == pytest.approx(max(q[1] - 0.5, 0.1 - q[1], 0))
-        distance = np.linalg.norm(T.act(np.array([0.0, 0.1, 0.02])) - centre) - 0.1
+        distance = np.linalg.norm(T.act(np.array([0.0, 0.1, 0.02])) - center) - 0.1
         assert position.error[0] == pytest.approx(max(distance, 0.0), abs=1e-9)
         turn = Rotation.from_matrix(wanted.matrix.T @ T.rotation)
         np.testing.assert_allclose(vector.error, turn.as_rotvec(), atol=1e-8)

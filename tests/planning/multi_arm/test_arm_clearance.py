@@ -88,7 +88,7 @@ def test_small_round_things_in_both_hands_keep_their_distance():
 
 
 def passing() -> tuple[JointState, JointState]:
-    """The left hand goes past the right one, straight in the joints, about a centimetre off."""
+    """The left hand goes past the right one, straight in the joints, about a centimeter off."""
     ends = [joints(with_tips((x, 0.05, 1.1), (0.0, -0.3, 1.1))) for x in (-0.3, 0.3)]
     right = [NAMES.index(n) for n in scene().model.group(RIGHT).joint_names]
     far, near = ends[0][right], joints(with_tips((0.3, 0.05, 1.1), (0.0, 0.05, 1.1)))[right]
@@ -146,7 +146,7 @@ def test_a_start_that_is_nearer_is_left_and_told():
 
 
 def near_start() -> PlanningScene:
-    """The hands about a centimetre apart."""
+    """The hands about a centimeter apart."""
     sides = sides_of(scene(), (LEFT, RIGHT))
     a, b = joints(facing(0.2)), joints(facing(0.05))
     exact = KernelChecker(scene(), NAMES).exact

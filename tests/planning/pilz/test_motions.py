@@ -212,10 +212,10 @@ def test_lin_through_what_cannot_be_reached_stops_there():
 @pytest.mark.parametrize("as_constraint", [False, True])
 def test_circ_keeps_its_radius(robot, kind, as_constraint):
     scene, start = robot(), tip(robot())
-    centre = start.shifted(y=0.12).translation
+    center = start.shifted(y=0.12).translation
     goal = start.shifted(0.0, 0.12, -0.12) @ SE3.from_xyz_rpy((0, 0, 0), (0.0, 0.1, 0.3))
-    between = centre + 0.12 * np.array([0.0, -np.cos(0.7), -np.sin(0.7)])
-    point = centre if kind == "center" else between
+    between = center + 0.12 * np.array([0.0, -np.cos(0.7), -np.sin(0.7)])
+    point = center if kind == "center" else between
     if as_constraint:  # MoveIt's way
         place = PositionConstraint(((Sphere(0.01), SE3.from_xyz(*point)),), tip_of(scene))
         asked = told("CIRC", goal, path_constraints=Constraints(positions=(place,), name=kind))
@@ -225,7 +225,7 @@ def test_circ_keeps_its_radius(robot, kind, as_constraint):
     assert result.ok and result.planner_id == "CIRC", result.message
     judge(scene, result.trajectory)
     seen = Watched(scene, result.trajectory, tip_of(scene))
-    radii = np.linalg.norm(seen.points - centre, axis=1)
+    radii = np.linalg.norm(seen.points - center, axis=1)
     assert np.abs(radii - 0.12).max() < 1e-6
     assert seen.end.isclose(goal, 1e-6, 1e-6)
     assert np.abs(seen.points[:, 0] - start.translation[0]).max() < 1e-6  # in its plane

@@ -43,26 +43,26 @@ def test_an_arc_through_a_point_goes_through_it(sweep, share):
     assert isinstance(arc, Arc)
     assert arc.sweep == pytest.approx(sweep, abs=1e-7) and arc.radius == pytest.approx(0.2, abs=1e-8)
     points = np.array([arc.position(s) for s in np.linspace(0, 1, 201)])
-    centre = circle(0.0) - (circle(0.0) - circle(np.pi)) / 2
-    np.testing.assert_allclose(np.linalg.norm(points - centre, axis=1), 0.2, atol=1e-8)
+    center = circle(0.0) - (circle(0.0) - circle(np.pi)) / 2
+    np.testing.assert_allclose(np.linalg.norm(points - center, axis=1), 0.2, atol=1e-8)
     np.testing.assert_allclose(arc.position(share), interim, atol=1e-7)
     assert arc.pose(1.0).isclose(goal, 1e-7, 1e-9) and arc.pose(0.0).isclose(START)
 
 
 @pytest.mark.parametrize("sweep", [0.3, 1.5, 3.0])
-def test_an_arc_around_a_centre_takes_the_shorter_way(sweep):
-    centre = (circle(0.0) + circle(np.pi)) / 2
+def test_an_arc_around_a_center_takes_the_shorter_way(sweep):
+    center = (circle(0.0) + circle(np.pi)) / 2
     for goal in (goal_at(sweep), goal_at(-sweep)):
-        arc = arc_around(START, goal, centre)
+        arc = arc_around(START, goal, center)
         assert isinstance(arc, Arc) and arc.sweep == pytest.approx(sweep, abs=1e-7)
         assert arc.pose(1.0).isclose(goal, 1e-9, 1e-9)
 
 
-def test_a_centre_slightly_beside_still_ends_in_the_goal_with_one_radius():
+def test_a_center_slightly_beside_still_ends_in_the_goal_with_one_radius():
     """MoveIt takes up to 10 mm as well, and ends beside the goal."""
-    centre, goal = (circle(0.0) + circle(np.pi)) / 2, goal_at(1.5)
+    center, goal = (circle(0.0) + circle(np.pi)) / 2, goal_at(1.5)
     chord = goal.translation - START.translation
-    arc = arc_around(START, goal, centre + 0.003 * chord / np.linalg.norm(chord))
+    arc = arc_around(START, goal, center + 0.003 * chord / np.linalg.norm(chord))
     assert isinstance(arc, Arc) and arc.pose(1.0).isclose(goal, 1e-9, 1e-9)
     assert arc.radius == pytest.approx(0.2, abs=1e-6)
 
@@ -73,12 +73,12 @@ def refused(answer) -> str:
 
 
 def test_what_is_no_arc():
-    goal, centre = goal_at(1.5), (circle(0.0) + circle(np.pi)) / 2
+    goal, center = goal_at(1.5), (circle(0.0) + circle(np.pi)) / 2
     middle = (START.translation + goal.translation) / 2
     assert "one line" in refused(arc_through(START, goal, middle))  # colinearInterim
     assert "one line" in refused(arc_through(START, START, circle(1.0)))
     assert "one line" in refused(arc_around(START, goal, middle))  # colinearCenter
-    assert "one line" in refused(arc_around(START, START, centre))
+    assert "one line" in refused(arc_around(START, START, center))
     far = refused(arc_around(START, goal, START.shifted(y=1.0).translation))  # invalidCenter
     assert "1000.0 mm from the start" in far
     tiny = SE3(START.rotation, START.translation - 1e-8)  # samePointsWithCenter, samePointsWithInterim

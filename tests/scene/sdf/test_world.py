@@ -322,4 +322,4 @@ def test_a_mesh_in_millimeters_is_listed_and_not_an_obstacle(tmp_path):
     text = solid("<mesh><uri>a.stl</uri></mesh>") + solid(SHAPES["box"][0], "d")
     found = world(tmp_path, model(body(inside=text)))
     assert len(found.objects[0].shapes) == 1
-    assert "probably in millimetres (give the mesh another <scale>)" in found.skipped[0].why
+    assert "probably in millimeters (give the mesh another <scale>)" in found.skipped[0].why

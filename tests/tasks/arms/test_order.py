@@ -115,7 +115,7 @@ def test_far_ways_are_saved(cell):
 
 
 def test_long_streams_are_ordered_too():
-    names = [f"{colour}_{k}" for colour in ("blue", "red") for k in range(5)]  # both: all blue ones first
+    names = [f"{color}_{k}" for color in ("blue", "red") for k in range(5)]  # both: all blue ones first
     streams = {arm: [f"{arm}_{name}" for name in names] for arm in (LEFT, RIGHT)}
     found = by_trays_alone(streams)
     assert {a: sorted(o) for a, o in found.items()} == streams

@@ -25,7 +25,7 @@ from armcell.collision.kernel.frames import (
     PROVE,
     STACK,
     ball_at,
-    centre,
+    center,
     half_at,
     local_at,
     need_at,
@@ -153,7 +153,7 @@ def _local(I, F, w, state, o, g, f, mode):
     """
     m, out, first = I[SHAPE_POSE] + 12 * o, local_at(I), I[BODIES] + I[GROUPS]
     for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
-        at = centre(I, F, w, state, first + k, f, I[SPHERE] + 5 * k, mode)
+        at = center(I, F, w, state, first + k, f, I[SPHERE] + 5 * k, mode)
         x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
         store(w, out, x)
         store(w, out + L, y)
@@ -310,14 +310,14 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
     more_at = need_at(I) + L
     store(w, more_at, more)
-    at = centre(I, F, w, state, body, f, I[BODY_SPHERE] + 4 * body, mode)
+    at = center(I, F, w, state, body, f, I[BODY_SPHERE] + 4 * body, mode)
     x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
     reach = _grown(I, w, body, F[I[BODY_SPHERE] + 4 * body + 3], more, mode)
     if _walk(I, F, w, state, o, NO_GROUP, f, x, y, z, reach, lanes, more_at, mode) == 0:
         return open_lanes
     for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
         sphere = I[GROUP_SPHERE] + 4 * g
-        at = centre(I, F, w, state, bodies + g, f, sphere, mode)
+        at = center(I, F, w, state, bodies + g, f, sphere, mode)
         x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
         reach = _grown(I, w, bodies + g, F[sphere + 3], more, mode)
         left = lanes & ~open_lanes if mode & PROVE else lanes
@@ -344,7 +344,7 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
     zero, stack = splat(np.float32(0.0)), STACK + MAX_STACK // 2
     while group < I[I[BODY_GROUPS] + body + 1]:
         sphere = I[GROUP_SPHERE] + 4 * group
-        at = centre(I, F, w, state, bodies + group, f, sphere, mode)
+        at = center(I, F, w, state, bodies + group, f, sphere, mode)
         x, y, z = into(F, m, splat(w[at + lane]), splat(w[at + L + lane]), splat(w[at + 2 * L + lane]))
         reach = splat(F[sphere + 3] + need)
         if top == 0:

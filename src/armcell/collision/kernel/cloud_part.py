@@ -59,23 +59,23 @@ class Cloud:
 @lru_cache(maxsize=16)
 def cloud_of(shape: Shape) -> Cloud | None:
     """Return the cloud of a point cloud, octree, or nonconvex mesh; None for a convex shape."""
-    centre, half = local_bounds(shape)
+    center, half = local_bounds(shape)
     match shape:
         case PointCloud():
-            points = np.ascontiguousarray(shape.points.T) - centre[:, None]
-            return _cloud(gjk.BALL, centre, half, [*points, shape.radius], *_grown(points, shape.radius))
+            points = np.ascontiguousarray(shape.points.T) - center[:, None]
+            return _cloud(gjk.BALL, center, half, [*points, shape.radius], *_grown(points, shape.radius))
         case Octree():
-            cells, edge = np.ascontiguousarray(shape.centres.T) - centre[:, None], shape.sizes / 2
-            return _cloud(gjk.CELL, centre, half, [*cells, edge], *_grown(cells, edge))
+            cells, edge = np.ascontiguousarray(shape.centers.T) - center[:, None], shape.sizes / 2
+            return _cloud(gjk.CELL, center, half, [*cells, edge], *_grown(cells, edge))
         case Mesh() if not is_convex(shape):
             edge = max(TRIANGLE_EDGE, float(np.sqrt(_area(shape) / TRIANGLES)))
-            corners = small_triangles(shape.vertices - centre, shape.faces.astype(np.int64), edge)
+            corners = small_triangles(shape.vertices - center, shape.faces.astype(np.int64), edge)
             corners = corners.astype(np.float32).astype(float)  # rounded as in the kernel
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
             parts = [*corners.reshape(-1, 9).T, *normal.T]
             low, high = corners.min(axis=1).T, corners.max(axis=1).T
-            return _cloud(gjk.TRIANGLE, centre, half, parts, low, high, is_closed(shape))
+            return _cloud(gjk.TRIANGLE, center, half, parts, low, high, is_closed(shape))
     return None
 
 
@@ -90,7 +90,7 @@ def _grown(middle: F64, half: F64 | float) -> tuple[F64, F64]:
 
 def _cloud(
     kind: int,
-    centre: F64,
+    center: F64,
     half: F64,
     parts: Sequence[F64 | float],
     low: F64,
@@ -104,7 +104,7 @@ def _cloud(
         low, high: (3, n) corners of the parts' bounding boxes.
     """
     T = np.eye(4)
-    T[:3, 3] = centre
+    T[:3, 3] = center
     box = Box(*(2 * np.maximum(half, 1e-6)))
     if low.shape[1] == 0:
         none = np.zeros((0, ROWS[kind], L), np.float32)

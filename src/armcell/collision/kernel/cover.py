@@ -28,24 +28,24 @@ FIT_VERSION = 1  # increase when `fit` returns other spheres, to invalidate the 
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Sphere cover of a solid: `centres` (k, 3), `outer` and `inner` radii (k,) [m].
+    """Sphere cover of a solid: `centers` (k, 3), `outer` and `inner` radii (k,) [m].
 
     The spheres are sorted so that each run of `GROUP` spheres is spatially compact; `groups` (g, 4) are the
     bounding spheres of these runs.
     """
 
-    centres: Array
+    centers: Array
     outer: Array
     inner: Array
     groups: Array
 
 
-def _grouped(centres: Array, outer: Array, inner: Array) -> Cover:
+def _grouped(centers: Array, outer: Array, inner: Array) -> Cover:
     groups = [
-        np.append(*bounding_sphere(centres[i : i + GROUP], outer[i : i + GROUP]))
-        for i in range(0, len(centres), GROUP)
+        np.append(*bounding_sphere(centers[i : i + GROUP], outer[i : i + GROUP]))
+        for i in range(0, len(centers), GROUP)
     ]
-    return Cover(centres, outer, inner, np.array(groups))
+    return Cover(centers, outer, inner, np.array(groups))
 
 
 @njit(cache=True)
@@ -62,16 +62,16 @@ def _holds(e, p, x, y, z, reach2):
 
 
 @njit(cache=True)
-def _greedy(e, centres, reach2):
+def _greedy(e, centers, reach2):
     """Choose balls greedily until they contain all surface elements that any ball contains.
 
     Elements are (9, n). The balls have squared radii `reach2`. Returns the chosen balls and which elements
     they contain.
     """
-    n, m = e.shape[1], len(centres)
+    n, m = e.shape[1], len(centers)
     gain = np.zeros(m, dtype=np.int64)
     for c in range(m):
-        x, y, z, r = centres[c, 0], centres[c, 1], centres[c, 2], reach2[c]
+        x, y, z, r = centers[c, 0], centers[c, 1], centers[c, 2], reach2[c]
         for p in range(n):
             if _holds(e, p, x, y, z, r):
                 gain[c] += 1
@@ -84,12 +84,12 @@ def _greedy(e, centres, reach2):
         chosen.append(best)
         for p in range(n):
             if held[p] or not _holds(
-                e, p, centres[best, 0], centres[best, 1], centres[best, 2], reach2[best]
+                e, p, centers[best, 0], centers[best, 1], centers[best, 2], reach2[best]
             ):
                 continue
             held[p] = True
             for c in range(m):
-                if _holds(e, p, centres[c, 0], centres[c, 1], centres[c, 2], reach2[c]):
+                if _holds(e, p, centers[c, 0], centers[c, 1], centers[c, 2], reach2[c]):
                     gain[c] -= 1
     return np.array(chosen, dtype=np.int64), held
 
@@ -102,10 +102,10 @@ def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
     """
     key = shape_key(shape, overshoot)
     stored = recall("covers", key)
-    if stored is not None and {"centres", "outer", "inner"} <= stored.keys():
-        return _grouped(stored["centres"], stored["outer"], stored["inner"])
+    if stored is not None and {"centers", "outer", "inner"} <= stored.keys():
+        return _grouped(stored["centers"], stored["outer"], stored["inner"])
     found = fit(shape, overshoot)
-    keep("covers", key, centres=found.centres, outer=found.outer, inner=found.inner)
+    keep("covers", key, centers=found.centers, outer=found.outer, inner=found.inner)
     return found
 
 
@@ -121,27 +121,27 @@ def fit(shape: Shape, overshoot: float) -> Cover:
     # Balls around surface points (depth 0) reach corners that no interior ball reaches; a few are enough.
     skin = elements[: len(elements) - len(inside)].mean(axis=1)
     _, thin = np.unique(np.round(skin / (2 * overshoot)).astype(np.int64), axis=0, return_index=True)
-    centres = np.vstack([inside, skin[np.sort(thin)]])
+    centers = np.vstack([inside, skin[np.sort(thin)]])
     inner = np.concatenate([depth, np.zeros(len(thin))])
     outer = inner + overshoot
     reach2 = (outer - round_gap) ** 2
-    chosen, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centres, reach2)
+    chosen, held = _greedy(np.ascontiguousarray(elements.reshape(-1, 9).T), centers, reach2)
     missing = elements[~held]  # repair: elements that no candidate contains get their own ball
     while len(missing):
-        centre = missing[0].mean(axis=0)
-        centres, inner, outer = (
-            np.vstack([centres, centre]),
+        center = missing[0].mean(axis=0)
+        centers, inner, outer = (
+            np.vstack([centers, center]),
             np.append(inner, 0.0),
             np.append(outer, overshoot),
         )
-        chosen = np.append(chosen, len(centres) - 1)
-        missing = missing[((missing - centre) ** 2).sum(axis=2).max(axis=1) > (overshoot - round_gap) ** 2]
-    order = _neighbors_together(centres[chosen])
+        chosen = np.append(chosen, len(centers) - 1)
+        missing = missing[((missing - center) ** 2).sum(axis=2).max(axis=1) > (overshoot - round_gap) ** 2]
+    order = _neighbors_together(centers[chosen])
     chosen = chosen[order]
-    return _grouped(centres[chosen], outer[chosen], inner[chosen])
+    return _grouped(centers[chosen], outer[chosen], inner[chosen])
 
 
-def _neighbors_together(centres: Array) -> NDArray[np.int64]:
+def _neighbors_together(centers: Array) -> NDArray[np.int64]:
     """Return an order of sphere centers in which each run of `GROUP` is spatially compact.
 
     The function splits the centers in halves along the longest axis.
@@ -150,27 +150,27 @@ def _neighbors_together(centres: Array) -> NDArray[np.int64]:
     def split(index: NDArray[np.int64]) -> list[int]:
         if len(index) <= GROUP:
             return index.tolist()
-        points = centres[index]
+        points = centers[index]
         axis = int(np.argmax(np.ptp(points, axis=0)))
         index = index[np.argsort(points[:, axis], kind="stable")]
         half = GROUP * max(round(len(index) / 2 / GROUP), 1)
         return split(index[:half]) + split(index[half:])
 
-    return np.array(split(np.arange(len(centres))), dtype=np.int64)
+    return np.array(split(np.arange(len(centers))), dtype=np.int64)
 
 
-def bounding_sphere(centres: Array, radii: Array) -> tuple[Array, float]:
+def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
     """Return a small sphere around spheres with centers (n, 3) and radii (n,).
 
     The iteration starts from the center of the bounding box and moves toward the farthest sphere.
     """
-    low, high = np.min(centres - radii[:, None], axis=0), np.max(centres + radii[:, None], axis=0)
-    *centre, radius = _shrink(np.ascontiguousarray(centres), np.ascontiguousarray(radii), (low + high) / 2)
-    return np.array(centre), radius
+    low, high = np.min(centers - radii[:, None], axis=0), np.max(centers + radii[:, None], axis=0)
+    *center, radius = _shrink(np.ascontiguousarray(centers), np.ascontiguousarray(radii), (low + high) / 2)
+    return np.array(center), radius
 
 
 @njit(cache=True)
-def _shrink(centres, radii, start):
+def _shrink(centers, radii, start):
     """Return center and radius of a bounding sphere after 60 shrinking steps from `start` (3,)."""
     x, y, z = start
     step = 0.05
@@ -179,14 +179,14 @@ def _shrink(centres, radii, start):
         far = 0
         reach = -1.0
         for i in range(len(radii)):
-            dx, dy, dz = centres[i, 0] - x, centres[i, 1] - y, centres[i, 2] - z
+            dx, dy, dz = centers[i, 0] - x, centers[i, 1] - y, centers[i, 2] - z
             r = np.sqrt(dx * dx + dy * dy + dz * dz) + radii[i]
             if r > reach:
                 far, reach = i, r
         if k < 60:
-            x += step * (centres[far, 0] - x)
-            y += step * (centres[far, 1] - y)
-            z += step * (centres[far, 2] - z)
+            x += step * (centers[far, 0] - x)
+            y += step * (centers[far, 1] - y)
+            z += step * (centers[far, 2] - z)
             step *= 0.93
     return x, y, z, reach
 

@@ -65,11 +65,11 @@ def workspace(flat: Flat) -> Workspace:
     - centers and velocities (6 each) of one group's spheres in a cloud's frame, and their bounding ball (4)
     """
     I = flat[0]
-    centres = int(I[BODIES] + I[GROUPS] + I[SPHERES])
-    size = int(2 * I[DOF] + 10 + 18 * I[FRAMES] + 7 * centres + I[BODIES] + 6 * GROUP + 4) * L
+    centers = int(I[BODIES] + I[GROUPS] + I[SPHERES])
+    size = int(2 * I[DOF] + 10 + 18 * I[FRAMES] + 7 * centers + I[BODIES] + 6 * GROUP + 4) * L
     raw = np.zeros(size + 16, np.float32)
     start = (-raw.ctypes.data % 64) // 4
-    return raw[start : start + size], np.zeros(STAMPS + centres, np.int64), np.zeros(SCRATCH, np.float64)
+    return raw[start : start + size], np.zeros(STAMPS + centers, np.int64), np.zeros(SCRATCH, np.float64)
 
 
 @inner_njit(forceinline=True)
@@ -105,7 +105,7 @@ def twist_at(I, f):
 
 
 @inner_njit(forceinline=True)
-def centre_at(I, i):
+def center_at(I, i):
     """Return the workspace position of the center of a body, sphere group or sphere.
 
     Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
@@ -119,7 +119,7 @@ def velocity_at(I, i):
 
     Both are per unit of the edge.
     """
-    return centre_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + 4 * i * L
+    return center_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + 4 * i * L
 
 
 @inner_njit(forceinline=True)
@@ -241,12 +241,12 @@ def twist_block(I, F, w):
 
 
 @inner_njit(forceinline=True)
-def centre(I, F, w, state, i, f, sphere, mode):
+def center(I, F, w, state, i, f, sphere, mode):
     """Return the workspace position of a sphere's center, computed on first use per block.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """
-    at = centre_at(I, i)
+    at = center_at(I, i)
     if state[STAMPS + i] != state[NOW]:
         state[STAMPS + i] = state[NOW]
         frame = frame_at(I, f)

@@ -13,8 +13,8 @@ from armcell.collision.kernel.frames import (
     EXACT,
     PROVE,
     bend,
-    centre,
-    centre_at,
+    center,
+    center_at,
     half_at,
     more_at,
     velocity_at,
@@ -52,7 +52,7 @@ def _near(I, w, state, i, j, radii, more, mode):
     connecting line), lasts for half the interval; the distance of two points is a convex function of either
     point.
     """
-    a, b = centre_at(I, i), centre_at(I, j)
+    a, b = center_at(I, i), center_at(I, j)
     dx, dy = load(w, a) - load(w, b), load(w, a + L) - load(w, b + L)
     dz = load(w, a + 2 * L) - load(w, b + 2 * L)
     apart2, need = fma(dx, dx, fma(dy, dy, dz * dz)), splat(radii) + more
@@ -72,7 +72,7 @@ def _far(I, F, w, state, i, j, radii):
 
     The test ignores the directions of motion.
     """
-    a, b = centre_at(I, i), centre_at(I, j)
+    a, b = center_at(I, i), center_at(I, j)
     dx, dy = load(w, a) - load(w, b), load(w, a + L) - load(w, b + L)
     dz = load(w, a + 2 * L) - load(w, b + 2 * L)
     need, half = splat(radii), load(w, half_at(I))
@@ -93,12 +93,12 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
     sh = I[GROUP_SPHERE] + 4 * h
     for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
         sk = I[SPHERE] + 5 * k
-        centre(I, F, w, state, first_sphere + k, f, sk, mode)
+        center(I, F, w, state, first_sphere + k, f, sk, mode)
         if _near(I, w, state, first_sphere + k, first_group + h, F[sk + 3] + F[sh + 3], more, mode) == 0:
             continue
         for m in range(I[I[GROUP_SPHERES] + h], I[I[GROUP_SPHERES] + h + 1]):
             sm = I[SPHERE] + 5 * m
-            centre(I, F, w, state, first_sphere + m, e, sm, mode)
+            center(I, F, w, state, first_sphere + m, e, sm, mode)
             hit = _near(I, w, state, first_sphere + k, first_sphere + m, F[sk + 3] + F[sm + 3], more, mode)
             if hit == 0:
                 continue
@@ -127,13 +127,13 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
     for a in range(I[I[NEAR] + pair], I[I[NEAR] + pair + 1]):
         g = I[I[NEAR_GROUPS] + a]
         sg = I[GROUP_SPHERE] + 4 * g
-        centre(I, F, w, state, bodies + g, f, sg, mode)
+        center(I, F, w, state, bodies + g, f, sg, mode)
         if _near(I, w, state, bodies + g, j, F[sg + 3] + F[sj + 3], more, mode) == 0:
             continue
         for b in range(I[I[MEET] + a], I[I[MEET] + a + 1]):
             h = I[I[MEET_GROUPS] + b]
             sh = I[GROUP_SPHERE] + 4 * h
-            centre(I, F, w, state, bodies + h, e, sh, mode)
+            center(I, F, w, state, bodies + h, e, sh, mode)
             if _near(I, w, state, bodies + g, bodies + h, F[sg + 3] + F[sh + 3], more, mode) == 0:
                 continue
             near = _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode)
@@ -159,8 +159,8 @@ def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
     for pair in range(I[PAIRS]):
         i, j = I[I[PAIR] + 2 * pair], I[I[PAIR] + 2 * pair + 1]
         si, sj = I[BODY_SPHERE] + 4 * i, I[BODY_SPHERE] + 4 * j
-        centre(I, F, w, state, i, I[I[FRAME] + i], si, mode)
-        centre(I, F, w, state, j, I[I[FRAME] + j], sj, mode)
+        center(I, F, w, state, i, I[I[FRAME] + i], si, mode)
+        center(I, F, w, state, j, I[I[FRAME] + j], sj, mode)
         margin = F[I[PAIR_MARGIN] + pair]
         more = splat(margin)
         if mode & PROVE:

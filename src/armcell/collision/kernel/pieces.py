@@ -151,9 +151,9 @@ def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
     points: F64 = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
     if isinstance(shape, Plane):
         return kind, size, np.array([0.0, 0.0, 0.0, 1e9]), points
-    centre, half = local_bounds(shape)
-    radius = np.linalg.norm(points - centre, axis=1).max() if len(points) else np.linalg.norm(half)
-    return kind, size, np.array([*centre, float(radius)]), points
+    center, half = local_bounds(shape)
+    radius = np.linalg.norm(points - center, axis=1).max() if len(points) else np.linalg.norm(half)
+    return kind, size, np.array([*center, float(radius)]), points
 
 
 @lru_cache(maxsize=1024)

@@ -502,15 +502,15 @@ def _new_body(shapes: list[tuple[Shape, F64, float]], split: Splitter) -> _Body:
     spheres, groups, sizes = [], [], []
     for shape, T, overshoot in shapes:
         found: Cover = cover(shape, overshoot)
-        centres = found.centres @ T[:3, :3].T + T[:3, 3]
-        spheres.append(np.column_stack([centres, found.outer, found.inner]))
+        centers = found.centers @ T[:3, :3].T + T[:3, 3]
+        spheres.append(np.column_stack([centers, found.outer, found.inner]))
         groups.append(np.column_stack([found.groups[:, :3] @ T[:3, :3].T + T[:3, 3], found.groups[:, 3]]))
-        n = len(centres)
+        n = len(centers)
         sizes += [min(GROUP, n - i) for i in range(0, n, GROUP)]
     every = np.vstack(groups)
-    centre, radius = bounding_sphere(every[:, :3], every[:, 3])
+    center, radius = bounding_sphere(every[:, :3], every[:, 3])
     pieces = pieces_of([(s, T) for s, T, _ in shapes], split)
-    return _Body(np.append(centre, radius), np.vstack(spheres), every, sizes, pieces)
+    return _Body(np.append(center, radius), np.vstack(spheres), every, sizes, pieces)
 
 
 def _scaled(shape: Shape, scale: float) -> Shape:

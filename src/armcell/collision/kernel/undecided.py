@@ -25,7 +25,7 @@ from armcell.collision.kernel.frames import (
     PROVE,
     WAITING,
     bend,
-    centre_at,
+    center_at,
     frame_at,
     half_at,
     need_at,
@@ -131,8 +131,8 @@ def _needs(I, F, w, slack, slack_pair, body, other, mode):
     else:
         g = I[I[FRAME] + I[I[PAIR] + 2 * pair + 1]]
         more = more + bend(I, F, w, I[PAIR_RATE] + I[DOF] * pair, slack_pair[pair])
-    # The relative twist at the body's centre: angular velocity and velocity.
-    c, v, a, b, o = centre_at(I, body), velocity_at(I, body), twist_at(I, f), twist_at(I, g), frame_at(I, g)
+    # The relative twist at the body's center: angular velocity and velocity.
+    c, v, a, b, o = center_at(I, body), velocity_at(I, body), twist_at(I, f), twist_at(I, g), frame_at(I, g)
     ux, uy, uz = load(w, b), load(w, b + L), load(w, b + 2 * L)
     rx, ry, rz = (
         load(w, c) - load(w, o + 3 * L),
@@ -230,7 +230,7 @@ def _directed_need(I, D, w, s, body, a, lane):
         nx += s[AT_B + j] * s[gjk.NORMAL + j]
         ny += s[AT_B + 4 + j] * s[gjk.NORMAL + j]
         nz += s[AT_B + 8 + j] * s[gjk.NORMAL + j]
-    ball, at, c = I[PIECE_BALL] + 4 * a, need_at(I) + lane, centre_at(I, body) + lane
+    ball, at, c = I[PIECE_BALL] + 4 * a, need_at(I) + lane, center_at(I, body) + lane
     rx, ry, rz = s[AT_A + 3] - w[c], s[AT_A + 7] - w[c + L], s[AT_A + 11] - w[c + 2 * L]
     for j in range(3):
         rx += s[AT_A + j] * D[ball + j]

@@ -18,8 +18,8 @@ from armcell.collision.kernel.frames import (
     PROVE,
     STACK,
     bend,
-    centre,
-    centre_at,
+    center,
+    center_at,
     half_at,
     more_at,
     velocity_at,
@@ -188,7 +188,7 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
         return True
     if I[I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o] + 3] == 0:
         return False
-    gap = shape_gap(I, F, o, w, centre_at(I, body))  # a closed mesh
+    gap = shape_gap(I, F, o, w, center_at(I, body))  # a closed mesh
     lanes = mask_lt(gap, splat(F[I[BODY_SPHERE] + 4 * body + 3])) & state[ALIVE]
     return lanes != 0 and wait(I, F, D, w, state, s, slack, slack_pair, body, other + INSIDE, lanes, mode)
 
@@ -205,13 +205,13 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     open_lanes = np.int64(0)
     for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
         sphere = I[GROUP_SPHERE] + 4 * g
-        at = centre(I, F, w, state, bodies + g, f, sphere, mode)
+        at = center(I, F, w, state, bodies + g, f, sphere, mode)
         lanes, gap, need = _near(I, F, w, state, o, bodies + g, at, F[sphere + 3], more, mode)
         if lanes == 0:
             continue
         for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
             sphere = I[SPHERE] + 5 * k
-            at = centre(I, F, w, state, first_sphere + k, f, sphere, mode)
+            at = center(I, F, w, state, first_sphere + k, f, sphere, mode)
             lanes, gap, need = _near(I, F, w, state, o, first_sphere + k, at, F[sphere + 3], more, mode)
             if lanes == 0:
                 continue
@@ -243,7 +243,7 @@ def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
         if f == 0:
             continue
         sphere = I[BODY_SPHERE] + 4 * body
-        at, radius = centre(I, F, w, state, body, f, sphere, mode), F[sphere + 3]
+        at, radius = center(I, F, w, state, body, f, sphere, mode), F[sphere + 3]
         pad = F[I[PADDING] + body] if mode & PADDED else np.float32(0.0)
         more = splat(np.float32(0.0))
         r = splat(radius + pad)

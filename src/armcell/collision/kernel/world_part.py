@@ -160,7 +160,7 @@ def _hull_planes(mesh: Mesh) -> F64:
 def _world_box(shape: Shape, T: F64) -> tuple[F64, F64]:
     if isinstance(shape, Plane):
         return np.full(3, -HUGE), np.full(3, HUGE)
-    centre, half = local_bounds(shape)
-    centre = T[:3, :3] @ centre + T[:3, 3]
+    center, half = local_bounds(shape)
+    center = T[:3, :3] @ center + T[:3, 3]
     half = np.abs(T[:3, :3]) @ half
-    return centre - half, centre + half
+    return center - half, center + half

@@ -55,19 +55,19 @@ def ur_geometry(chain: Chain) -> Array | None:
     apart = [np.cross(z[i], z[j]) @ (p[j] - p[i]) for i, j in ((0, 1), (3, 4), (4, 5))]
     if np.max(np.abs(apart)) > STRUCTURE:
         return None
-    centre = up * (up @ p[1])  # intersection of axes 1 and 2
+    center = up * (up @ p[1])  # intersection of axes 1 and 2
     C = p[4] + z[4] * (z[4] @ (p[5] - p[4]))
     W = p[4] + z[4] * (z[4] @ (p[3] - p[4]))
-    upper, fore = _flat(x, up, p[2] - centre), _flat(x, up, W - p[2])
+    upper, fore = _flat(x, up, p[2] - center), _flat(x, up, W - p[2])
     lengths = np.linalg.norm(upper), np.linalg.norm(fore)
     if min(lengths) < 1e-3:
         return None
     R, t = T.reshape(3, 4)[:, :3], T.reshape(3, 4)[:, 3]
     geometry = np.concatenate(
         [
-            x, y, up, centre,  # 0: the arm's frame
+            x, y, up, center,  # 0: the arm's frame
             R.T @ (C - t), R.T @ z[5], R.T @ z[4],  # 12: C, axis 6 and, at zero, axis 5, in the tip's frame
-            [y @ (C - centre), z[4] @ (C - W), *lengths],  # 21: h, d, upper arm, forearm
+            [y @ (C - center), z[4] @ (C - W), *lengths],  # 21: h, d, upper arm, forearm
             [np.arctan2(*upper), np.arctan2(*fore), np.arctan2(*_flat(x, up, z[4]))],  # 25: angles at zero
             [np.arctan2(np.cross(y, z[5]) @ z[4], y @ z[5])],  # 28: from axis 4 to axis 6 at zero
             signs, order,  # 29, 35

@@ -118,9 +118,9 @@ def _corners(model: RobotModel, link: str, T: SE3) -> Array:
         if isinstance(collision.shape, Mesh):
             points = collision.shape.vertices
         else:
-            centre, half = local_bounds(collision.shape)
+            center, half = local_bounds(collision.shape)
             signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-            points = centre + signs * half
+            points = center + signs * half
         M = (T @ collision.T_link_shape).matrix
         found.append(points @ M[:3, :3].T + M[:3, 3])
     return np.concatenate(found)

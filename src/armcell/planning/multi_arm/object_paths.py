@@ -27,7 +27,7 @@ class ObjectPath(Protocol):
     """Protocol of a carried object's path: object poses over a share from 0 to 1.
 
     Attributes:
-        metres, radians: length and total rotation.
+        meters, radians: length and total rotation.
         rate: largest motion per unit of the share [m].
     """
 

@@ -174,7 +174,7 @@ def _surface(shape: Shape, step: float) -> tuple[Array, float]:
                 n = int(np.ceil(size / step)) + 1
                 offsets = (np.arange(n) / (n - 1) - 0.5) * size
                 cube = np.stack(np.meshgrid(offsets, offsets, offsets), axis=-1).reshape(-1, 3)
-                parts.append((shape.centres[shape.sizes == size][:, None] + cube).reshape(-1, 3))
+                parts.append((shape.centers[shape.sizes == size][:, None] + cube).reshape(-1, 3))
             return (np.vstack(parts) if parts else np.zeros((0, 3))), 0.0
     vertices, faces, gap = triangulated(shape)
     return small_triangles(vertices, faces, 0.5 * step).reshape(-1, 3), gap

@@ -161,11 +161,11 @@ def _pose_goal(wanted: Constraints, scene: PlanningScene) -> PoseGoal | None:
         tolerance = shape.x / 2  # radius of the inscribed sphere
     else:
         return None
-    centre = scene.frame_pose(position.frame) @ T_frame_shape
+    center = scene.frame_pose(position.frame) @ T_frame_shape
     turned = scene.frame_pose(orientation.frame).rotation @ orientation.rotation
     x, y, z = orientation.tolerance
     return PoseGoal(
-        SE3(turned, centre.translation), position.link, tolerance, x if x == y == z else (x, y, z)
+        SE3(turned, center.translation), position.link, tolerance, x if x == y == z else (x, y, z)
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from armcell.cell import LiveCamera
 from armcell.core import SE3, CameraImage
-from armcell.perception import organised
+from armcell.perception import organized
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.bus import Bus, Publisher
 from armcell.ros.convert import camera_info_message, cloud_message, image_message, transform_message
@@ -118,7 +118,7 @@ class _Topics:
         if self._depth is not None and self._depth.subscribers:
             self._depth.publish(image_message(schema, header, _with_nan(depth)))
         if self._points is not None and self._points.subscribers and image.rgb is not None:
-            points = organised(depth, image.pinhole).astype(np.float32)
+            points = organized(depth, image.pinhole).astype(np.float32)
             self._points.publish(cloud_message(schema, header, points, image.rgb))
 
     def _frames(self) -> list[Any]:

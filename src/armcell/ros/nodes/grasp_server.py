@@ -132,7 +132,7 @@ class GraspServer:
 
         Grasps from the sides are included only if `side_grasps` is set.
         """
-        T, centre = item.T_world_object, item.T_world_object.translation
+        T, center = item.T_world_object, item.T_world_object.translation
         yaw = float(np.arctan2(T.rotation.matrix[1, 0], T.rotation.matrix[0, 0]))
         tip = scene.model.group(group).tip_link or tcp
         T_tcp_tip = scene.transform(tcp, tip)
@@ -141,14 +141,14 @@ class GraspServer:
         turns = sorted((0.0, np.pi / 2, np.pi, -np.pi / 2), key=lambda a: abs(_wrapped(a + yaw)))
         for k, turn in enumerate(turns):
             down = SO3.from_rpy((np.pi, 0.0, yaw + turn))
-            grasps.append(self._message(SE3(down, centre) @ T_tcp_tip, (0.0, 0.0, -1.0), 1.0 - 0.01 * k))
+            grasps.append(self._message(SE3(down, center) @ T_tcp_tip, (0.0, 0.0, -1.0), 1.0 - 0.01 * k))
         if self._settings.side_grasps:
             height = max(float(high[2] - low[2]) / 2 - 0.01, 0.0)
             for k, turn in enumerate((0.0, np.pi / 2, np.pi, -np.pi / 2)):
                 ahead = np.array([np.cos(yaw + turn), np.sin(yaw + turn), 0.0])
                 across = np.array([-ahead[1], ahead[0], 0.0])
                 R = SO3(np.column_stack([np.cross(across, ahead), across, ahead]))
-                at = centre + np.array([0.0, 0.0, min(height, 0.02)])
+                at = center + np.array([0.0, 0.0, min(height, 0.02)])
                 x, y, z = ahead.tolist()
                 grasps.append(self._message(SE3(R, at) @ T_tcp_tip, (x, y, z), 0.5 - 0.01 * k))
         return grasps

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from armcell.core import SE3, InputError, JointState, Pinhole
-from armcell.perception import Sensor3d, SensorMap, Sensors3d, cloud_points, depth_pixels, organised
+from armcell.perception import Sensor3d, SensorMap, Sensors3d, cloud_points, depth_pixels, organized
 from armcell.ros.bus import Bus, Publisher
 from armcell.ros.complaints import Complaints
 from armcell.ros.convert import cloud_message, pose_from_message
@@ -144,7 +144,7 @@ class SensorNode:
         near, far = sensor.near_clipping_plane_distance, sensor.far_clipping_plane_distance
         depth = np.where((depth >= near) & (depth <= far), depth, np.float32(0.0))
         v, u = sensor.skip_vertical_pixels, sensor.skip_horizontal_pixels
-        return organised(depth, pinhole)[v : depth.shape[0] - v, u : depth.shape[1] - u].reshape(-1, 3)
+        return organized(depth, pinhole)[v : depth.shape[0] - v, u : depth.shape[1] - u].reshape(-1, 3)
 
     # --- robot state and pose of the sensor ---
     def _scene_at(self, stamp: float) -> PlanningScene:

@@ -27,7 +27,7 @@ from armcell.tasks.steps import DONE, Grip, not_held, staged
 
 HEAP = "heap"
 """Name of the camera's points in the bin, in the planning scene."""
-HELD = "held thing"
+HELD = "held object"
 """Name of the held object in the planning scene."""
 WIDEST = 0.06  # [m] largest assumed half length of a held object
 

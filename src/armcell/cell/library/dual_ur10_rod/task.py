@@ -23,6 +23,6 @@ def task(cell):
     checked(cell.move_together(left_arm="home", right_arm="home"))
     off, turned = cell.scene().object("rod").T_world_object.distance_to(TARGET)
     if off > 0.005:
-        return Outcome(ErrorCode.CONTROL_FAILED, f"the rod lies {1000 * off:.1f} mm from where it should")
+        return Outcome(ErrorCode.CONTROL_FAILED, f"the rod is {1000 * off:.1f} mm from its target pose")
     placed = {"placed_off_mm": 1000 * off, "placed_turn_deg": float(np.rad2deg(turned))}
     return Outcome(ErrorCode.SUCCESS, evidence={**rod.record.as_dict(), **placed})

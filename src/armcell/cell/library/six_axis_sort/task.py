@@ -4,4 +4,4 @@ from __future__ import annotations
 
 
 def task(cell):
-    return cell.sort({"red": "red_mat", "blue": "blue_mat"}, camera="above", by="colour")
+    return cell.sort({"red": "red_mat", "blue": "blue_mat"}, camera="above", by="color")

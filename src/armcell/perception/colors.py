@@ -16,7 +16,7 @@ PALE = 0.25  # HSV saturation below which a color is black, grey or white
 DARK, BRIGHT = 0.2, 0.75  # HSV value limits of black and white
 
 
-def colour_name(rgb: Sequence[float]) -> str:
+def color_name(rgb: Sequence[float]) -> str:
     """Return the nearest of `HUES`, or black, grey or white, for an RGB color in 0..1."""
     hue, saturation, value = colorsys.rgb_to_hsv(*_rgb(rgb).tolist())
     if value < DARK:
@@ -30,7 +30,7 @@ def _rgb(color: Sequence[float]) -> NDArray[np.float64]:
     return float_array(color, None, "a color").ravel()[:3]
 
 
-def colour_distance(a: Sequence[float], b: Sequence[float]) -> float:
+def color_distance(a: Sequence[float], b: Sequence[float]) -> float:
     """Return the distance of two colors, 0 to 1, independent of brightness.
 
     The distance is half the sum of the differences of their red, green and blue fractions. Brightness is left
