@@ -57,7 +57,7 @@ with tempfile.TemporaryDirectory() as folder:
     save_scene_file(scene.objects.values(), Path(folder, "table.scene"))
     print("saved and loaded:", *(item.name for item in load_scene_file(Path(folder, "table.scene"))))
 
-    # A library proves a stored motion again in the scene as it is now, and repairs it if need be.
+    # A library proves a stored motion again in the current scene, and repairs it if necessary.
     names = robot.group("arm").joint_names
     left = JointState(names, [0.7, 0.0, 0.0, -2.0, 0.0, 2.2, 0.8])
     right = JointState(names, [-0.7, 0.0, 0.0, -2.0, 0.0, 2.2, 0.8])

@@ -63,7 +63,7 @@ print(f"after it is gone: {free.planner_id}, {free.trajectory.duration:.2f} s")
 front = seen.at(seen_post(5_000))
 print(f"{np.mean(front < 0):.0%} of the post's voxels were cleared")
 
-# 5. A cloud may be an obstacle as it is: balls of one radius around the points.
+# 5. A cloud may be an obstacle without conversion: balls of one radius around its points.
 raw = CollisionObject.single("seen", PointCloud(kept, 0.01))
 direct = plan(PlanningScene.of(robot, objects=[raw]).with_state(left), request)
 print(f"with {len(kept)} points themselves: {direct.trajectory.duration:.2f} s")

@@ -25,7 +25,7 @@ with tempfile.TemporaryDirectory() as folder:
     try:
         mesh_object("wheel", Path(folder) / "wheel.stl")
     except InputError as error:
-        print("as it is:", error.reason, "->", error.hint)
+        print("original mesh:", error.reason, "->", error.hint)
     wheel = mesh_object("wheel", Path(folder) / "wheel.stl", scale=0.001, density=400.0)
 print(f"wheel: {wheel.mass_kg * 1000:.0f} g, {1000 * np.ptp(wheel.bounds(), axis=0)[0]:.0f} mm wide")
 

@@ -231,7 +231,7 @@ class _CartesianProblem:
 
     def timed(self, path: Array) -> JointTrajectory | None:
         request, checker = self.request, self.checker
-        # A line out of contact is proven as it is timed: its first steps are too near for the slack that
+        # A line out of contact is proven with its timing: its first steps are too near for the slack that
         # proves a path before it is timed.
         strict = request.avoid_collisions and self.resting is None
         for timing in TIMINGS:
