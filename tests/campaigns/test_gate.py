@@ -113,7 +113,7 @@ def test_changed_inputs_are_named(cell, tmp_path):
     with pytest.raises(InputError, match=r"what changed is: objects\.box"):
         gate.check(with_values(load(cell), {"objects.box.pose.z": 0.06}))
     gate.check(load(cell))
-    with pytest.raises(InputError, match="is not of this cell"):
+    with pytest.raises(InputError, match="belongs to another state of this cell"):
         gate.issue(
             with_values(load(cell), {"padding": 0.01}), campaign(cell, tmp_path / "r", 80), tmp_path / "x"
         )

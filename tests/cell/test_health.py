@@ -81,10 +81,10 @@ def test_a_part_that_dies_is_restarted_or_stops_the_cell(tmp_path):
         assert gripper.silent < 0.3 and health.now(live)["drivers"] == "ok"
         live.driver._heartbeat.stop()  # what keeps the robot going dies: all stops, and it is said
         time.sleep(0.3)
-        assert "signs of life" in health.now(live)["drivers"]
+        assert "watchdog thread" in health.now(live)["drivers"]
         rest = live.driver.arms["arm"].q
         outcome = live.arm.move_to("home")
-        assert not outcome.ok and "signs of life" in outcome.message
+        assert not outcome.ok and "watchdog thread" in outcome.message
         np.testing.assert_allclose(live.driver.arms["arm"].q, rest, atol=1e-4)
         with pytest.raises(InputError, match="start armcell again"):
             live.driver.resume()

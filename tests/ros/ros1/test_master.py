@@ -12,7 +12,7 @@ from tests.ros.ros1.conftest import eventually, free_port
 
 from armcell.core import InputError
 from armcell.ros.ros1 import Ros1Master, Ros1Settings
-from armcell.ros.ros1.parameter_tree import ParameterTree, told
+from armcell.ros.ros1.parameter_tree import ParameterTree, subscriber_update
 
 A, B = "http://127.0.0.1:1/", "http://127.0.0.1:2/"
 
@@ -125,10 +125,10 @@ def test_parameters(master, node):
 
 
 def test_what_a_parameters_subscriber_hears():
-    assert told("/a", "/b", 1) is None
-    assert told("/a/b", "/a", {"b": 3}) == ("/a/b/", 3)
-    assert told("/a/b", "/a", {"c": 3}) == ("/a/b/", {})
-    assert told("/a/b", "/a/b/c", 5) == ("/a/b/c/", 5)
+    assert subscriber_update("/a", "/b", 1) is None
+    assert subscriber_update("/a/b", "/a", {"b": 3}) == ("/a/b/", 3)
+    assert subscriber_update("/a/b", "/a", {"c": 3}) == ("/a/b/", {})
+    assert subscriber_update("/a/b", "/a/b/c", 5) == ("/a/b/c/", 5)
 
 
 def test_a_value_becomes_a_namespace():
