@@ -103,14 +103,14 @@ def test_changed_inputs_are_named(cell, tmp_path):
         ("real", text + "real: {max_state_age: 0.2}\n"),
     ):
         cell.write_text(what)
-        with pytest.raises(InputError, match=rf"what changed is: (.*, )?{said}(,|;| \(|$)"):
+        with pytest.raises(InputError, match=rf"changed since: (.*, )?{said}(,|;| \(|$)"):
             gate.check(load(cell))
     cell.write_text(text)
     (tmp_path / "task.py").write_text(script + "# slower\n")
-    with pytest.raises(InputError, match="what changed is: task"):
+    with pytest.raises(InputError, match="changed since: task"):
         gate.check(load(cell))
     (tmp_path / "task.py").write_text(script)
-    with pytest.raises(InputError, match=r"what changed is: objects\.box"):
+    with pytest.raises(InputError, match=r"changed since: objects\.box"):
         gate.check(with_values(load(cell), {"objects.box.pose.z": 0.06}))
     gate.check(load(cell))
     with pytest.raises(InputError, match="belongs to another state of this cell"):
@@ -152,7 +152,7 @@ def test_an_address_changes_nothing_a_payload_does(cell, tmp_path):
     there = real("10.0.0.1", 1.0)
     gate.issue(there, campaign(cell, tmp_path / "runs", 80), gate.gate_file(there))
     gate.check(real("10.0.0.2", 1.0))
-    with pytest.raises(InputError, match="what changed is: real"):
+    with pytest.raises(InputError, match="changed since: real"):
         gate.check(real("10.0.0.1", 1.5))
 
 
@@ -291,7 +291,7 @@ def test_real_arms_ask_for_it(tmp_path, capsys):
         assert read_json(out)["gate"]["campaign"]["trials"] == 72
         cell.write_text(text.replace("0.1, 0.1, 0.1", "0.1, 0.1, 0.3"))
         said = call(capsys, *run)
-        assert said.status == 1 and "what changed is: objects.box" in said.err
+        assert said.status == 1 and "changed since: objects.box" in said.err
         assert call(capsys, *run, "--without-gate", "box was measured anew").status == 0
         kept = read_json(out)["gate"]
         assert (

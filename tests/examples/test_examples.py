@@ -390,7 +390,7 @@ def test_31_gate(printed):
     lines = printed("31_gate.py").splitlines()
     assert len(lines) == 3 and lines[0].startswith("gate: closed: cell 'lamp' has not been shown to work")
     assert lines[1] == "gate: open, 72 of 72, at least 95.0%"
-    assert "what changed is: objects.lamp" in lines[2]
+    assert "changed since: objects.lamp" in lines[2]
 
 
 @pytest.mark.slow

@@ -166,7 +166,7 @@ def test_what_is_told_soon_cannot_end_the_cell(driver, caplog):
     conductor.soon(lambda: 1 / 0)
     conductor.soon(lambda: told.append(conductor.now))
     conductor.turn()
-    assert told and "could not be told" in caplog.text
+    assert told and "could not be delivered" in caplog.text
 
 
 def test_settling_ends_what_moves_and_nothing_can_be_put_any_more(driver):

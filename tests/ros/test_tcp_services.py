@@ -132,7 +132,7 @@ def test_a_late_answer_and_one_to_nobody_are_told_and_change_nothing(bus, server
     with UnityLike(server.address) as unity:
         unity.command("__response", srv_id=7)
         unity.message("/grip", b"\0")
-        assert "nobody waits for" in unity.read_until("__error")["text"]
+        assert "for which no caller waits" in unity.read_until("__error")["text"]
         unity.command("__ping", request_time=1)
         unity.read_until("__ping_response")
 
