@@ -172,12 +172,10 @@ class Arms:
             q[model.columns((gripper.joint_name,))] = gripper.joint_position(gripper.max_width)
         side = sides_of(scene, self.groups)
         held = {name: side[name] for name in scene.attached if name in side}
-        allowed_pairs_here = {
-            pair: True for pair, yes in scene.allowed_pairs.items() if yes and pair <= set(side)
-        }
+        inner_pairs = {pair: True for pair, yes in scene.allowed_pairs.items() if yes and pair <= set(side)}
         bare = replace(
             scene, model=_between_model(model, a, b), positions=np.clip(q, model.lower, model.upper),
-            attached={n: scene.attached[n] for n in held}, objects={}, allowed_pairs=allowed_pairs_here,
+            attached={n: scene.attached[n] for n in held}, objects={}, allowed_pairs=inner_pairs,
             allowed_defaults={}, padding=0.0, link_padding={},
         )  # fmt: skip
         for name, mine in held.items():

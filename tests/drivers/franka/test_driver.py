@@ -104,7 +104,9 @@ def test_nothing_moves_after_a_stop_before_resume(host, command, kind):
         while live.fault() is None and time.monotonic() < end:
             time.sleep(0.01)
         fault = live.fault()
-        assert fault is not None and fault.kind == kind
+        # Where the machine is busy, the driver may miss the states before it sees that the link is closed.
+        kinds = {kind, "stale state"} if kind == "link lost" else {kind}
+        assert fault is not None and fault.kind in kinds
         time.sleep(0.5)
         rests = measured(host)
         with pytest.raises(InputError, match="no motion after a stop"):
@@ -206,3 +208,17 @@ def test_the_address_of_a_ur_is_recognized():
     ur = _serve(None, 29999, "127.0.121.8"), _serve(None, 30002, "127.0.121.8")
     with ur[0], ur[1], pytest.raises(InputError, match=said):
         driver("127.0.121.8").__enter__()
+
+
+def test_streamed_targets_take_over_from_a_trajectory(host):
+    with driver(host) as live:
+        arm = franka(live)
+        following = live.follow(swing(arm, 6.0))
+        while np.abs(arm.state["dq"]).max() < 0.02:
+            time.sleep(0.01)
+        target, end = arm.setpoint()[0], live.now + 2.0
+        while live.now < end:
+            live.command(arm.joint_names, target, np.zeros(7))
+            live.advance(live.period)
+        assert live.fault() is None and following.state() == "cancelled"
+        assert np.abs(measured(host) - target).max() < 1e-3

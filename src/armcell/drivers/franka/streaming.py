@@ -58,15 +58,15 @@ class Decay:
 
     Args:
         off, rate, change: deviation (7,) [rad] and its first two derivatives.
-        duration: [s]
+        duration: duration of the decay [s].
     """
 
-    def __init__(self, off: Array, rate: Array, change: Array | float = 0.0, duration: float = REJOIN):
+    def __init__(self, off: Array, rate: Array, change: Array, duration: float = REJOIN):
         T = self._duration = duration
         a = -10 * off - 6 * rate * T - 1.5 * change * T**2
         b = 15 * off + 8 * rate * T + 1.5 * change * T**2
         c = -6 * off - 3 * rate * T - 0.5 * change * T**2
-        self._coefficients = np.stack([off, rate * T, 0.5 * change * T**2 + 0.0 * off, a, b, c])
+        self._coefficients = np.stack([off, rate * T, 0.5 * change * T**2, a, b, c])
 
     def at(self, t: float) -> Array | None:
         """Return the deviation (7,) at time t [s] after the start; None: it has decayed."""
@@ -132,7 +132,7 @@ class Points:
             off = q_coast + self._off(now) - position
             rate = v_coast + self._rate_of_off(now) - (_between(points, now + TICK) - position) / TICK
             gentle = max(np.sqrt(6 * np.abs(off).max() / COAST), 6 * np.abs(rate).max() / COAST, REJOIN)
-            self._away, self._coast = (now, Decay(off, rate, duration=float(gentle))), None
+            self._away, self._coast = (now, Decay(off, rate, np.zeros(7), float(gentle))), None
         return position + self._off(now)
 
     def _off(self, now: float) -> Array:

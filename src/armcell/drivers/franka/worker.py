@@ -157,13 +157,13 @@ class Worker:
                 self._drop()
                 self._result(f"the robot is not ready: mode {RobotMode(state.mode).name}")
             return
-        self._waiting = None
         setpoints = Setpoints(source, self._pace)
         off = setpoints.start_error(state["q_d"])
         if off > START_DISTANCE:
             self._drop()
             self._result(f"the motion starts {off:.3f} rad from the arm")
             return
+        self._waiting = None
         self._setpoints, self._moving, self._ending = setpoints, True, False
         request = MoveRequest(MoveController.JOINT_IMPEDANCE, MoveGenerator.JOINT_POSITION)
         number = self._number
@@ -180,11 +180,13 @@ class Worker:
 
     def _drop(self) -> None:
         """Discard the queued motion; the next streamed point starts a new one."""
-        self._waiting = self._points = None
+        if self._waiting is not None and self._waiting[1] is self._points:
+            self._points = None
+        self._waiting = None
 
     def _ended(self, status: MoveStatus, number: int) -> None:
         self._moving, self._setpoints = False, None
-        if self._streaming:
+        if self._streaming and self._waiting is None:
             self._points = None
         if status is MoveStatus.SUCCESS:
             self._result("done", number)

@@ -29,10 +29,10 @@ def move_together(
         ctx.emit("error", f"{name}: {pair.message}")
         return Outcome(pair.code, f"{name}: {pair.message}", pair.evidence)
     report = StageReport(name, pair.how, pair.planning_time)
-    request_data = {"goals": {group: goal_data(goal) for group, goal in goals.items()}, "seed": ctx.seed,
+    evidence = {"goals": {group: goal_data(goal) for group, goal in goals.items()}, "seed": ctx.seed,
             "between_arms_m": pair.clearance, "message": pair.message, **pair.evidence}  # fmt: skip
     trajectory = pair.trajectory.reindexed(scene.model.group(both).joint_names)
-    return play(ctx, trajectory, report, evidence=request_data, planned_in=scene)
+    return play(ctx, trajectory, report, evidence=evidence, planned_in=scene)
 
 
 def play(
