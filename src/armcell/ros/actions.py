@@ -32,7 +32,7 @@ MAX_GOALS = 32  # unfinished goals; the server rejects further goals
 
 
 class State(IntEnum):
-    """Goal states of actionlib_msgs/GoalStatus, and LOST, which only clients use."""
+    """Goal states of a ROS 1 action, from actionlib_msgs/GoalStatus, and LOST, which only clients use."""
 
     PENDING = 0
     ACTIVE = 1
@@ -59,7 +59,7 @@ _OVER = (State.PREEMPTED, State.SUCCEEDED, State.ABORTED, State.REJECTED, State.
 
 @dataclass(frozen=True)
 class Done:
-    """Final state, result message and status text of an action goal."""
+    """Final state, result message and status text of a ROS action goal."""
 
     state: State
     result: Any  # the action's Result message
@@ -67,7 +67,7 @@ class Done:
 
 
 class Goal:
-    """An action goal, as passed to the server's `execute` function."""
+    """A ROS action goal, as passed to the `execute` function of an `ActionServer`."""
 
     def __init__(self, server: ActionServer, goal_id: Any, message: Any):
         self._server = server
@@ -80,14 +80,14 @@ class Goal:
         self.finished_at: float | None = None
 
     def accept(self) -> None:
-        """Accept a pending goal, like `setAccepted` in actionlib.
+        """Accept a pending action goal, like `setAccepted` of actionlib.
 
         A pending goal becomes active; a goal whose cancellation is already requested becomes preempting.
         """
         self._server._accept(self)
 
     def feedback(self, feedback: Any) -> None:
-        """Accept the goal, if it is pending, and send a Feedback message to the client."""
+        """Accept the action goal, if it is pending, and send a Feedback message to the action client."""
         self.accept()
         self._server._publish("feedback", feedback=feedback, status=self.status())
 
@@ -102,7 +102,7 @@ Execute = Callable[[Goal], Done]
 
 
 class ActionServer:
-    """Server of one ROS 1 action on the message bus.
+    """Server of one ROS 1 action (actionlib) on the message bus.
 
     Args:
         bus: the message bus.
@@ -147,7 +147,7 @@ class ActionServer:
         threading.Thread(target=self._tell, name=f"status {self.name}", daemon=True).start()
 
     def close(self) -> None:
-        """Cancel all goals and remove the action server from the bus."""
+        """Cancel all action goals and remove the action server from the bus."""
         self._stop.set()
         with self._lock:
             goals = list(self._goals.values())
@@ -185,7 +185,7 @@ class ActionServer:
         threading.Thread(target=self._work, args=(goal,), name=f"goal {self.name}", daemon=True).start()
 
     def _on_cancel(self, message: Any) -> None:
-        """Cancel the goals that a cancel message selects by goal id, by time stamp or by both.
+        """Cancel the action goals that a GoalID cancel message selects by goal id, by time stamp or by both.
 
         A stamp selects all goals up to this time. A message without id and stamp cancels all goals.
         """
@@ -245,7 +245,7 @@ class ActionServer:
         self._publish_status()
 
     def _finish(self, goal: Goal, done: Done) -> None:
-        """Publish the final state of a goal, corrected to a transition that actionlib allows.
+        """Publish the final state of a ROS action goal, corrected to a transition that actionlib allows.
 
         Only a pending goal can be rejected or recalled; only an accepted goal can succeed, abort or be
         preempted.
@@ -295,7 +295,7 @@ class ActionServer:
 
 
 def _explained(done: Done, why_stopped: str) -> Done:
-    """Return a goal's outcome, with its failure reason copied into the result message."""
+    """Return the outcome of an action goal, with its failure reason copied into the result message."""
     if done.state is State.SUCCEEDED:
         return done
     stopped = done.state in (State.PREEMPTED, State.RECALLED)
@@ -306,7 +306,7 @@ def _explained(done: Done, why_stopped: str) -> Done:
 
 
 class SentGoal:
-    """Client-side handle of an action goal: its state, status text and result."""
+    """Client-side handle of a ROS action goal: its state, status text and result."""
 
     def __init__(self, client: ActionClient, goal_id: Any, on_feedback: Callable[[Any], None] | None):
         self._client, self._on_feedback = client, on_feedback
@@ -315,7 +315,7 @@ class SentGoal:
         self._over = threading.Event()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for the action's result; return False on timeout."""
+        """Wait up to `timeout` [s] for the result of a ROS action goal; return False on timeout."""
         return self._over.wait(timeout)
 
     def cancel(self) -> None:
@@ -323,7 +323,7 @@ class SentGoal:
 
 
 class ActionClient:
-    """Client that sends goals to an action server on the bus or behind a transport."""
+    """ROS action client that sends goals to an action server on the bus or behind a transport."""
 
     _numbers = itertools.count(1)
 
@@ -351,7 +351,7 @@ class ActionClient:
         self.close()
 
     def wait_for_server(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] until all five topics of the action are connected to a server.
+        """Wait up to `timeout` [s] until all five topics of an actionlib action are connected to a server.
 
         Returns:
             True if a server receives goals and cancels and publishes result, feedback and status.
@@ -369,7 +369,7 @@ class ActionClient:
             self.bus.wait_change(version, left)
 
     def send(self, goal: Any, on_feedback: Callable[[Any], None] | None = None) -> SentGoal:
-        """Send a Goal message to the action server and return the handle of the goal.
+        """Send a Goal message to the action server and return the client's handle of the goal.
 
         Args:
             goal: Goal message of the action.

@@ -37,12 +37,12 @@ Finder = Callable[[str], Handler | None]
 
 
 class ServiceError(ArmcellError):
-    """A failed service call: no server, an error in the handler, or a timeout."""
+    """A failed service call on the message bus: no server, an error in the handler, or a timeout."""
 
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """Snapshot of a topic: its type, connections and message counts."""
+    """Snapshot of a topic on the message bus: its type, connections and message counts."""
 
     name: str
     type: str
@@ -54,7 +54,7 @@ class TopicInfo:
 
 
 class Bus:
-    """Thread-safe message bus within one process.
+    """Thread-safe in-process message bus with topics, services, parameters and a clock.
 
     The bus never holds a lock while a callback or service handler runs.
     """
@@ -72,7 +72,7 @@ class Bus:
         self._versions = [0]  # counts changes of publishers, subscribers and services; shared by all views
 
     def renamed(self, names: NameMap | None) -> Bus:
-        """Return a view of this bus that maps a program's names by its namespace and remappings.
+        """Return a view of the message bus that maps a program's names by its namespace and remappings.
 
         Transports use the bus itself, so that a namespace or remapping has the same effect on all of them.
         """
@@ -82,7 +82,7 @@ class Bus:
 
     @property
     def names(self) -> NameMap | None:
-        """Return the map from this program's names to the bus's names; None without a map."""
+        """Return the map from a program's names to the names on the message bus; None without a map."""
         return self._names
 
     @property
@@ -95,7 +95,7 @@ class Bus:
         self._root._parameters = parameters
 
     def full_name(self, name: str) -> str:
-        """Return the full name on the bus for a topic or service name that a program uses.
+        """Return the full name on the message bus for a topic or service name that a program uses.
 
         Raises:
             InputError: ROS does not accept the name.
@@ -107,7 +107,7 @@ class Bus:
 
     # --- topics ---
     def advertise(self, topic: str, type_name: str, latch: bool = False, owner: object = None) -> Publisher:
-        """Create a publisher on a topic.
+        """Create a publisher on a topic of the message bus.
 
         Args:
             topic: name of the topic.
@@ -127,7 +127,7 @@ class Bus:
         callback: Callable[[Any], None] | None = None,
         queue_size: int = QUEUE_SIZE,
     ) -> Subscription:
-        """Subscribe to a topic; read messages with `get`, or pass a callback.
+        """Subscribe to a topic of the message bus; read messages with `get`, or pass a callback.
 
         The callback runs in a separate thread. When the queue is full, the oldest message is dropped and
         counted.
@@ -147,7 +147,7 @@ class Bus:
         return subscription
 
     def attach(self, topic: str, type_name: str, put: Put, owner: object = None) -> Attachment:
-        """Attach a transport's function to a topic; each publisher's thread calls the function.
+        """Attach a transport's receiver function to a bus topic; publishers call it in their threads.
 
         `put` receives the messages in order. It must be quick, must not raise, and must not use the bus. It
         does not receive messages of publishers with the same `owner`, because those messages arrived through
@@ -162,7 +162,7 @@ class Bus:
         return self._join(topic, type_name, lambda t: Attachment(self, t, put, owner))
 
     def topics(self, besides: object = None) -> list[TopicInfo]:
-        """List the topics, each with its number of publishers and subscribers.
+        """List the topics of the message bus, each with its number of publishers and subscribers.
 
         Args:
             besides: an owner whose publishers and subscribers are not counted; topics without others are
@@ -174,7 +174,7 @@ class Bus:
         return [i for i in infos if i.publishers or i.subscribers or besides is None]
 
     def topic_type(self, topic: str) -> str | None:
-        """Return the message type of a topic, or None if the topic does not exist."""
+        """Return the message type of a topic on the message bus, or None if the topic does not exist."""
         with self._lock:
             found = self._topics.get(self.full_name(topic))
             return found.type if found else None
@@ -209,7 +209,7 @@ class Bus:
         self._changed.notify_all()
 
     def wait_change(self, version: int, timeout: float | None = None) -> int:
-        """Wait until a publisher, subscriber or service is added or removed on the bus.
+        """Wait until a publisher, subscriber or service is added or removed on the message bus.
 
         Args:
             version: version that the previous call returned; 0 for the first call.
@@ -223,7 +223,7 @@ class Bus:
 
     # --- services ---
     def serve(self, name: str, type_name: str, handler: Handler) -> Service:
-        """Register a handler for a service; `handler(request)` returns the response.
+        """Register a handler for a service on the message bus; `handler(request)` returns the response.
 
         The handler runs in the caller's thread.
 
@@ -241,7 +241,7 @@ class Bus:
         return service
 
     def find_elsewhere(self, finder: Finder) -> None:
-        """Register a transport's lookup function for services without a server on the bus."""
+        """Register a transport's lookup function for services without a server on the message bus."""
         with self._lock:
             self._finders.append(finder)
 
@@ -255,7 +255,7 @@ class Bus:
         return next((found for find in finders if (found := find(name)) is not None), None)
 
     def call(self, name: str, request: Any) -> Any:
-        """Call a service on the bus or behind a transport and return its response.
+        """Call a service on the message bus or behind a transport and return its response.
 
         Raises:
             ServiceError: the service has no server, or its handler failed; the message states the cause.
@@ -283,7 +283,7 @@ class Bus:
         return response
 
     def wait_for_service(self, name: str, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for a service; return True if it is available."""
+        """Wait up to `timeout` [s] for a service on the message bus; return True if it is available."""
         name = self.full_name(name)
         give_up = None if timeout is None else time.monotonic() + timeout
         while True:
@@ -298,17 +298,17 @@ class Bus:
                 return False
 
     def services(self) -> dict[str, str]:
-        """Return the type of each service on the bus, by service name."""
+        """Return the type of each service on the message bus, by service name."""
         with self._lock:
             return {self._own_name(name): service.type for name, service in sorted(self._services.items())}
 
     # --- time ---
     def stamp(self) -> Any:
-        """Return the current time as a builtin_interfaces/Time message."""
+        """Return the current time of the bus's clock as a builtin_interfaces/Time message."""
         return self.schema.message("builtin_interfaces/Time").from_sec(self.clock.now())
 
     def header(self, frame_id: str = "") -> Any:
-        """Return a std_msgs/Header with the current time."""
+        """Return a std_msgs/Header with the current time of the bus's clock."""
         return self.schema.new("std_msgs/Header", stamp=self.stamp(), frame_id=frame_id)
 
 
@@ -366,12 +366,12 @@ class _Topic:
 
 
 def _same(publisher: Publisher, receiver: Attachment) -> bool:
-    """Return True if a publisher and a receiver belong to the same transport."""
+    """Return True if a publisher and a receiver on the message bus belong to the same transport."""
     return publisher.owner is not None and publisher.owner is receiver.owner
 
 
 class _Member:
-    """Base class for publishers and receivers of a topic, which leave the topic by `close`.
+    """Base class for publishers and receivers of a bus topic, which leave the topic by `close`.
 
     A member is also a context manager that closes at the end of a `with` block.
     """
@@ -382,7 +382,7 @@ class _Member:
         self.closed = False
 
     def close(self) -> None:
-        """Remove this publisher or receiver from its topic; repeated calls have no effect."""
+        """Remove a publisher or receiver from its bus topic; repeated calls have no effect."""
         self.closed = True
         self._bus._leave(self._topic, self)
 
@@ -402,7 +402,7 @@ class Publisher(_Member):
         self.latched: Any = None
 
     def publish(self, message: Any) -> None:
-        """Deliver a message to every subscriber without waiting for any of them.
+        """Deliver a message to every subscriber of a bus topic without waiting for any of them.
 
         Raises:
             InputError: the message has another type than the topic, or the publisher is closed.
@@ -416,12 +416,12 @@ class Publisher(_Member):
 
     @property
     def subscribers(self) -> int:
-        """Return the number of receivers of the topic, including receivers of transports."""
+        """Return the number of receivers of a bus topic, including the receivers of transports."""
         return len(self._topic.receivers)
 
 
 class Attachment(_Member):
-    """Attachment of a transport's receiver function to a topic."""
+    """Attachment of a transport's receiver function to a topic of the message bus."""
 
     def __init__(self, bus: Bus, topic: _Topic, put: Put, owner: object = None):
         super().__init__(bus, topic, owner)
@@ -429,7 +429,7 @@ class Attachment(_Member):
 
 
 class Subscription(Attachment):
-    """Subscription to a topic: a bounded queue of unread messages.
+    """Subscription to a topic of the message bus: a bounded queue of unread messages.
 
     Attributes:
         dropped: number of unread messages that the full queue has dropped.
@@ -452,7 +452,7 @@ class Subscription(Attachment):
             self._arrived.notify()
 
     def get(self, timeout: float | None = None) -> Any:
-        """Return the oldest unread message of the subscription.
+        """Return the oldest unread message of a subscription on the message bus.
 
         Args:
             timeout: longest wait for a message [s]; None waits until the subscription is closed.
@@ -469,11 +469,11 @@ class Subscription(Attachment):
             return self._queue.popleft() if self._queue else None
 
     def join(self, topic: str, type_name: str) -> None:
-        """Add a topic to this subscription, so that messages of all its topics keep their order."""
+        """Add a topic to a bus subscription, so that the messages of all its topics keep their order."""
         self._joined.append(self._bus.attach(topic, type_name, self._put))
 
     def run(self, callback: Callable[[Any], None]) -> None:
-        """Start a thread that calls `callback` with each message until the subscription is closed."""
+        """Start a thread that calls `callback` with each message of a bus subscription until it is closed."""
         require(self._thread is None, f"the subscription of {self.topic} has a callback already")
 
         def loop() -> None:

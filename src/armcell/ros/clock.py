@@ -9,7 +9,7 @@ from armcell.core.checks import require
 
 
 class Clock:
-    """A clock that reads Unix time in seconds, or simulation time once `set` has been called."""
+    """Clock of the message bus: Unix time in seconds, or simulation time once `set` has been called."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -20,12 +20,12 @@ class Clock:
         return self._simulated is not None
 
     def now(self) -> float:
-        """Return the current time [s]: simulation time if it was set, otherwise Unix time."""
+        """Return the time [s] of the bus's clock: simulation time if it was set, otherwise Unix time."""
         simulated = self._simulated
         return time.time() if simulated is None else simulated
 
     def set(self, seconds: float) -> None:
-        """Switch the clock to simulation time and set it to `seconds`.
+        """Switch the clock of the message bus to simulation time and set it to `seconds`.
 
         Time may jump backward, for example when the simulation is reset.
         """
@@ -35,7 +35,7 @@ class Clock:
             self._changed.notify_all()
 
     def wait_until(self, seconds: float, timeout: float | None = None) -> bool:
-        """Wait until this clock reaches the time `seconds` [s].
+        """Wait until the clock of the message bus reaches the time `seconds` [s].
 
         Args:
             seconds: target time on this clock.

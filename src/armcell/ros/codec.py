@@ -26,11 +26,11 @@ MAX_ITEMS = 1 << 26
 
 
 class WireError(ArmcellError):
-    """Received bytes that cannot be decoded as a message of the expected type."""
+    """Received bytes that cannot be decoded as a ROS message of the expected type."""
 
 
 class Codec:
-    """Encoder and decoder for the messages of one schema. Thread-safe.
+    """Codec that encodes and decodes the messages of one schema in ROS 1 or CDR bytes; thread-safe.
 
     Args:
         name: "ros1" for ROS 1 serialization, "cdr" for CDR.
@@ -49,7 +49,7 @@ class Codec:
         self._store.types = _Classes(schema, self._cdr)
 
     def encode(self, message: Any) -> memoryview:
-        """Encode a ROS message as bytes.
+        """Encode a ROS message as bytes in the codec's format: ROS 1 serialization or CDR.
 
         Raises:
             InputError: the value of a field does not fit its type.
@@ -75,7 +75,7 @@ class Codec:
         self._store.get_msgdef(rosbags_name(plain_name(name)))
 
     def decode(self, name: str, data: bytes | memoryview) -> Any:
-        """Decode bytes that contain exactly one message of the type `name`.
+        """Decode bytes in the codec's format that contain exactly one ROS message of the type `name`.
 
         Raises:
             UnknownNameError: the type does not exist.
@@ -95,7 +95,7 @@ class Codec:
 
 
 class _Classes(dict):
-    """Dictionary of message classes by rosbags' names; creates each class on first access."""
+    """The codec's dictionary of message classes by rosbags' names; creates each class on first access."""
 
     def __init__(self, schema: Schema, cdr: bool):
         super().__init__()
@@ -119,7 +119,7 @@ def _is_empty(definition: Definition) -> bool:
 
 
 def _culprit(message: Any) -> str | None:
-    """Return a hint that names a message's first field with text for a number, or vice versa.
+    """Return a hint on the first field of an unencodable message: text for a number, or vice versa.
 
     Returns None if no direct field of the message has this fault, that is, if the fault is nested deeper.
     """

@@ -9,7 +9,7 @@ MORE = "more"  # the shared kind for every new fault beyond the limit
 
 
 class Complaints:
-    """Thread-safe counter of faults by kind.
+    """Thread-safe counter of faults in received messages, by kind of fault.
 
     Args:
         most: maximum number of distinct kinds. Later kinds share one counter, so that a faulty sender can
@@ -22,7 +22,7 @@ class Complaints:
         self._counts: Counter[str] = Counter()
 
     def is_new(self, kind: str) -> bool:
-        """Count one fault; return True if it is the first of its kind and should be logged."""
+        """Count one fault in received messages; return True if its kind is new and should be logged."""
         with self._lock:
             if kind not in self._counts and len(self._counts) >= self._most:
                 kind = MORE

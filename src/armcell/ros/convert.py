@@ -17,7 +17,7 @@ TIME_GAP = 1e-9  # [s] points less than a nanosecond apart count as simultaneous
 
 
 def joint_state_message(schema: Schema, header: Any, state: JointState) -> Any:
-    """Convert a joint state to a sensor_msgs/JointState.
+    """Convert armcell's joint state to a sensor_msgs/JointState.
 
     Unknown velocities and efforts become empty arrays.
     """
@@ -33,7 +33,7 @@ def joint_state_message(schema: Schema, header: Any, state: JointState) -> Any:
 
 
 def pose_message(schema: Schema, T: SE3) -> Any:
-    """Convert a pose to a geometry_msgs/Pose."""
+    """Convert an SE3 pose to a geometry_msgs/Pose."""
     point = schema.new("geometry_msgs/Point", *T.translation.tolist())
     return schema.new("geometry_msgs/Pose", point, schema.new("geometry_msgs/Quaternion", *_xyzw(T)))
 
@@ -62,7 +62,7 @@ def pose_from_message(pose: Any) -> SE3:
 
 
 def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
-    """Create a geometry_msgs/TransformStamped from the header's frame to the frame `child`."""
+    """Create a geometry_msgs/TransformStamped from the header's frame to the frame `child`, from an SE3."""
     vector = schema.new("geometry_msgs/Vector3", *T.translation.tolist())
     rotation = schema.new("geometry_msgs/Quaternion", *_xyzw(T))
     return schema.new(
@@ -74,7 +74,7 @@ def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
 
 
 def image_message(schema: Schema, header: Any, picture: np.ndarray) -> Any:
-    """Convert an image to a sensor_msgs/Image.
+    """Convert a camera image (array) to a sensor_msgs/Image.
 
     Args:
         schema: the message types.
@@ -102,7 +102,7 @@ def camera_info_message(schema: Schema, header: Any, pinhole: Pinhole) -> Any:
 
 
 def cloud_message(schema: Schema, header: Any, points: np.ndarray, rgb: np.ndarray | None = None) -> Any:
-    """Convert points to a sensor_msgs/PointCloud2.
+    """Convert an array of points (n, 3) to a sensor_msgs/PointCloud2.
 
     Args:
         schema: the message types.
@@ -182,7 +182,7 @@ def _check_names(names: Sequence[str], model: RobotModel) -> None:
 
 
 def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
-    """Stack one field of all trajectory points into an array (points, n).
+    """Stack one field of all points of a trajectory_msgs/JointTrajectory into an array (points, n).
 
     Returns:
         The array, or None if no point sets the field.

@@ -102,14 +102,14 @@ EMPTY_WRITE = "#if ROS2\n            serializer.Write((byte)0);\n#endif\n"
 
 
 class Generated(NamedTuple):
-    """A generated source file: its path relative to the output folder, and its text."""
+    """A generated C# source file: its path relative to the output folder, and its text."""
 
     path: str
     text: str
 
 
 def csharp(schema: Schema, packages: Iterable[str] = NOT_SHIPPED) -> list[Generated]:
-    """Generate the C# classes of all messages in the packages, with the fields of ROS 1.
+    """Generate the C# message classes of all messages in the packages, with the fields of ROS 1.
 
     Types that exist only in ROS 2 are omitted.
 
@@ -130,7 +130,7 @@ def csharp(schema: Schema, packages: Iterable[str] = NOT_SHIPPED) -> list[Genera
 
 
 def write(files: Iterable[Generated], folder: Path) -> list[Path]:
-    """Write generated files to a folder, create missing folders, and return the paths."""
+    """Write generated C# files to a folder, create missing folders, and return the paths."""
     written = []
     for file in files:
         path = folder / file.path
@@ -141,7 +141,7 @@ def write(files: Iterable[Generated], folder: Path) -> list[Path]:
 
 
 def csharp_class(schema: Schema, name: str) -> str:
-    """Return the C# source of one message class.
+    """Return the C# source of the class for one ROS message.
 
     Args:
         schema: the message types.
@@ -169,14 +169,14 @@ def csharp_class(schema: Schema, name: str) -> str:
 
 
 def namespace(package: str) -> str:
-    """Return the C# namespace of a package: `ObjectRecognition` for object_recognition_msgs."""
+    """Return the C# namespace of a ROS package: `ObjectRecognition` for object_recognition_msgs."""
     if any(part in package for part in ("_msgs", "_srvs", "_actions")):
         package = package[: package.rindex("_")]
     return "".join(word[:1].upper() + word[1:] for word in package.split("_"))
 
 
 def _kind(schema: Schema, name: str) -> tuple[str, str]:
-    """Return the folder (msg, srv or action) and the C# class name of a message."""
+    """Return the folder (msg, srv or action) and the C# class name of a ROS message."""
     item = name.split("/")[1]
     if any(name in (f"{s}Request", f"{s}Response") for s in schema.services):
         return "srv", item
@@ -214,7 +214,7 @@ def _safe(name: str) -> str:
 
 
 class _Member:
-    """A message field in C#: its type and the lines that declare, set, read, write and print it."""
+    """A ROS message field in C#: its type and the lines that declare, set, read, write and print it."""
 
     def __init__(self, schema: Schema, package: str, field: str, node: Any):
         is_message, kind, length = field_parts(node)

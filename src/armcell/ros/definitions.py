@@ -43,14 +43,14 @@ Field = tuple[str, Any]  # field name and type node of rosbags
 
 
 class Definition(NamedTuple):
-    """Definition of one message: its constants (name, base type, value) and its fields."""
+    """Definition of one ROS message, parsed from text: its constants (name, base type, value) and fields."""
 
     constants: list[tuple[str, str, Any]]
     fields: list[Field]
 
 
 class Interfaces(NamedTuple):
-    """Set of ROS definitions: messages by name, and the names of services and actions."""
+    """Set of parsed ROS definitions: messages by name, and the names of services and actions."""
 
     messages: dict[str, Definition]
     services: list[str]
@@ -58,19 +58,21 @@ class Interfaces(NamedTuple):
 
 
 def plain_name(name: str) -> str:
-    """Return `pkg/msg/Name`, `pkg/srv/Name` or `pkg/action/Name` as `pkg/Name`."""
+    """Normalize the name of a ROS type: `pkg/msg/Name`, `pkg/srv/Name` or `pkg/action/Name` becomes
+    `pkg/Name`.
+    """
     parts = name.split("/")
     return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv", "action") else name
 
 
 def rosbags_name(name: str) -> str:
-    """Return `pkg/Name` in rosbags' form `pkg/msg/Name`."""
+    """Return the name of a ROS type, `pkg/Name`, in rosbags' form `pkg/msg/Name`."""
     package, _, item = name.partition("/")
     return f"{package}/msg/{item}"
 
 
 def field_parts(node: Any) -> tuple[bool, str, int | None]:
-    """Split a field's type node of rosbags into its parts.
+    """Split the parsed type of a ROS message field (a node of rosbags' parser) into its parts.
 
     Returns:
         Tuple (is a message, base type or `pkg/Name`, array length). The length is None for a field that is
@@ -87,7 +89,7 @@ def field_parts(node: Any) -> tuple[bool, str, int | None]:
 
 
 def noetic() -> Interfaces:
-    """Return the definitions of the common ROS Noetic packages, from rosbags."""
+    """Return the message definitions of the common ROS Noetic packages, from rosbags."""
     store = get_typestore(Stores.ROS1_NOETIC)
     messages = {
         plain_name(name): Definition(list(constants), list(fields))
@@ -99,7 +101,7 @@ def noetic() -> Interfaces:
 
 
 def read_folder(folder: Path) -> Interfaces:
-    """Read all definitions in a folder: `<package>/msg|srv|action/<Name>.msg|srv|action`.
+    """Read all ROS definitions in a folder: `<package>/msg|srv|action/<Name>.msg|srv|action`.
 
     Raises:
         InputError: a file is invalid, or the folder contains no definitions; the error names the file and the
@@ -140,7 +142,7 @@ def read_folder(folder: Path) -> Interfaces:
 
 
 def parse(text: str, name: str) -> dict[str, Definition]:
-    """Parse the text of a `.msg` file.
+    """Parse the text of a `.msg` file into the definition of a ROS message.
 
     Args:
         text: contents of the file.
@@ -189,7 +191,7 @@ def _sections(text: str, name: str, count: int) -> list[str]:
 
 
 def nested(definition: Definition) -> Iterator[str]:
-    """Yield the names of the messages nested directly in a definition."""
+    """Yield the names of the messages nested directly in a ROS message definition."""
     for _, node in definition.fields:
         is_message, name, _ = field_parts(node)
         if is_message:

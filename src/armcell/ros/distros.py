@@ -44,14 +44,15 @@ DEFAULT_DISTRO = "jazzy"
 
 
 def distro_from_environment() -> str:
-    """Return `ROS_DISTRO` if armcell supports that distribution, else "jazzy"."""
+    """Return the distribution in `ROS_DISTRO` if armcell supports it, else "jazzy"."""
     name = os.environ.get("ROS_DISTRO", "")
     return name if name in DISTROS else DEFAULT_DISTRO
 
 
 @cache
 def layouts(distro: str) -> Interfaces:
-    """Return all types for which a ROS 2 distribution has its own definition, by `pkg/Name`.
+    """Return the layouts of all messages for which a ROS 2 distribution has its own definition, by
+    `pkg/Name`.
 
     Raises:
         UnknownNameError: armcell does not support the distribution.

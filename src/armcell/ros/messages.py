@@ -34,7 +34,7 @@ DTYPES: dict[str, Any] = {
 
 
 class Message:
-    """Base class of every message. `_type` is `pkg/Name`; constants are class attributes."""
+    """Base class of every ROS message class. `_type` is `pkg/Name`; constants are class attributes."""
 
     __slots__ = ()
     _type: ClassVar[str]
@@ -55,7 +55,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 class Stamp:
-    """Base class of time and duration messages: conversion between fields and seconds."""
+    """Base class of ROS time and duration messages: conversion between fields and seconds."""
 
     __slots__ = ()
     sec: int
@@ -69,7 +69,7 @@ class Stamp:
 
     @classmethod
     def from_sec(cls, seconds: float) -> Any:
-        """Create a time or duration message from seconds, rounded to the nearest nanosecond.
+        """Create a ROS time or duration message from seconds, rounded to the nearest nanosecond.
 
         `nanosec` is in the range 0 to 999999999.
         """
@@ -84,12 +84,12 @@ STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 
 
 def python_name(field: str) -> str:
-    """Return the attribute name of a field; a Python keyword such as `lambda` becomes `lambda_`."""
+    """Return the attribute name of a message field; a Python keyword such as `lambda` becomes `lambda_`."""
     return f"{field}_" if keyword.iskeyword(field) else field
 
 
 def make_class(name: str, definition: Definition, find: Callable[[str], type]) -> type:
-    """Create the Python class of the message `pkg/Name`.
+    """Create the Python class of the ROS message `pkg/Name` from its definition.
 
     Args:
         name: message name, `pkg/Name`.
@@ -130,7 +130,7 @@ def _several(make: Callable[[], Any], count: int) -> list[Any]:
 
 
 class Tidy:
-    """Callable that converts lists in a message to arrays of the type that the encoder needs.
+    """Converter of the lists in a message to arrays of the type that the encoder needs.
 
     The original message does not change, and valid fields are not copied.
     """
@@ -183,7 +183,7 @@ def _array(message: Any, name: str, value: Any, dtype: np.dtype) -> Any:
 
 
 def _fits(array: Any, dtype: np.dtype) -> bool:
-    """Return True if an array can be converted to a numeric type without changing its values."""
+    """Return True if a message field's array converts to a numeric type without changing its values."""
     if dtype.kind == "f":
         return array.dtype.kind in "fiub"
     if dtype.kind == "b":

@@ -17,7 +17,7 @@ _PART = re.compile(r"^[A-Za-z_][A-Za-z0-9_]*$")
 
 
 def resolve(name: str, namespace: str = "/") -> str:
-    """Return the full name of a topic or service, with a leading slash.
+    """Return the full ROS name of a topic or service, with a leading slash.
 
     Args:
         name: a relative name, or a full name that starts with a slash.
@@ -36,7 +36,7 @@ def resolve(name: str, namespace: str = "/") -> str:
 
 
 def resolved(name: str, node: str, namespace: str) -> str:
-    """Resolve a name in a program's source (absolute, private or relative) to a full ROS name.
+    """Resolve a ROS name in a program's source (absolute, private or relative) to a full ROS name.
 
     `/a` stays `/a`, `~a` is relative to the node, and `a` is relative to the namespace.
 
@@ -53,7 +53,7 @@ def resolved(name: str, node: str, namespace: str) -> str:
 
 
 class NameMap:
-    """One-to-one map between the names that a program uses and the names on the ROS graph.
+    """One-to-one map between the ROS names that a program uses and the names on the ROS graph.
 
     The namespace prefixes all names of the program, including names with a leading slash; only the names in
     `GLOBAL` stay unchanged. Remapping an action remaps its five topics as well. Source of the rules:
@@ -80,7 +80,7 @@ class NameMap:
 
     @property
     def remapped(self) -> list[str]:
-        """Return the remapped names in the form that the program uses."""
+        """Return the ROS name remappings in the form that the program uses."""
         return [self.to_bus(self._there[name]) for name in self._there]
 
     def to_graph(self, name: str) -> str:
@@ -89,7 +89,7 @@ class NameMap:
         return _renamed(self._there, full)
 
     def to_bus(self, name: str) -> str:
-        """Return the program's name for a name on the ROS graph.
+        """Return the program's name for a topic or service name on the ROS graph.
 
         Names outside the namespace stay unchanged.
         """
@@ -99,7 +99,7 @@ class NameMap:
 
 
 def _renamed(table: Mapping[str, str], name: str) -> str:
-    """Look up a name in a remapping table; topics of a remapped action follow the action."""
+    """Look up a ROS name in a remapping table; topics of a remapped action follow the action."""
     if name in table:
         return table[name]
     action, _, part = name.rpartition("/")
@@ -107,7 +107,7 @@ def _renamed(table: Mapping[str, str], name: str) -> str:
 
 
 def name_map(node: str, namespace: str = "", remap: Iterable[str] = ()) -> NameMap | None:
-    """Return the name map for a namespace and remappings, or None if no name changes.
+    """Return the ROS name map for a namespace and remappings, or None if no name changes.
 
     Args:
         node: name of the node.
@@ -129,7 +129,7 @@ def name_map(node: str, namespace: str = "", remap: Iterable[str] = ()) -> NameM
 
 
 def _own(name: str, namespace: str) -> str:
-    """Make a remapped name relative, unless it is global or already contains the namespace."""
+    """Make a remapped ROS name relative, unless it is global or already contains the namespace."""
     inside = f"/{namespace.strip('/')}/"
     if name in GLOBAL or name.startswith(inside):
         return name

@@ -13,7 +13,7 @@ _NONE = object()
 
 
 class Parameters:
-    """Thread-safe parameter store in which a name is either a value or a namespace.
+    """Thread-safe ROS parameter store in which a name is either a value or a namespace.
 
     Reading or writing a namespace uses a nested dict.
     """
@@ -23,7 +23,7 @@ class Parameters:
         self._lock = threading.Lock()
 
     def set(self, name: str, value: Any) -> None:
-        """Set a parameter; a mapping replaces the whole namespace."""
+        """Set a ROS parameter; a mapping replaces the whole namespace."""
         name = resolve(name)
         with self._lock:
             self._drop(name)
@@ -32,7 +32,7 @@ class Parameters:
             self._values.update(_flat(name, value))
 
     def get(self, name: str, default: Any = _NONE) -> Any:
-        """Return a parameter's value, or a namespace as nested dicts; "/" returns all parameters.
+        """Return a ROS parameter's value, or a namespace as nested dicts; "/" returns all parameters.
 
         Raises:
             UnknownNameError: the parameter is not set and the caller gave no default.
@@ -49,7 +49,7 @@ class Parameters:
         raise UnknownNameError("parameter", name, self.names())
 
     def delete(self, name: str) -> None:
-        """Delete a parameter, or a namespace with all of its parameters.
+        """Delete a ROS parameter, or a namespace with all of its parameters.
 
         Raises:
             UnknownNameError: the parameter is not set.
@@ -76,7 +76,7 @@ class Parameters:
 
 
 class RenamedParameters(Parameters):
-    """View of the parameters for a program in a namespace or with remapped names."""
+    """View of the ROS parameters for a program in a namespace or with remapped names."""
 
     def __init__(self, parameters: Parameters, names: NameMap):
         self._parameters, self._map = parameters, names

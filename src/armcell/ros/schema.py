@@ -35,7 +35,7 @@ ACTION_PARTS = ("Goal", "Result", "Feedback")
 
 
 class Schema:
-    """Registry of message, service and action types by name.
+    """Schema: registry of the message, service and action types by name.
 
     Args:
         folders: additional definitions, each `<folder>/<package>/msg|srv|action/...`.
@@ -74,7 +74,9 @@ class Schema:
         self.actions = sorted({*self.actions, *found.actions})
 
     def _add_ros2(self) -> None:
-        """Add the types and fields that exist only in ROS 2; newer distributions take precedence."""
+        """Add to the message schema the types and fields that exist only in ROS 2; newer distributions take
+        precedence.
+        """
         for distro in reversed(DISTROS):
             found = layouts(distro)
             for name, definition in found.messages.items():
@@ -91,7 +93,7 @@ class Schema:
     # --- types ---
     @property
     def messages(self) -> list[str]:
-        """Return the sorted names of all messages, including the parts of services and actions."""
+        """Return the sorted names of all messages of the schema, with the parts of services and actions."""
         return sorted(self.definitions)
 
     def definition(self, name: str) -> Definition:
@@ -101,7 +103,7 @@ class Schema:
             raise UnknownNameError("message type", name, self.definitions) from None
 
     def whole(self, name: str) -> Definition:
-        """Return the ROS 1 definition of a type, extended by the fields that exist only in ROS 2.
+        """Return the schema's ROS 1 definition of a type, extended by the fields that only ROS 2 has.
 
         The class of the type has all of these fields.
 
@@ -111,7 +113,7 @@ class Schema:
         return self._whole.get(plain_name(name)) or self.definition(name)
 
     def message(self, name: str) -> type[Any]:
-        """Return the message class of `pkg/Name` (or `pkg/msg/Name`).
+        """Return the message class of the schema's type `pkg/Name` (or `pkg/msg/Name`).
 
         The class derives from `Message` and has the fields that `whole` returns.
 
@@ -124,14 +126,14 @@ class Schema:
         return self._classes[name]
 
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
-        """Create a message from its type name and field values.
+        """Create a message from its type name in the schema and field values.
 
         Examples: `new("geometry_msgs/Point", x=1.0)`, `new("builtin_interfaces/Time", 3, 500)`.
         """
         return self.message(name)(*values, **fields)
 
     def service(self, name: str) -> tuple[type[Message], type[Message]]:
-        """Return the request class and the response class of a service type.
+        """Return the request class and the response class of a service type in the schema.
 
         Raises:
             UnknownNameError: the service type does not exist.
@@ -142,7 +144,7 @@ class Schema:
         return self.message(f"{name}Request"), self.message(f"{name}Response")
 
     def action(self, name: str) -> str:
-        """Return an action type as `pkg/Name`, without the suffix `Action`.
+        """Return the schema's name of an action type, `pkg/Name` without the suffix `Action`.
 
         Raises:
             UnknownNameError: the action type does not exist.
@@ -153,14 +155,14 @@ class Schema:
         return plain
 
     def tidy(self, name: str) -> Tidy:
-        """Return the converter that prepares messages of one type for encoding."""
+        """Return the schema's converter that prepares messages of one type for encoding."""
         if name not in self._tidies:
             self._tidies.setdefault(name, Tidy(self.whole(name), self.tidy))
         return self._tidies[name]
 
     # --- texts and sums ---
     def text(self, name: str) -> str:
-        """Return the definition text of a message, with one constant or field per line."""
+        """Return the definition text of a message type in the schema, with one constant or field per line."""
         return "".join(f"{line}\n" for line in self._lines(self.definition(name), {}))
 
     def full_text(self, name: str) -> str:
@@ -173,7 +175,7 @@ class Schema:
         return self.text(name) + "".join(rest)
 
     def md5(self, name: str) -> str:
-        """Return the MD5 sum that ROS 1 compares for a message or a service.
+        """Return the MD5 sum of a message or service type, which ROS 1 peers compare at connection.
 
         Source: `gentools.compute_md5` in ROS 1's genmsg. The text lists constants first, replaces each nested
         type by its MD5 sum, and omits comments and package names. The text of a service is the request text
@@ -194,7 +196,7 @@ class Schema:
         return self._texts[name]
 
     def _lines(self, definition: Definition, names: Mapping[str, str]) -> list[str]:
-        """Return the lines of a definition, with nested types replaced by their entries in `names`.
+        """Return the lines of a message definition, with nested types replaced by their entries in `names`.
 
         A replaced type has no array suffix.
         """
@@ -213,7 +215,7 @@ class Schema:
 
 
 def _merged(known: Definition, other: Definition) -> Definition:
-    """Extend a definition by the constants and fields that exist only in another layout.
+    """Merge two layouts of a message: add the constants and fields that exist only in the second one.
 
     Field names are compared without case, because CameraInfo's names differ only in case.
     """

@@ -39,12 +39,12 @@ class Frame:
 
     @property
     def rate(self) -> float:
-        """Return the mean rate [Hz] of the received transforms of this frame."""
+        """Return the mean rate [Hz] of the received transforms of this TF frame."""
         return (self.count - 1) / (self.last - self.first) if self.last > self.first else 0.0
 
 
 class TfMonitor:
-    """Collector of transforms that reports the frame tree as text and its faults.
+    """Monitor that collects TF transforms and reports the frame tree as text and its faults.
 
     Args:
         expected: frames that must exist, e.g. the links of a cell.
@@ -56,7 +56,7 @@ class TfMonitor:
         self._dropped = 0
 
     def add(self, message: Any, now: float, static: bool = False) -> None:
-        """Add a tf2_msgs/TFMessage that arrived at the time `now`.
+        """Add a tf2_msgs/TFMessage that arrived at the time `now` to the TF monitor.
 
         Args:
             message: the TFMessage.
@@ -82,7 +82,7 @@ class TfMonitor:
         return sorted({f.parent for f in self.frames.values()} - set(self.frames))
 
     def lines(self, now: float) -> list[str]:
-        """Return the frame tree as text, one line per frame, indented by depth, with age and rate."""
+        """Return the TF frame tree as text: one line per frame, indented by depth, with age and rate."""
         below: dict[str, list[str]] = {}
         for frame in self.frames.values():
             below.setdefault(frame.parent, []).append(frame.name)
@@ -102,7 +102,7 @@ class TfMonitor:
         return found
 
     def faults(self, now: float) -> list[str]:
-        """Return one message for each fault in the frame tree, with the frame and the remedy."""
+        """Return one message for each fault in the TF tree, with the frame and the remedy."""
         found = [f.fault for f in self.frames.values() if f.fault]
         for frame in self.frames.values():
             fresh = [p for p, at in frame.parents.items() if frame.last - at <= STALE or frame.static]

@@ -23,13 +23,13 @@ LOCAL = "127.0.0.1"
 
 
 class Transport(Protocol):
-    """Connection that transports messages between a bus and other programs, in both directions.
+    """Transport that carries messages between the bus and other programs (Unity, ROS), both directions.
 
     The constructor checks the address and opens nothing. After `close`, no thread runs and no socket listens.
     """
 
     def reserve(self) -> None:
-        """Bind the transport's port without accepting connections yet.
+        """Bind the port of a transport to Unity or ROS without accepting connections yet.
 
         Raises:
             InputError: the port is in use, or a required peer does not exist.
@@ -37,19 +37,19 @@ class Transport(Protocol):
         ...
 
     def start(self) -> None:
-        """Start to accept connections; called when the cell on the bus can answer."""
+        """Start a transport, which then accepts connections; called when the cell on the bus can answer."""
         ...
 
     def close(self) -> None:
-        """Close all connections of the transport; callable at any time and repeatedly."""
+        """Close all connections of a transport to Unity or ROS; callable at any time and repeatedly."""
         ...
 
     def ready(self) -> str:
-        """Return the line to print after `start`, with the address for other programs."""
+        """Return the line to print after a transport's `start`, with the address for other programs."""
         ...
 
     def status_text(self) -> str:
-        """Return connected peers and lost messages as text for the status line.
+        """Return a transport's connected peers and lost messages as text for the status line.
 
         Raises:
             InputError: the transport has ended.
@@ -57,7 +57,7 @@ class Transport(Protocol):
         ...
 
     def endpoints(self) -> Iterable[Endpoint]:
-        """Return the sockets on which the transport listens."""
+        """Return the sockets on which a transport to Unity or ROS listens."""
         ...
 
 
@@ -69,7 +69,7 @@ transports: Registry[TransportFactory] = Registry("transport", "armcell.transpor
 
 
 def split_address(address: str, port: int) -> tuple[str, int]:
-    """Split an address "HOST:PORT" or "HOST" into host and port.
+    """Split a transport's address "HOST:PORT" or "HOST" into host and port.
 
     The defaults are the host 127.0.0.1 and the given port.
 
@@ -83,7 +83,7 @@ def split_address(address: str, port: int) -> tuple[str, int]:
 
 
 def losses(dropped: int, mistakes: int) -> str:
-    """Format the counts of dropped and malformed messages for a status line; omit zero counts."""
+    """Format a transport's counts of dropped and malformed messages for a status line; omit zeros."""
     return (f"  dropped {dropped}" if dropped else "") + (f"  mistakes {mistakes}" if mistakes else "")
 
 
@@ -185,7 +185,7 @@ class Ros2Transport:
         )
 
     def reserve(self) -> None:
-        """Do nothing: DDS chooses its ports when it joins the domain."""
+        """Do nothing: the ROS 2 transport has no port to reserve, DDS chooses its ports at the start."""
 
     def ready(self) -> str:
         reach = self._settings.reach

@@ -15,12 +15,12 @@ ADD, REMOVE, APPEND, MOVE = 0, 1, 2, 3  # moveit_msgs/CollisionObject
 
 
 def frame_of(header: Any) -> str:
-    """Return a header's frame name without a leading slash; an empty name means the world."""
+    """Return the frame of a collision object's header without a leading slash; empty means the world."""
     return header.frame_id.lstrip("/") or WORLD
 
 
 def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
-    """Return the shapes of a CollisionObject or BoundingVolume as pairs (shape, T_object_shape).
+    """Convert the shapes of a CollisionObject or BoundingVolume message as pairs (shape, T_object_shape).
 
     A shape without a pose is at the origin, as in MoveIt.
 
@@ -46,7 +46,7 @@ def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
 
 
 def object_from_message(message: Any, like: CollisionObject | None = None) -> CollisionObject:
-    """Convert a moveit_msgs/CollisionObject to a collision object in the header's frame.
+    """Convert a moveit_msgs/CollisionObject to a scene's collision object.
 
     If the object has one shape and no pose, the pose of the shape becomes the pose of the object, as in
     MoveIt.
@@ -72,7 +72,7 @@ def object_from_message(message: Any, like: CollisionObject | None = None) -> Co
 
 
 def object_message(schema: Schema, header: Any, item: CollisionObject, operation: int = ADD) -> Any:
-    """Convert a collision object to a moveit_msgs/CollisionObject in the world frame.
+    """Convert a scene's collision object to a moveit_msgs/CollisionObject in the world frame.
 
     Point clouds and octrees are omitted; an object that consists only of these has no shapes in its message.
 

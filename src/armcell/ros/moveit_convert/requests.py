@@ -26,7 +26,7 @@ It includes FixStartStateCollision, because a grasped object still touches its s
 
 
 def error_code_message(schema: Schema, code: ErrorCode | int, message: str = "") -> Any:
-    """Create a moveit_msgs/MoveItErrorCodes with a code and a text.
+    """Create a moveit_msgs/MoveItErrorCodes from an error code and a text.
 
     Only MoveIt 2 clients receive the text and its source.
     """

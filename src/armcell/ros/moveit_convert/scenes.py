@@ -52,7 +52,7 @@ logger = logging.getLogger(__name__)
 
 
 class Components(IntFlag):
-    """Bit flags of moveit_msgs/PlanningSceneComponents."""
+    """Bit flags of moveit_msgs/PlanningSceneComponents: the parts of a requested planning scene."""
 
     SCENE_SETTINGS = 1
     ROBOT_STATE = 2
@@ -69,7 +69,7 @@ class Components(IntFlag):
 
 # --- a message as changes ---
 def object_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
-    """Convert a moveit_msgs/CollisionObject to the changes that it makes to the scene.
+    """Convert a moveit_msgs/CollisionObject to planning scene changes.
 
     Args:
         message: the CollisionObject message.
@@ -109,7 +109,7 @@ def _known(scene: PlanningScene, name: str) -> Any:
 
 
 def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
-    """Return the scene change that moves an object to the pose in a CollisionObject message.
+    """Return the planning scene change that moves an object to the pose in a CollisionObject message.
 
     Older clients send the new pose as the pose of the object's only shape.
     """
@@ -121,7 +121,7 @@ def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
 
 
 def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
-    """Convert a moveit_msgs/AttachedCollisionObject to the changes that it makes to the scene.
+    """Convert a moveit_msgs/AttachedCollisionObject to planning scene changes.
 
     Args:
         message: the AttachedCollisionObject message.
@@ -194,7 +194,8 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
 
 
 def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
-    """Convert a moveit_msgs/PlanningSceneWorld to a diff that replaces world and octomap.
+    """Convert a moveit_msgs/PlanningSceneWorld to a diff that replaces the planning scene's world and
+    octomap.
 
     Raises:
         InputError: the message contains an invalid value or an unknown frame.
@@ -204,7 +205,7 @@ def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
 
 
 def _world(message: Any, now: PlanningScene, known: PlanningScene) -> list[Change]:
-    """Return the changes that a PlanningSceneWorld message makes to the scene, in order.
+    """Convert a PlanningSceneWorld message to planning scene changes, in their order.
 
     Each object is converted in the scene that results from the previous changes, as far as they concern it:
     adding and moving other objects do not.
@@ -260,7 +261,7 @@ def _allowed(matrix: Any, scene: PlanningScene) -> list[Change]:
 def scene_message(
     schema: Schema, header: Any, scene: PlanningScene, parts: Components = Components.ALL
 ) -> Any:
-    """Convert a scene to a moveit_msgs/PlanningScene with the requested components."""
+    """Convert armcell's scene to a moveit_msgs/PlanningScene with the requested components."""
     message = schema.new("moveit_msgs/PlanningScene", name="armcell", robot_model_name=scene.model.name)
     if parts & (Components.ROBOT_STATE | Components.ROBOT_STATE_ATTACHED_OBJECTS):
         attached = bool(parts & Components.ROBOT_STATE_ATTACHED_OBJECTS)
@@ -300,7 +301,7 @@ def scene_message(
 
 
 def _octomap_message(schema: Schema, header: Any, item: CollisionObject) -> Any:
-    """Convert the scene's octree to OctoMap's binary format.
+    """Convert the octree of a planning scene to an octomap_msgs/Octomap in OctoMap's binary format.
 
     The size of the smallest cell becomes the resolution.
     """

@@ -29,17 +29,17 @@ PRISM = 5  # shape_msgs/SolidPrimitive's type of a prism, only in ROS 2; armcell
 
 
 def _primitives() -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
-    """Return the kinds of shapes that shape_msgs/SolidPrimitive supports, by shape name."""
+    """Return the shape classes that shape_msgs/SolidPrimitive supports, by shape name."""
     return {n: (k, k.primitive) for n, k in shapes.imported().items() if k.primitive is not None}
 
 
 def primitive_type(name: str) -> int:
-    """Return the type number in shape_msgs/SolidPrimitive for the name of a shape."""
+    """Return the type number in shape_msgs/SolidPrimitive for a shape name such as "box"."""
     return _primitives()[name][1].type
 
 
 def primitive_shape(message: Any) -> Shape:
-    """Convert a shape_msgs/SolidPrimitive to a shape.
+    """Convert a shape_msgs/SolidPrimitive to armcell's box, sphere, cylinder or cone.
 
     Raises:
         InputError: the type is unknown, dimensions are missing, or a dimension is not positive.
@@ -60,7 +60,7 @@ def primitive_shape(message: Any) -> Shape:
 
 
 def prism(base: NDArray[np.float64], height: float) -> Mesh:
-    """Extrude a simple polygon by half of `height` to both sides and return the mesh.
+    """Extrude a polygon by half of `height` to both sides, for shape_msgs' PRISM; return the mesh.
 
     Args:
         base: corners (n, 2) [m] of a polygon without holes.
@@ -84,13 +84,13 @@ def prism(base: NDArray[np.float64], height: float) -> Mesh:
 
 
 def _area(corners: NDArray[np.float64]) -> float:
-    """Return the signed area of a polygon (n, 2) [m2], positive for counterclockwise order."""
+    """Return the signed area [m2] of a prism's base polygon (n, 2), positive if counterclockwise."""
     (x, y), (u, v) = corners.T, np.roll(corners, -1, axis=0).T
     return float(np.sum(x * v - u * y)) / 2
 
 
 def _triangles(base: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Triangulate a counterclockwise polygon (n, 2) into n - 2 triangles by ear clipping.
+    """Triangulate a prism's counterclockwise base polygon (n, 2) into n - 2 triangles by ear clipping.
 
     Source: Meisters 1975.
     """
@@ -126,7 +126,7 @@ def mesh_shape(message: Any) -> Mesh:
 
 
 def plane_pose(message: Any) -> SE3:
-    """Return the pose of armcell's plane for a shape_msgs/Plane a x + b y + c z + d = 0.
+    """Return the pose of armcell's plane shape for a shape_msgs/Plane a x + b y + c z + d = 0.
 
     In armcell, the z axis of the plane's frame is the normal, and the half-space below z = 0 is solid.
 
@@ -143,7 +143,7 @@ def plane_pose(message: Any) -> SE3:
 
 
 class ShapeMessages:
-    """Lists of shape messages and poses for a collision object or bounding volume.
+    """Lists of shape_msgs messages and poses for a collision object or bounding volume.
 
     `add` appends one shape at a time.
     """
@@ -155,7 +155,7 @@ class ShapeMessages:
         self.planes: list[tuple[Any, SE3]] = []
 
     def add(self, shape: Shape, T: SE3) -> None:
-        """Append a shape with its pose; a capsule becomes a cylinder and two spheres.
+        """Append a shape as shape_msgs message with its pose; a capsule becomes a cylinder and two spheres.
 
         Point clouds and octrees are omitted, because these lists cannot represent them.
         """

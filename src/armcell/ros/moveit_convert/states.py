@@ -54,7 +54,7 @@ def robot_state_from_message(message: Any, scene: PlanningScene) -> JointState |
 
 
 def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attached: bool = True) -> Any:
-    """Convert a scene to a moveit_msgs/RobotState with all movable and mimic joints.
+    """Convert a scene's robot state to a moveit_msgs/RobotState with all movable and mimic joints.
 
     Args:
         schema: the message types.
@@ -78,7 +78,7 @@ def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attac
 
 
 def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
-    """Convert an attached body to an AttachedCollisionObject in the frame of its link."""
+    """Convert an attached body of a robot state to an AttachedCollisionObject in its link's frame."""
     own = schema.new("std_msgs/Header", stamp=header.stamp, frame_id=body.link)
     return schema.new(
         "moveit_msgs/AttachedCollisionObject",
@@ -89,7 +89,7 @@ def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
 
 
 def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory) -> Any:
-    """Convert a trajectory to a trajectory_msgs/JointTrajectory.
+    """Convert armcell's trajectory to a trajectory_msgs/JointTrajectory.
 
     Velocities and accelerations are included if the trajectory has them.
     """
@@ -111,7 +111,7 @@ def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory)
 
 
 def robot_trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory | None) -> Any:
-    """Convert a trajectory to a moveit_msgs/RobotTrajectory; None gives an empty message."""
+    """Convert armcell's trajectory to a moveit_msgs/RobotTrajectory; None gives an empty message."""
     if trajectory is None:
         return schema.new("moveit_msgs/RobotTrajectory")
     message = trajectory_message(schema, header, trajectory)

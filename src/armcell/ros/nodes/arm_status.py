@@ -17,7 +17,7 @@ RUNNING, NORMAL = 7, 1  # simulated arms are always switched on, and no safety f
 
 
 class ArmStatusPublisher:
-    """Publisher of each arm's wrench, robot mode and safety mode.
+    """Publisher of the arm status on ROS topics: each arm's wrench, robot mode and safety mode.
 
     The topics are /<arm group>/wrench, /<arm group>/robot_mode and /<arm group>/safety_mode; a cell with one
     arm omits the group. The wrench (geometry_msgs/WrenchStamped) acts on the hand without the hand's own
@@ -45,7 +45,9 @@ class ArmStatusPublisher:
         self._last: dict[str, tuple[int, int]] = {}
 
     def publish(self, driver: Driver) -> None:
-        """Measure and publish the arms' status; call only in the thread that steps the driver."""
+        """Measure and publish the wrench and modes of each arm; call only in the thread that steps the
+        driver.
+        """
         new = self._bus.schema.new
         known = driver.arm_modes() if Capability.REPORT_MODES in driver.capabilities else {}
         for arm, publishers in self._modes.items():
@@ -69,6 +71,6 @@ class ArmStatusPublisher:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Remove the publishers of the arms' status from the bus."""
+        """Remove the publishers of the arm status (wrench, robot mode, safety mode) from the bus."""
         for member in (*self._wrenches.values(), *(p for pair in self._modes.values() for p in pair)):
             member.close()

@@ -21,7 +21,7 @@ T_LINK_OPTICAL = SE3.from_quat_xyzw([0, 0, 0], [-0.5, 0.5, -0.5, 0.5])
 
 
 class CameraPublisher:
-    """Publisher of the images that a live cell's cameras take.
+    """Publisher of the images of a live cell's cameras as ROS topics.
 
     Call it in the thread that steps the driver. Topics of a camera NAME, as in image_pipeline:
 
@@ -42,7 +42,7 @@ class CameraPublisher:
         self._cameras = [_Topics(bus, camera) for camera in cameras.values()]
 
     def publish(self, tf: Publisher | None = None) -> None:
-        """Publish the images that are due, and the camera frames on an existing /tf publisher.
+        """Publish the camera images that are due, and the camera frames on an existing /tf publisher.
 
         Args:
             tf: publisher of /tf; None publishes no frames.
@@ -95,7 +95,7 @@ class _Topics:
         self._camera.ask(self, self._give, rgb=bool(self._color.subscribers or points), depth=bool(depth))
 
     def _give(self, image: CameraImage) -> None:
-        """Publish a rendered camera image; called in the thread that delivers the image."""
+        """Publish a rendered camera image on its ROS topics, in the thread that delivers the image."""
         with self._giving:
             if not self._closed:
                 self._publish(image)
@@ -139,5 +139,5 @@ class _Topics:
 
 
 def _with_nan(depth: np.ndarray) -> np.ndarray:
-    """Return the depth image with NaN for pixels without a measurement, as in REP 118."""
+    """Return a camera's depth image with NaN for pixels without a measurement, as in REP 118."""
     return np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)

@@ -47,7 +47,7 @@ CODES = {
 def chosen(
     controllers: Mapping[str, Iterable[str]], names: Sequence[str], joints: Iterable[str]
 ) -> list[str]:
-    """Select the controllers that move the given joints.
+    """Select the external ROS controllers that move the given joints.
 
     Args:
         controllers: joint names of each available controller.
@@ -72,10 +72,10 @@ def chosen(
 
 
 class Outlet(Protocol):
-    """Connection to one external controller."""
+    """Connection to one external ROS controller, of an action or topic interface."""
 
     def begin(self, trajectory: JointTrajectory) -> Any:
-        """Send a motion to the controller; return the handle that `ended` and `cancel` require.
+        """Send a motion to an external controller; return the handle that `ended` and `cancel` require.
 
         Raises:
             InputError: the controller is not available.
@@ -90,7 +90,7 @@ class Outlet(Protocol):
 
 
 class Controllers:
-    """Clients of a cell's external controllers, which are located on first use.
+    """Clients of a cell's external ROS controllers, which are located on first use.
 
     Args:
         bus: the message bus.
@@ -125,7 +125,7 @@ class Controllers:
     def follow(
         self, trajectory: JointTrajectory, cancel: threading.Event, names: Sequence[str] = ()
     ) -> ExecutionResult:
-        """Execute a trajectory with the controllers of its joints and wait until it ends.
+        """Execute a trajectory with the external controllers of its joints and wait until it ends.
 
         Args:
             trajectory: the motion.
@@ -161,7 +161,8 @@ class Controllers:
         self, using: Sequence[str], running: dict[str, Any], results: dict[str, ExecutionResult],
         cancel: threading.Event,
     ) -> ExecutionResult:  # fmt: skip
-        """Cancel the remaining motions, wait until they end, and return the cause of the stop.
+        """Cancel the remaining motions of the external controllers, wait until they end, and return the cause
+        of the stop.
 
         Returns:
             The first failure of a controller, or PREEMPTED if the caller canceled the motion.
@@ -180,7 +181,7 @@ class Controllers:
         return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
 
     def _part(self, trajectory: JointTrajectory, joints: Sequence[str]) -> JointTrajectory:
-        """Return the part of a trajectory for one controller's joints.
+        """Return the part of a trajectory for one external controller's joints.
 
         Joints of the controller that the trajectory does not move keep their positions.
         """
@@ -190,11 +191,11 @@ class Controllers:
 
     # --- grippers ---
     def moves_gripper(self, gripper: Gripper) -> bool:
-        """Return True if one of the controllers moves the gripper's fingers."""
+        """Return True if one of the external controllers moves the gripper's fingers."""
         return gripper.joint_name in {j for joints in self.joints.values() for j in joints}
 
     def grip(self, gripper: Gripper, width: float, force: float) -> Callable[[], ExecutionResult | None]:
-        """Send a gripper command and return a function that polls its result.
+        """Send a gripper command to an external controller and return a function that polls its result.
 
         The function returns None until the command has ended.
 
@@ -225,7 +226,7 @@ class Controllers:
         return ended
 
     def _finger_motion(self, gripper: Gripper, width: float) -> Callable[[], ExecutionResult | None]:
-        """Move the fingers with a trajectory controller; return a function that polls for success.
+        """Move the fingers with an external trajectory controller; return a function that polls for success.
 
         The caller must detect from the joint states whether an object stops the fingers.
         """
@@ -281,7 +282,9 @@ class _Action:
 
 
 class _Topic:
-    """External controller with a trajectory topic; joint states show the end of a motion."""
+    """External controller with a trajectory topic instead of an action; joint states show the end of a
+    motion.
+    """
 
     def __init__(self, bus: Bus, controller: Controller, joints: Callable[[], JointState]):
         self._bus, self._controller, self._measured = bus, controller, joints
@@ -316,7 +319,7 @@ class _Topic:
         return None
 
     def cancel(self, running: tuple[float, JointTrajectory]) -> None:
-        """Stop a motion with a one-point trajectory that holds the current joint positions."""
+        """Stop an external controller's motion with a one-point trajectory at the current positions."""
         here = self._measured().reindexed(running[1].joint_names)
         hold = resting(here.joint_names, here.positions, HOLD)
         self._publish(replace(hold, accelerations=None))
@@ -335,7 +338,7 @@ def _absent(controller: Controller, what: str) -> InputError:
 
 
 def _why(sent: SentGoal) -> str:
-    """Return the error code and text that a controller reported for a failed goal."""
+    """Return the error code and text that an external controller reported for a failed goal."""
     code = getattr(sent.result, "error_code", 0)
     text = getattr(sent.result, "error_string", "") or sent.text
     words = [CODES.get(code, "") if isinstance(code, int) else "", text]

@@ -40,7 +40,7 @@ REST_TIME = 0.1  # [s] that an arm must rest before automatic closing
 def gripping(
     driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
 ) -> ExecutionSteps:
-    """Move a gripper until it reaches the target width or an object stops it.
+    """Move a ROS-commanded gripper until it reaches the target width or an object stops it.
 
     Args:
         driver: the cell's driver.
@@ -75,7 +75,7 @@ def gripping(
 
 
 def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[CollisionObject]:
-    """Return the movable objects whose bounding box, grown by `margin` [m], contains the tcp."""
+    """Return the objects near a closing gripper: their bounding box, grown by `margin` [m], contains its tcp."""
     tcp = scene.frame_pose(gripper.tcp_link).translation
     found = []
     for item in scene.objects.values():
@@ -87,7 +87,7 @@ def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[Co
 
 
 def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
-    """Allow the fingers of a gripper group to touch the object between them.
+    """Allow contacts between the fingers of a gripper group and the object that they close on.
 
     A goal of a gripper group closes the fingers onto the object, so contact at the goal is not a collision.
     Other groups leave the scene unchanged.
@@ -103,7 +103,7 @@ def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[Gripper, float]]:
-    """Return the grippers and final widths [m] of a trajectory that moves only fingers.
+    """Return the gripper commands in a trajectory: grippers and final widths [m] if only fingers move.
 
     Returns an empty list for any other trajectory.
     """
@@ -114,7 +114,7 @@ def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[G
 
 
 class GripperNode:
-    """Node that serves the grippers of a cell by a topic and an action for each gripper.
+    """Node that serves the grippers of a cell by a command topic and an action for each gripper.
 
     The topic is /gripper_command, or /<gripper>/gripper_command if the cell has several grippers. The action
     is /<gripper>_controller/gripper_cmd.
@@ -155,7 +155,7 @@ class GripperNode:
             member.close()
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Start to open or close a gripper; a force of 0 means the gripper's maximum force.
+        """Start to open or close a gripper on the bus; a force of 0 means its maximum force.
 
         Args:
             gripper: the gripper.
@@ -178,7 +178,7 @@ class GripperNode:
     def closing(
         self, driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
     ) -> ExecutionSteps:
-        """Move a gripper; before it closes, declare the finger contacts with the object as expected.
+        """Close or open a gripper on the bus; before it closes, declare finger contacts as expected.
 
         The simulation and the motion gate then accept these contacts.
         """
@@ -223,7 +223,7 @@ class GripperNode:
 
     # --- automatic closing, in the driver's thread ---
     def look(self) -> None:
-        """Close the grippers whose arms have come to rest with an object between the fingers."""
+        """Close automatically the grippers whose arms have come to rest with an object between the fingers."""
         driver = self._live.driver
         if not self._auto or driver.now < self._next:
             return
@@ -261,7 +261,7 @@ class GripperNode:
             self._say(f"{text}: the gripper closes")
 
     def _expect_contact(self, gripper: Gripper) -> None:
-        """Declare contacts between the fingers and the objects near the tcp as expected."""
+        """Declare contacts between a gripper's fingers and the objects near its tcp as expected."""
         for item in around_tcp(self._live.scene(), gripper, NEAR):
             self._live.ctx.expect_contact(item.name, gripper.finger_links)
             self._expected[gripper.name].add(item.name)

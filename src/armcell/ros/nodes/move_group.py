@@ -47,7 +47,7 @@ MAX_CONTACTS = 100
 
 
 class MoveGroupNode:
-    """Node with the interface of MoveIt's move_group for a cell.
+    """Node with the services and actions of MoveIt's move_group for a cell.
 
     Services: /plan_kinematic_path, /compute_cartesian_path, /compute_ik, /compute_fk, /check_state_validity,
     /query_planner_interface, /get_planner_params, /set_planner_params, and the services of `SceneNode`.
@@ -110,7 +110,7 @@ class MoveGroupNode:
         return error_code_message(self.bus.schema, code, message)
 
     def code_of(self, outcome: Outcome) -> Any:
-        """Convert a motion's outcome to a MoveItErrorCodes message; a failure includes its reason."""
+        """Convert the outcome of a motion that move_group executed to MoveItErrorCodes with its reason."""
         return self.code(outcome.code, outcome.message or ("" if outcome.ok else outcome.code.name))
 
     def state_message(self, scene: PlanningScene) -> Any:
@@ -118,7 +118,7 @@ class MoveGroupNode:
 
     # --- planning ---
     def plan(self, request: Any, scene: PlanningScene, cancel: threading.Event | None = None) -> PlanResult:
-        """Plan a moveit_msgs/MotionPlanRequest in a scene.
+        """Plan a moveit_msgs/MotionPlanRequest for move_group in a scene.
 
         Args:
             request: the MotionPlanRequest message.
@@ -150,7 +150,7 @@ class MoveGroupNode:
         return result
 
     def _tell(self, group: str, result: PlanResult, asked: dict[str, Any]) -> None:
-        """Report a planning result to the cell's observers, whether it is executed or not."""
+        """Report a result of move_group's planning to the cell's observers, executed or not."""
         if result.trajectory is None:
             text = f"planning for {group} failed: {result.code.name}: {result.message}"
             self.cell.tell("error", text, evidence={**asked, **result.evidence})
@@ -162,7 +162,7 @@ class MoveGroupNode:
         )  # fmt: skip
 
     def settled(self, group: str, cancel: threading.Event | None = None) -> None:
-        """Wait until the current motions of a group have ended.
+        """Wait until the current motions of a move_group request's planning group have ended.
 
         A plan that starts from a moving state would be invalid when it is executed.
         """
@@ -180,7 +180,7 @@ class MoveGroupNode:
             works[0].wait(0.05)
 
     def start_scene(self, request: Any, cancel: threading.Event | None = None) -> PlanningScene:
-        """Return the measured scene in which a request starts.
+        """Return the measured scene in which a move_group request starts.
 
         If the request gives no start state, wait until the group has come to rest.
         """
@@ -189,7 +189,7 @@ class MoveGroupNode:
         return self.cell.scene()
 
     def planned(self, request: Any, scene: PlanningScene, result: PlanResult) -> Any:
-        """Create a MotionPlanResponse and publish the motion, if any, on display_planned_path."""
+        """Create move_group's MotionPlanResponse and publish a found motion on display_planned_path."""
         # If the start state is invalid, the result already states the fault.
         state = self.state_message(_started(scene, request.start_state) if result.ok else scene)
         trajectory = robot_trajectory_message(self.bus.schema, self.header(), result.trajectory)
@@ -343,7 +343,7 @@ class MoveGroupNode:
         return self.new("QueryPlannerInterfacesResponse", described)
 
     def _parameters_of(self, request: Any) -> dict[str, Any]:
-        """Return the planner parameters for a request; group parameters override general ones."""
+        """Return the planner parameters for a move_group request; group parameters override general ones."""
         key = (request.pipeline_id, request.planner_id)
         return {
             **self._parameters.get((*key, ""), {}),
@@ -421,7 +421,7 @@ class MoveGroupNode:
         self, trajectory: Any, cancel: threading.Event, planned_in: PlanningScene | None = None,
         controllers: Sequence[str] = (),
     ) -> Outcome:  # fmt: skip
-        """Execute a moveit_msgs/RobotTrajectory and return the outcome.
+        """Execute a moveit_msgs/RobotTrajectory for move_group and return the outcome.
 
         The execution also stops if a change of the scene obstructs the rest of the path.
 
@@ -447,7 +447,7 @@ class MoveGroupNode:
 
     @contextmanager
     def stoppable(self, cancel: threading.Event) -> Iterator[None]:
-        """Register a goal for a `with` block, so that a "stop" event cancels the goal.
+        """Register a move_group goal for a `with` block, so that a "stop" event cancels the goal.
 
         The event also cancels the goal before its motion has started.
         """
@@ -480,7 +480,7 @@ SERVICES = {
 
 
 def waited(work: Work, cancel: threading.Event) -> Outcome:
-    """Wait until a motion has ended and return its outcome; stop the motion if `cancel` is set."""
+    """Wait for the end of a move_group motion and return its outcome; stop it if `cancel` is set."""
     while not work.wait(0.01):
         if cancel.is_set():
             work.cancel.set()
@@ -496,7 +496,7 @@ def done(outcome: Outcome, result: Any) -> Done:
 
 
 def _started(scene: PlanningScene, message: Any) -> PlanningScene:
-    """Return the scene with the joint positions and attached objects of a RobotState message."""
+    """Return the start scene of a move_group request: positions and attached objects of its RobotState."""
     state = robot_state_from_message(message, scene)
     if state is not None:
         scene = replace(scene, positions=scene.state.updated(state).positions)
@@ -507,7 +507,7 @@ def _started(scene: PlanningScene, message: Any) -> PlanningScene:
 
 
 def _moves(checker: ExactChecker, contact: Any) -> bool:
-    """Return True if the checker's joints move at least one of the bodies in a contact."""
+    """Return True if the joints of a move_group request's group move a body of a contact."""
     moved = {checker.geometries[i].body for pair in checker.pairs for i in pair}
     return contact.body_a in moved or contact.body_b in moved
 
@@ -526,7 +526,8 @@ def _request_code(request: Any, error: InputError) -> ErrorCode:
 
 
 def code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
-    """Return MoveIt's error code for an unknown name by its kind, e.g. frame, link or object.
+    """Return MoveIt's error code in a move_group request for an unknown name, by its kind, e.g. frame, link
+    or object.
 
     Args:
         error: the error.

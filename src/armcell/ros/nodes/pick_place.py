@@ -52,7 +52,7 @@ logger = logging.getLogger(__name__)
 
 
 class PickPlaceNode:
-    """Node with the actions /pickup and /place.
+    """Node with MoveIt's actions /pickup and /place.
 
     Unlike MoveIt, armcell fills in fields that the message leaves empty:
 
@@ -103,7 +103,7 @@ class PickPlaceNode:
         return _BusPick(self, goal, gripper, self._grasps(scene, asked, gripper), result).run()
 
     def _gripper(self, group: str, end_effector: str) -> Gripper:
-        """Return the gripper of an end effector, or of an arm's group.
+        """Return the gripper that a pickup or place goal means: an end effector's, or an arm group's.
 
         Raises:
             UnknownNameError: the end effector or group does not exist.
@@ -122,7 +122,7 @@ class PickPlaceNode:
         return model.gripper(arm_group=group or None)
 
     def _grasps(self, scene: PlanningScene, asked: Any, gripper: Gripper) -> list[ExplicitGrasp]:
-        """Return the caller's grasps, best first, or computed grasps if the message contains none.
+        """Return the grasps of a pickup goal, best first, or computed grasps if the goal contains none.
 
         Raises:
             InputError: the grasp poses refer to another link than the group's tip.
@@ -257,7 +257,7 @@ class PickPlaceNode:
     def search(
         self, goal: Goal, action: str, stages: list[Stage], scene: PlanningScene, seconds: float
     ) -> tuple[PartialSolution | None, Outcome]:
-        """Search for the first complete plan of the given stages.
+        """Search for the first complete plan of the stages of a pickup or place goal.
 
         Returns:
             The plan with SUCCESS, or None with an outcome that summarizes why the candidates failed.
@@ -400,7 +400,7 @@ class _BusPick(Pick):
 
 
 def _tip(scene: PlanningScene, gripper: Gripper) -> str:
-    """Return the link whose pose defines grasps and places: the group's tip, or else the tcp."""
+    """Return the link to which pickup and place goals refer: the group's tip, or else the tcp."""
     return scene.model.group(gripper.arm_group).tip_link or gripper.tcp_link
 
 
@@ -409,7 +409,7 @@ def _pose(scene: PlanningScene, stamped: Any) -> SE3:
 
 
 def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, item: CollisionObject) -> None:
-    """Reject grasp poses that clearly refer to another link than the group's tip.
+    """Reject a pickup goal's grasp poses that clearly refer to another link than the group's tip.
 
     MoveIt's grasp poses refer to the parent link of the end effector, which in many packages is also the tip
     of the group. Poses are rejected if no grasp puts the tcp into the object as a pose of the tip, but at
@@ -424,7 +424,7 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
     low, high = item.bounds()
 
     def fit(link: str) -> int:
-        """Count the grasps that put the tcp into the object if they are poses of `link`."""
+        """Count a pickup goal's grasps that put the tcp into the object if they are poses of `link`."""
         points = [(T @ scene.transform(link, gripper.tcp_link)).translation for T in Ts]
         return sum(bool(np.all(p >= low - NEAR) and np.all(p <= high + NEAR)) for p in points)
 
@@ -447,7 +447,7 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
 
 
 def _posture(message: Any, gripper: Gripper) -> float | None:
-    """Return a posture's gripper width [m] at its last point; None if it omits the gripper."""
+    """Return the gripper width [m] of a pickup goal's posture at its last point; None without gripper."""
     if not message.points or gripper.joint_name not in list(message.joint_names):
         return None
     value = float(message.points[-1].positions[list(message.joint_names).index(gripper.joint_name)])
@@ -457,7 +457,7 @@ def _posture(message: Any, gripper: Gripper) -> float | None:
 def _gripper_translation(
     scene: PlanningScene, message: Any, T_world_tip: SE3, tip: str
 ) -> GripperTranslation | None:
-    """Convert a moveit_msgs/GripperTranslation to a translation in the world frame.
+    """Convert a pickup or place goal's moveit_msgs/GripperTranslation to a world-frame translation.
 
     A direction in the frame of the tip refers to the tip's pose at the grasp, not to its current pose.
 

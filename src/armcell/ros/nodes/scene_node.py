@@ -28,7 +28,7 @@ MONITORED = ("/move_group/monitored_planning_scene", "/monitored_planning_scene"
 
 
 class SceneNode:
-    """Node that serves the planning scene of a cell.
+    """Node that serves a cell's planning scene on the bus, for queries and edits by clients.
 
     Services: /get_planning_scene, /apply_planning_scene, /clear_octomap. Input topics: /planning_scene,
     /planning_scene_world (replaces the world), /collision_object, /attached_collision_object. Output topics:
@@ -68,7 +68,7 @@ class SceneNode:
             member.close()
 
     def header(self) -> Any:
-        """Return a message header in the planning frame, which is the world frame."""
+        """Return a message header in the planning scene's frame, which is the world frame."""
         return self._bus.header(WORLD)
 
     def message(self, scene: PlanningScene, parts: Components = Components.ALL) -> Any:
@@ -90,11 +90,11 @@ class SceneNode:
         return self._bus.schema.new("moveit_msgs/ApplyPlanningSceneResponse", True)
 
     def on_clear(self, clear: Callable[[], None]) -> None:
-        """Register a function that is called when a client clears the octomap."""
+        """Register a function that the scene node calls when a client clears the octomap."""
         self._clearing.append(clear)
 
     def tell_changed(self) -> None:
-        """Schedule publication of the complete scene after a change that no client made."""
+        """Schedule publication of the complete planning scene after a change that no client made."""
         self._changed.set()
 
     def _clear_octomap(self, request: Any) -> Any:
@@ -124,7 +124,7 @@ class SceneNode:
         self._changed.set()
 
     def _tell(self) -> None:
-        """Publish the complete planning scene after each change.
+        """Publish the complete planning scene to clients after each change.
 
         Between changes, publish the robot state at 4 Hz while a client subscribes.
         """

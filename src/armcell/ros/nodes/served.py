@@ -47,7 +47,8 @@ def _serve_planner(
 
 
 class ServedCell:
-    """A live cell with its nodes, served from `start` (or `with`) to `close`.
+    """A live cell with all of its ROS nodes (states, grippers, move_group), served from `start` (or `with`)
+    to `close`.
 
     The service /resume (std_srvs/Trigger) makes the cell ready after a stop, or responds with the action that
     the operator must take first (`LiveCell.resume`). It runs in the caller's thread, because reconnecting to
@@ -86,16 +87,16 @@ class ServedCell:
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a gripper was commanded to close or can close automatically."""
+        """Return whether a served cell's gripper was commanded to close or can close automatically."""
         return self.node.grippers.closes_by_itself or self.node.grippers.has_closed
 
     @property
     def is_running(self) -> bool:
-        """Return whether the cell's thread still steps the cell."""
+        """Return whether the thread of a served cell still steps the cell."""
         return self.thread.ident is not None and not self.over.is_set()
 
     def start(self, poll: float = 0.1, layer: Callable[[str], AbstractContextManager] = nullcontext) -> None:
-        """Connect the cell and serve it on the bus; return when the cell is ready.
+        """Connect a live cell and serve it with all nodes on the bus; return when the cell is ready.
 
         Args:
             poll: polling period [s] for the cell's thread.
@@ -122,7 +123,7 @@ class ServedCell:
         return self.bus.schema.new("std_srvs/TriggerResponse", outcome.ok, outcome.message or "ready")
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a function in the cell's thread between two steps and return its result.
+        """Run a function in the served cell's thread between two steps and return its result.
 
         If that thread has ended, run the function in the caller's thread.
         """
@@ -135,7 +136,7 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop all motions for good, wait until the arms rest, and update the held objects."""
+        """Stop all motions of a served cell for good, wait until the arms rest, and update the held objects."""
         self.node.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)
@@ -147,12 +148,12 @@ class ServedCell:
         self.call(self.cell.now)
 
     def _speed(self) -> float:
-        """Return the speed of the fastest joint [rad/s or m/s]; 0 if velocities are not measured."""
+        """Return the served cell's fastest joint speed [rad/s or m/s]; 0 if velocities are not measured."""
         v = self.live.driver.joint_state().velocities
         return 0.0 if v is None else float(np.max(np.abs(v), initial=0.0))
 
     def close(self) -> None:
-        """Stop all motions of the cell and remove its nodes from the bus."""
+        """Stop all motions of a served cell and remove its nodes from the bus."""
         self._stack.close()
         self.node.close()
         if self.thread.ident is not None:
@@ -172,7 +173,7 @@ class ServedCell:
 
 
 class ServedPlanner:
-    """Planner and grasp server for a cell whose simulator is another program on the bus."""
+    """Served planner and grasp server for a cell whose simulator is another program on the bus."""
 
     def __init__(self, cell: Cell, bus: Bus, seed: int = 0, sensors: Sensors3d | None = None):
         self.bus, self._sensors = bus, sensors or cell.sensors
@@ -185,11 +186,11 @@ class ServedPlanner:
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a gripper was commanded to close or was closed by the simulator."""
+        """Return whether a served gripper was commanded to close or was closed by the simulator."""
         return self.cell.has_closed
 
     def rest(self) -> None:
-        """Stop the motions of the remote cell and wait until they have ended."""
+        """Stop the motions of a remote cell behind a served planner and wait until they have ended."""
         works = self.cell.works()
         for work in works:
             work.cancel.set()
@@ -197,7 +198,7 @@ class ServedPlanner:
             work.wait(SETTLE)
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a function in the caller's thread, because this process has no driver thread."""
+        """Run a function in the caller's thread, as a served planner's process has no driver thread."""
         return function()
 
     def start(self) -> None:

@@ -20,7 +20,7 @@ RATE = 30.0  # [Hz]
 
 
 def check_rate(driver: Driver, rate: float) -> None:
-    """Check that the driver measures at least as often as states are published.
+    """Check that the driver measures at least as often as a node publishes joint states.
 
     Args:
         driver: the driver.
@@ -38,7 +38,7 @@ def check_rate(driver: Driver, rate: float) -> None:
 
 
 class StatePublisher:
-    """Publisher of a cell's state at a fixed rate of the driver's clock.
+    """Publisher of a cell's joint states, transforms and object poses at a fixed rate of the driver's clock.
 
     It sets the bus's clock to the driver's clock. Topics:
 
@@ -93,11 +93,11 @@ class StatePublisher:
             self._members.append(description)
 
     def due(self, now: float) -> bool:
-        """Return True if the cell's state is due for publication at `now` [s, driver's clock]."""
+        """Return True if joint states and transforms are due for publication at `now` [s, driver's clock]."""
         return now >= self._next - 1e-9
 
     def publish(self, driver: Driver) -> None:
-        """Measure and publish the cell's state; call only in the thread that steps the driver."""
+        """Measure and publish joint states, transforms and poses, in the thread that steps the driver."""
         now = driver.now
         self._next = max(self._next + self._period, now)  # avoids a burst of messages after a pause
         self._bus.clock.set(now)
@@ -122,7 +122,7 @@ class StatePublisher:
                     self._only.publish(stamped)
 
     def close(self) -> None:
-        """Remove the publishers of the cell's state from the bus."""
+        """Remove the publishers of a cell's joint states, transforms and poses from the bus."""
         for member in self._members:
             member.close()
 
@@ -141,7 +141,7 @@ class StatePublisher:
 
 
 class _Mimics:
-    """Mimic joints of a model, such as the second finger of a gripper."""
+    """Mimic joints for published joint states, such as the second finger of a gripper."""
 
     def __init__(self, model: RobotModel):
         self._follows: dict[str, tuple[str, float, float]] = {}  # source joint, multiplier, offset
@@ -155,7 +155,7 @@ class _Mimics:
                 self._follows[name] = (source.name, factor, offset)
 
     def added(self, state: JointState) -> JointState:
-        """Extend a joint state by the mimic joints that follow its joints.
+        """Extend joint states for publication by the mimic joints that follow their joints.
 
         The efforts of mimic joints are unknown and set to zero.
         """
@@ -174,7 +174,7 @@ class _Mimics:
 
 
 def _arms(model: RobotModel) -> dict[str, tuple[str, ...]]:
-    """Return the joints of each arm and its grippers, by group; empty if there is only one arm."""
+    """Return the joints of each arm with its grippers, for one joint state topic per arm; empty for one arm."""
     found: dict[str, tuple[str, ...]] = {}
     for gripper in model.grippers.values():
         own = found.get(gripper.arm_group, model.group(gripper.arm_group).joint_names)

@@ -27,7 +27,7 @@ CLOCK, USE_SIM_TIME = "/clock", "/use_sim_time"
 
 
 class BusBridge:
-    """Bridge between an armcell bus and a ROS 1 graph, active from `start` to `close`."""
+    """BusBridge, the bridge between an armcell bus and a ROS 1 graph, active from `start` to `close`."""
 
     def __init__(self, bus: Bus, node: Ros1Node, names: NameMap):
         self._bus, self._node, self._names = bus, node, names
@@ -52,7 +52,7 @@ class BusBridge:
             self._thread.join(5.0)
 
     def wait_settled(self, timeout: float) -> bool:
-        """Wait until the ROS master knows all topics and services of the armcell bus.
+        """Wait until the ROS 1 master knows all topics and services of the bridged bus.
 
         Args:
             timeout: limit [s].
@@ -95,7 +95,7 @@ class BusBridge:
             self._use_sim_time()
 
     def _use_sim_time(self) -> None:
-        """Set /use_sim_time: the bus publishes /clock, and other nodes read the flag at start-up."""
+        """Set ROS 1's /use_sim_time for a bridged /clock; other nodes read the flag at start-up."""
         with contextlib.suppress(RpcError):
             if not self._bus.parameters.get(USE_SIM_TIME, False):
                 logger.info("/use_sim_time is set: the time of this graph is that of the cell")
@@ -138,7 +138,7 @@ class BusBridge:
         return call
 
     def topics(self) -> list[TopicInfo]:
-        """Return the topics of the bus, not counting the bridge's own publishers and subscribers."""
+        """Return the bus topics to bridge to ROS 1, without the bridge's own publishers and subscribers."""
         return self._bus.topics(besides=self)
 
 
@@ -163,7 +163,7 @@ class _ToBus:
 def _change(
     have: dict[str, str], want: dict[str, str], leave: Callable[[str], None], join: Callable[[str, str], None]
 ) -> None:
-    """Advertise and withdraw topics or services until the offered names match the wanted names.
+    """Advertise and withdraw bridged topics or services in ROS 1 until the offered names match.
 
     Args:
         have: dict from offered name to type; changed in place.

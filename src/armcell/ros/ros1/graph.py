@@ -28,7 +28,7 @@ SETTLED = 10.0  # [s] to register everything
 
 @dataclass(frozen=True)
 class Ros1Status:
-    """State of a connection to a ROS 1 graph, for status lines."""
+    """State of a program's connection to a ROS 1 graph, for status lines."""
 
     node: str
     master: str
@@ -41,7 +41,7 @@ class Ros1Status:
 
 
 class Ros1Graph:
-    """Connection of a bus to a ROS 1 graph, from `start` (or `with`) to `close`.
+    """Connection of a bus to a ROS 1 graph, from `start` (or `with`) to `close`, with node and master.
 
     Args:
         on_end: called with the reason, in a thread of the node, when another node or the master requests
@@ -76,7 +76,7 @@ class Ros1Graph:
         self._stack = ExitStack()
 
     def reserve(self) -> None:
-        """Find the ROS master, or reserve the port for a built-in master.
+        """Find the master of a ROS 1 graph, or reserve the port for a built-in master.
 
         The reserved port accepts no connections before `start`.
 
@@ -88,7 +88,7 @@ class Ros1Graph:
         self._stack.callback(self._forget_master)
 
     def start(self) -> None:
-        """Join the ROS graph; return when the master knows everything on the bus.
+        """Join the ROS 1 graph; return when the master knows everything on the bus.
 
         Raises:
             InputError: no master is reachable and the settings forbid the built-in one, or its port is taken.
@@ -121,7 +121,7 @@ class Ros1Graph:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Leave the ROS graph and restore the bus to its state before `start`."""
+        """Leave the ROS 1 graph and restore the bus to its state before `start`."""
         with deferred():
             self._stack.close()
 
@@ -138,7 +138,7 @@ class Ros1Graph:
         self._on_end(reason)
 
     def wait_settled(self, timeout: float = SETTLED) -> bool:
-        """Wait until the ROS graph knows everything on the bus; return False on timeout.
+        """Wait until the ROS 1 graph knows everything on the bus; return False on timeout.
 
         Args:
             timeout: limit [s].
@@ -146,12 +146,12 @@ class Ros1Graph:
         return self.bridge.wait_settled(timeout)
 
     def say(self, level: str, text: str) -> None:
-        """Publish a line on /rosout; a level unknown to ROS becomes `info`."""
+        """Publish a line on the ROS 1 graph's /rosout; a level unknown to ROS becomes `info`."""
         if self.rosout is not None:
             self.rosout.say(level if level in LEVELS else "info", text)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the addresses on which the node and a built-in master listen; valid after `start`."""
+        """Return the addresses of the ROS 1 graph's node and built-in master; valid after `start`."""
         return (*(self.master.endpoints() if self.master else ()), *self.node.endpoints())
 
     def _find_master(self) -> None:
@@ -195,7 +195,7 @@ class Ros1Graph:
         stack.callback(leave)
 
     def _follow_clock(self, stack: ExitStack) -> None:
-        """Set the bus clock from the graph's /clock, if ROS uses simulated time.
+        """Set the bus clock from the ROS 1 graph's /clock, if ROS uses simulated time.
 
         The clock stays local if the bus itself publishes /clock, or if /use_sim_time is not true.
         """

@@ -20,7 +20,7 @@ Fields = dict[str, str]
 
 
 def encoded(fields: Mapping[str, str]) -> bytes:
-    """Return a TCPROS connection header as bytes, including its length prefix."""
+    """Encode a TCPROS connection header as bytes, including its length prefix."""
     lines = [f"{key}={value}".encode() for key, value in sorted(fields.items())]
     body = b"".join(LENGTH.pack(len(line)) + line for line in lines)
     return LENGTH.pack(len(body)) + body
@@ -67,7 +67,7 @@ def receive(sock: socket.socket) -> Fields:
 
 
 def exactly(sock: socket.socket, count: int) -> bytes:
-    """Read exactly `count` bytes from a socket.
+    """Read exactly `count` bytes of a TCPROS header from a socket.
 
     Raises:
         ConnectionError: the peer closed the connection before `count` bytes arrived.

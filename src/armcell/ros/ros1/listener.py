@@ -23,7 +23,8 @@ Handle = Callable[[socket.socket, str], bool]
 
 
 class Listener:
-    """Listening TCP socket that passes each connection to a handler, from `start` to `close`.
+    """Listener for ROS 1 peers: a TCP socket that passes each connection to a handler, from `start` to
+    `close`.
 
     Args:
         port: port to listen on; 0 selects a free port.
@@ -43,7 +44,7 @@ class Listener:
         self.refused = 0  # connections closed because `max_connections` were open
 
     def reserve(self) -> None:
-        """Bind the listening port, without accepting connections yet.
+        """Bind a ROS 1 listener's port, without accepting connections yet.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -59,7 +60,7 @@ class Listener:
         self.address = self._socket.getsockname()[:2]
 
     def start(self) -> None:
-        """Start to accept connections on the listening port.
+        """Start to accept connections on the listening TCP socket of a ROS 1 node.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -71,7 +72,7 @@ class Listener:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop listening and end every accepted connection."""
+        """Stop a ROS 1 listener and end every accepted connection."""
         self._closing = True
         if self._socket is None:
             return
@@ -89,7 +90,7 @@ class Listener:
                 thread.join(JOIN_TIMEOUT)
 
     def endpoint(self, service: str) -> Endpoint:
-        """Return the address on which the socket listens; valid after `start`."""
+        """Return the address of a ROS 1 listener's socket; valid after `start`."""
         assert self._socket is not None
         return Endpoint.of(self._socket, service)
 
@@ -138,6 +139,6 @@ class Listener:
 
 
 def shut(sock: socket.socket) -> None:
-    """Shut down a socket that another thread reads from; the reading thread closes the socket."""
+    """Shut down a listener's socket that another thread reads from; the reading thread closes the socket."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

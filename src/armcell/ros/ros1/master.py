@@ -30,7 +30,7 @@ NAME = "/master"
 
 @dataclass
 class _Registrations:
-    """Registry of the nodes of each topic, service or parameter, in order of registration."""
+    """The built-in ROS 1 master's registry of each topic's, service's or parameter's nodes, in order."""
 
     nodes: dict[str, list[str]] = field(default_factory=dict)
 
@@ -74,7 +74,7 @@ class Ros1Master:
         self._server = RpcServer(settings.bind, settings.master_address[1], self._methods(), "ros1 master")
 
     def reserve(self) -> None:
-        """Bind the master's port without accepting connections yet.
+        """Bind the port of the built-in ROS 1 master without accepting connections yet.
 
         Raises:
             InputError: the port is taken.
@@ -83,7 +83,7 @@ class Ros1Master:
         self.uri = f"http://{self.settings.host}:{self._server.port}/"
 
     def start(self) -> None:
-        """Start to serve the ROS master API.
+        """Start to serve the API of the built-in ROS 1 master.
 
         Raises:
             InputError: the port is taken.
@@ -92,7 +92,7 @@ class Ros1Master:
         self.uri = f"http://{self.settings.host}:{self._server.port}/"
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the address on which the master listens; valid after `start`."""
+        """Return the address on which the built-in ROS 1 master listens; valid after `start`."""
         return (self._server.endpoint("ROS 1 master"),)
 
     def close(self) -> None:
@@ -137,7 +137,9 @@ class Ros1Master:
 
     @staticmethod
     def _key(value: Any, caller: str) -> str:
-        """Return a parameter's full name; unlike topic names, its parts may contain any character."""
+        """Return a parameter's full name on the ROS 1 master; unlike topic names, its parts may contain any
+        character.
+        """
         if not isinstance(value, str) or not value:
             raise rpc.Rejected("ERROR: parameter [key] must be a non-empty string")
         if value.startswith("~"):
@@ -148,7 +150,7 @@ class Ros1Master:
 
     # --- nodes ---
     def _meet(self, node: str, api: str) -> None:
-        """Record a node's address; request the shutdown of an older node with the same name."""
+        """Record a node's address at the ROS 1 master; shut down an older node of the same name."""
         before = self._apis.get(node)
         if before == api:
             return
@@ -324,7 +326,7 @@ class Ros1Master:
 
 
 def _copied(value: Any) -> Any:
-    """Copy nested dicts of parameters, which the master changes in place.
+    """Copy nested dicts of parameters, which the ROS 1 master changes in place.
 
     Only copies may leave the master's lock.
     """
@@ -332,7 +334,7 @@ def _copied(value: Any) -> Any:
 
 
 class _Tellers:
-    """Sender of the master's change notifications: several threads, in order for each node.
+    """Sender of the ROS 1 master's change notifications: several threads, in order for each node.
 
     A node that does not answer delays no other node.
     """
@@ -374,7 +376,7 @@ class _Tellers:
 
 
 def _newest(todo: list[tuple[str, tuple[Any, ...]]]) -> list[tuple[str, tuple[Any, ...]]]:
-    """Return only the last update of each topic or parameter, which replaces earlier updates."""
+    """Keep only the ROS 1 master's last notification for each topic or parameter; it replaces the others."""
     last: dict[tuple[str, Any], tuple[str, tuple[Any, ...]]] = {}
     for method, arguments in todo:
         key = (method, arguments[0])

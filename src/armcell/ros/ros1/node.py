@@ -38,7 +38,7 @@ MAX_SUBSCRIBERS = 2048  # subscriber connections over all topics
 
 
 class Ros1Node:
-    """ROS 1 node, part of a graph from `start` (or `with`) to `close`.
+    """ROS 1 node with slave API and TCPROS port, part of a graph from `start` (or `with`) to `close`.
 
     All names in its methods are full graph names.
 
@@ -94,7 +94,7 @@ class Ros1Node:
         self.registrar.start()
 
     def close(self) -> None:
-        """Unregister the node and end all of its connections and threads."""
+        """Unregister the ROS 1 node and end all of its connections and threads."""
         with self._lock:
             if self._closed:
                 return
@@ -135,7 +135,7 @@ class Ros1Node:
         return self._rpc.endpoint("ROS 1 node"), self._tcpros.endpoint("ROS 1 topics and services")
 
     def wait_registered(self, timeout: float | None = None) -> bool:
-        """Wait until the master knows all registrations of the node; return False on timeout.
+        """Wait until the master knows all registrations of the ROS 1 node; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -143,7 +143,7 @@ class Ros1Node:
         return self.registrar.wait(timeout)
 
     def ask_master(self, method: str, *arguments: Any) -> Any:
-        """Call a method of the master API and return its value.
+        """Call a method of the ROS 1 master API for the node and return its value.
 
         Raises:
             RpcError: the master does not answer, or answers with a failure.
@@ -152,7 +152,7 @@ class Ros1Node:
 
     # --- topics ---
     def publish(self, topic: str, type_name: str, attach: Attach, latching: Callable[[], bool]) -> None:
-        """Advertise a topic in the ROS graph; see `Publication`."""
+        """Advertise a topic of the ROS 1 node; return its `Publication`."""
         s = self.settings
         made = Publication(
             topic, type_name, self.schema, self.name, self._reactor, attach, latching, s.queue, s.queue_bytes
@@ -171,7 +171,7 @@ class Ros1Node:
             gone.close()
 
     def subscribe(self, topic: str, type_name: str, open_sink: Callable[[Fields], Sink]) -> None:
-        """Subscribe to a topic of the ROS graph; see `Subscription`.
+        """Subscribe the ROS 1 node to a topic; return its `Subscription`.
 
         Args:
             type_name: message type; `*` accepts any.
@@ -207,7 +207,7 @@ class Ros1Node:
 
     # --- services ---
     def serve(self, name: str, type_name: str, answer: Answerer) -> None:
-        """Advertise a service in the ROS graph; see `ServedService`."""
+        """Advertise a service of the ROS 1 node; return its `ServedService`."""
         made = ServedService(name, type_name, self.schema, self.name, answer, self.settings.max_message)
         with self._lock:
             self._services[name] = made
@@ -220,7 +220,7 @@ class Ros1Node:
             self.registrar.drop(Kind.SERVICE, name)
 
     def find_service(self, name: str) -> str | None:
-        """Return the address of another node's service, or None if no other node serves it."""
+        """Return the address of another ROS 1 node's service, or None if no other node serves it."""
         try:
             uri = self.ask_master("lookupService", name)
         except RpcError:
@@ -228,7 +228,7 @@ class Ros1Node:
         return uri if isinstance(uri, str) and uri and uri != self.service_uri else None
 
     def call_service(self, name: str, type_name: str, request: Any) -> Any:
-        """Call another node's service and return the response; waits without a time limit.
+        """Call another ROS 1 node's service and return the response; waits without a time limit.
 
         Raises:
             ServiceError: no node serves it, its type differs, or it reports a failure.
@@ -240,7 +240,7 @@ class Ros1Node:
             return connection.call(request)
 
     def service(self, name: str, type_name: str) -> Any:
-        """Open a persistent connection to another node's service.
+        """Open a persistent connection to a service of another ROS 1 node.
 
         Returns:
             A `Connection` with `call(request)` and `close()`.
@@ -253,7 +253,7 @@ class Ros1Node:
         return self._caller.connect(name, uri, type_name, persistent=True)
 
     def service_type(self, name: str) -> str:
-        """Return the type of another node's service.
+        """Return the type of another ROS 1 node's service.
 
         Raises:
             ServiceError: no node serves it, or its node does not answer.
@@ -397,6 +397,6 @@ class Ros1Node:
         sock.sendall(encoded({"error": text}))
 
     def _complain(self, peer: str, text: str) -> None:
-        """Count a connection error, and log the first error of each kind."""
+        """Count a connection error of the ROS 1 node, and log the first error of each kind."""
         if self._complaints.is_new(re.sub(r"[0-9]+", "", text[:200])):
             logger.warning("TCPROS: %s: %s", peer, " ".join(text[:400].split()))

@@ -13,13 +13,13 @@ def _parts(key: str) -> list[str]:
 
 
 class ParameterTree:
-    """Tree of ROS parameters under full names; not thread-safe (the master's lock guards it)."""
+    """Tree of ROS 1 parameters under full names; not thread-safe (the ROS master's lock guards it)."""
 
     def __init__(self) -> None:
         self._root: dict[str, Any] = {}
 
     def get(self, key: str) -> Any:
-        """Return a parameter's value; a namespace is returned as nested dicts.
+        """Return a parameter's value from the ROS 1 parameter tree; a namespace gives nested dicts.
 
         Raises:
             KeyError: the parameter is not set.
@@ -39,7 +39,7 @@ class ParameterTree:
         return True
 
     def set(self, key: str, value: Any) -> None:
-        """Set a parameter; a dict replaces the whole namespace.
+        """Set a value in the ROS 1 parameter tree; a dict replaces the whole namespace.
 
         A parent in the key's path that holds a value becomes a namespace.
 
@@ -61,7 +61,7 @@ class ParameterTree:
         node[last] = value
 
     def delete(self, key: str) -> None:
-        """Delete a parameter, or a namespace with all of its parameters.
+        """Delete a parameter, or a namespace with all its parameters, from the ROS 1 parameter tree.
 
         Raises:
             KeyError: the parameter is not set.
@@ -73,7 +73,7 @@ class ParameterTree:
         del node[last]
 
     def search(self, namespace: str, key: str) -> str | None:
-        """Find a parameter in a namespace, else in the nearest enclosing namespace.
+        """Search the ROS 1 parameter tree in a namespace, then in the enclosing namespaces, nearest first.
 
         Only the first part of the key must exist.
 
@@ -91,7 +91,7 @@ class ParameterTree:
         return None
 
     def names(self) -> list[str]:
-        """Return the full names of all parameters."""
+        """Return the full names of all parameters in the ROS 1 parameter tree."""
         found: list[str] = []
 
         def walk(node: dict[str, Any], prefix: str) -> None:
@@ -106,7 +106,7 @@ class ParameterTree:
 
 
 def subscriber_update(subscribed: str, changed: str, value: Any) -> tuple[str, Any] | None:
-    """Return the key and value to send to the subscriber of a parameter after a change.
+    """Return key and value that a subscriber of a ROS 1 parameter receives after a change in the tree.
 
     Args:
         subscribed: full name that the node subscribed to.

@@ -32,7 +32,7 @@ Attach = Callable[[Callable[[Any], None]], Closable]
 
 
 class Publication:
-    """A topic that a ROS 1 node advertises, with one connection per subscriber.
+    """Publication: a topic that a ROS 1 node advertises, with one connection per subscriber.
 
     The publication attaches each subscriber connection separately, so that each one gets the latched
     messages.
@@ -64,12 +64,12 @@ class Publication:
         self.failed = 0  # messages that could not be encoded
 
     def links(self) -> list[SubscriberLink]:
-        """Return the current connections to subscribers of the topic."""
+        """Return the publication's current connections to ROS 1 subscribers of the topic."""
         with self._lock:
             return list(self._links)
 
     def refusal(self, header: Fields) -> str | None:
-        """Return why a subscriber cannot be served, in roscpp's and rospy's wording, or None."""
+        """Return why the publication refuses a subscriber, in roscpp's and rospy's wording, or None."""
         md5, kind = header["md5sum"], header.get("type", self.type)
         if md5 in (ANY, self.md5):
             return None
@@ -81,7 +81,7 @@ class Publication:
         )
 
     def accept(self, sock: socket.socket, header: Fields, peer: str) -> None:
-        """Start to serve a subscriber; `refusal` must have accepted its connection header."""
+        """Start to serve a subscriber of a ROS 1 publication; `refusal` must have accepted its header."""
         fields = {
             "callerid": self._caller, "topic": self.topic, "type": self.type, "md5sum": self.md5,
             "message_definition": self._text, "latching": "1" if self._latching() else "0",
@@ -116,7 +116,7 @@ class Publication:
             self._reactor.flush(link)
 
     def _frame(self, message: Any) -> bytes:
-        """Encode a message with its length prefix, once for all connections.
+        """Encode a published ROS 1 message with its length prefix, once for all subscriber connections.
 
         If the message starts with a std_msgs/Header, its `seq` counts up.
         """
@@ -148,7 +148,7 @@ class Publication:
 
 
 class SubscriberLink:
-    """Connection to one subscriber; its send queue drops the oldest message when full."""
+    """A ROS 1 publication's connection to one subscriber; its full send queue drops the oldest message."""
 
     _numbers = itertools.count(1)
 
@@ -170,12 +170,12 @@ class SubscriberLink:
 
     @property
     def waiting(self) -> bool:
-        """Return whether the connection to the subscriber still has unsent bytes."""
+        """Return whether a ROS 1 publication's connection to a subscriber still has unsent bytes."""
         with self._lock:
             return bool(self._rest or self._waiting)
 
     def put(self, frame: bytes) -> bool:
-        """Send or queue a message; return True if the reactor must send the remaining bytes.
+        """Send or queue a published message to a subscriber; return True if the reactor must send the rest.
 
         Any thread may call this method.
         """
@@ -197,7 +197,7 @@ class SubscriberLink:
             return False
 
     def _send(self) -> bool:
-        """Send as many queued bytes as the kernel accepts; return True if bytes remain."""
+        """Send a subscriber as many queued bytes as the kernel accepts; return True if bytes remain."""
         while self._rest or self._waiting:
             if not self._rest:
                 frame = self._waiting.popleft()
@@ -214,7 +214,7 @@ class SubscriberLink:
         return False
 
     def readable(self) -> None:
-        """Detect the end of a subscriber's connection; after their header, subscribers send no data."""
+        """Detect the end of a ROS 1 subscriber's connection; subscribers send no data after their header."""
         with contextlib.suppress(BlockingIOError):
             if not self.sock.recv(4096):
                 raise ConnectionError("the subscriber closed the connection")

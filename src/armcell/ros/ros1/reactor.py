@@ -20,16 +20,16 @@ Task = Callable[[], None]
 
 
 class Channel(Protocol):
-    """A connected, non-blocking socket with event handlers that the reactor's thread calls."""
+    """Channel of a ROS 1 node's reactor: a non-blocking socket with handlers for its events."""
 
     sock: socket.socket
 
     def readable(self) -> None:
-        """Read the received data from the socket; raise OSError when the connection is over."""
+        """Read received data from a reactor channel's socket; raise OSError when the connection is over."""
         ...
 
     def writable(self) -> bool:
-        """Send the queued data of the channel; return True if unsent data remains.
+        """Send the queued data of a reactor's channel; return True if unsent data remains.
 
         Raises:
             OSError: the connection is over.
@@ -37,12 +37,12 @@ class Channel(Protocol):
         ...
 
     def ended(self, reason: str) -> None:
-        """Handle the end of the connection; the reactor has closed the socket already."""
+        """Handle the end of a channel's connection; the reactor has closed the socket already."""
         ...
 
 
 class Reactor:
-    """Event loop for a node's sockets; any thread may add and drop channels.
+    """Reactor: event loop for a ROS 1 node's sockets; any thread may add and drop channels.
 
     Runs from `start` to `close`.
     """
@@ -79,11 +79,11 @@ class Reactor:
         self._soon(lambda: self._end(channel, reason))
 
     def flush(self, channel: Channel) -> None:
-        """Call the channel's `writable` as soon as its socket can send."""
+        """Let the reactor call a channel's `writable` as soon as its socket can send."""
         self._soon(lambda: self._watch(channel, True))
 
     def later(self, delay: float, task: Task) -> None:
-        """Run a task in the reactor's thread after `delay` [s]."""
+        """Run a task in the reactor thread of a ROS 1 node after `delay` [s]."""
         at = time.monotonic() + delay
         self._soon(lambda: heapq.heappush(self._timers, (at, next(self._numbers), task)))
 

@@ -29,7 +29,7 @@ class Entry(NamedTuple):
 
 
 class Registrar:
-    """Thread that registers a node's topics and services at the master, from `start` to `close`.
+    """Registrar thread that registers a ROS 1 node's topics and services at the master.
 
     Args:
         caller: the node's name.
@@ -73,14 +73,14 @@ class Registrar:
             self._changed.notify_all()
 
     def publishers_are(self, topic: str, uris: list[str]) -> None:
-        """Handle the master's publisherUpdate: the new list of a topic's publishers."""
+        """Handle the ROS 1 master's publisherUpdate to a node: the new list of a topic's publishers."""
         with self._telling:
             if topic == self._asking:
                 self._overtaken = True
             self._on_publishers(topic, uris)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the master knows all of the node's registrations; return False on timeout.
+        """Wait until the ROS 1 master knows all of a node's registrations; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -89,7 +89,7 @@ class Registrar:
             return self._changed.wait_for(lambda: not self._differences() or self._stop, timeout)
 
     def close(self) -> None:
-        """Unregister the node's topics and services at the master, and end the thread."""
+        """Unregister a ROS 1 node's topics and services at the master, and end the registrar thread."""
         with self._changed:
             self._stop = True
             self._changed.notify_all()
@@ -103,7 +103,7 @@ class Registrar:
 
     # --- in the registrar's thread ---
     def _differences(self) -> list[tuple[Entry, str | None]]:
-        """Return the entries to register and to unregister at the master.
+        """Return the topics and services that the registrar must register and unregister at the ROS 1 master.
 
         Returns:
             Pairs of an entry and its type or address; None instead of the type means to unregister.
@@ -159,7 +159,7 @@ class Registrar:
             self._changed.notify_all()
 
     def _subscribe(self, entry: Entry, what: str) -> None:
-        """Register a subscriber at the master and pass on the publishers in the answer.
+        """Register a subscriber at the ROS 1 master and pass on the publishers in the answer.
 
         If a publisherUpdate arrives during the call, the order of the answer and the update is unknown. The
         method then repeats the call, up to `OVERTAKEN` times; after that, the update counts.
@@ -183,7 +183,7 @@ class Registrar:
         return ask(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
 
     def _check(self) -> None:
-        """Ask the master for this node's address; a restarted master does not know the node."""
+        """Ask the ROS 1 master for a registered node's address; a restarted master does not know it."""
         try:
             known = ask(self.master, "lookupNode", self._caller, self._caller, timeout=self._timeout)
         except RpcError as error:

@@ -17,7 +17,7 @@ NUMBERS = {"debug": 1, "info": 2, "warn": 4, "error": 8, "fatal": 16}  # rosgrap
 
 
 def level_name(level: int) -> str:
-    """Return the ROS name of a Python log level."""
+    """Return the ROS name of a Python log level, for /rosout and rqt_logger_level."""
     return next((name for name, value in reversed(LEVELS.items()) if level >= value), "debug")
 
 
@@ -66,7 +66,7 @@ class RosOut(logging.Handler):
             self._inside.busy = False
 
     def say(self, level: str, text: str, file: str = "", function: str = "", line: int = 0) -> None:
-        """Publish a line on /rosout."""
+        """Publish a log line on /rosout."""
         if self._publisher.closed:
             return
         message = self._bus.schema.new(

@@ -33,7 +33,7 @@ Answer = tuple[int, str, Any]
 
 
 class RpcError(ArmcellError):
-    """An XML-RPC call that got no answer, or an answer that reports a failure.
+    """An XML-RPC call of ROS 1 that got no answer, or an answer that reports a failure.
 
     Attributes:
         code: the answered status code; None if no answer arrived.
@@ -45,12 +45,12 @@ class RpcError(ArmcellError):
 
 
 class Rejected(Exception):
-    """An invalid argument of an XML-RPC call; the exception's text is sent as the answer."""
+    """An invalid argument of a ROS 1 XML-RPC call; the exception's text is sent as the answer."""
 
 
 # --- calling ---
 def ask(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
-    """Call an XML-RPC method and return the value of its answer.
+    """Call a ROS 1 XML-RPC method and return the value of its answer.
 
     Raises:
         RpcError: the server does not answer, or the answer reports a failure.
@@ -65,7 +65,7 @@ def ask(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
 
 
 def call(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
-    """Call an XML-RPC method and return its raw answer.
+    """Call a ROS 1 XML-RPC method and return its raw answer.
 
     Raises:
         RpcError: the server does not answer, or the answer is not valid XML-RPC.
@@ -147,7 +147,7 @@ def text(name: str) -> Check:
 
 
 def graph_name(name: str) -> Check:
-    """Return a check that resolves an argument as a graph name in the caller's namespace.
+    """Return a check that resolves an XML-RPC argument as a ROS graph name in the caller's namespace.
 
     The argument names a topic, service or parameter.
     """
@@ -185,7 +185,7 @@ def several(name: str, each: Check) -> Check:
 
 @dataclass(frozen=True)
 class Method:
-    """One method of an XML-RPC API, with checks for its arguments.
+    """One method of a ROS 1 XML-RPC API, with checks for its arguments.
 
     Args:
         run: called with the caller's name and the validated arguments.
@@ -221,7 +221,7 @@ class Method:
 
 
 class RpcServer:
-    """XML-RPC server for a set of methods, active from `start` to `close`."""
+    """ROS 1 XML-RPC server for a set of methods, active from `start` to `close`."""
 
     def __init__(self, host: str, port: int, methods: Mapping[str, Method], name: str):
         self._methods = methods
@@ -233,7 +233,7 @@ class RpcServer:
         return self._listener.address[1]
 
     def reserve(self) -> None:
-        """Bind the server's port without accepting connections yet.
+        """Bind the port of a ROS 1 XML-RPC server without accepting connections yet.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -241,7 +241,7 @@ class RpcServer:
         self._listener.reserve()
 
     def start(self) -> None:
-        """Start to serve XML-RPC calls.
+        """Start to serve ROS 1 XML-RPC calls.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -249,7 +249,7 @@ class RpcServer:
         self._listener.start()
 
     def endpoint(self, service: str) -> Endpoint:
-        """Return the address on which the server listens; valid after `start`."""
+        """Return the address on which the ROS 1 XML-RPC server listens; valid after `start`."""
         return self._listener.endpoint(service)
 
     def close(self) -> None:

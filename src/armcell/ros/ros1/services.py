@@ -30,7 +30,7 @@ Answerer = Callable[[Any], Any]
 
 
 class ServedService:
-    """A service that this ROS 1 node serves.
+    """A ROS 1 service that a node serves over TCPROS.
 
     Args:
         answer: called with the request message, returns the response message; raises ServiceError to report
@@ -44,14 +44,14 @@ class ServedService:
         self.calls = 0
 
     def refusal(self, header: Fields) -> str | None:
-        """Return why a client cannot be served, in roscpp's and rospy's wording, or None."""
+        """Return why a ROS 1 service refuses a client, in roscpp's and rospy's wording, or None."""
         md5 = header["md5sum"]
         if md5 in (ANY, self.md5):
             return None
         return f"request from [{header['callerid']}]: md5sums do not match: [{md5}] vs. [{self.md5}]"
 
     def handle(self, sock: socket.socket, header: Fields) -> None:
-        """Answer a client's service calls until it disconnects, or only one call if not persistent."""
+        """Answer a ROS 1 client's service calls until it disconnects; only one call if not persistent."""
         fields = {
             "callerid": self._caller, "service": self.name, "md5sum": self.md5, "type": self.type,
             "request_type": f"{self.type}Request", "response_type": f"{self.type}Response",
@@ -89,7 +89,7 @@ def _refused(text: str) -> bytes:
 
 
 class Caller:
-    """Client for the services of other ROS 1 nodes; `close` also ends calls in progress."""
+    """Client for the services of other ROS 1 nodes; `close` also ends service calls in progress."""
 
     def __init__(self, caller: str, schema: Schema, timeout: float, most: int):
         self._caller, self._schema, self._timeout, self._most = caller, schema, timeout, most
@@ -98,7 +98,7 @@ class Caller:
         self._closed = False
 
     def connect(self, name: str, uri: str, type_name: str, persistent: bool = False) -> Connection:
-        """Connect to a service of another node.
+        """Connect to a service of another ROS 1 node.
 
         Raises:
             ServiceError: the service cannot be reached, or its type differs.
@@ -111,7 +111,7 @@ class Caller:
         return Connection(self, sock, name, type_name, self._schema, self._most, header)
 
     def probe(self, name: str, uri: str) -> str:
-        """Return the type of a service, read from its connection header.
+        """Return the type of a ROS 1 service, read from its connection header.
 
         Raises:
             ServiceError: the service cannot be reached, or its header contains no type.

@@ -51,7 +51,7 @@ class Ros1Settings:
 
     @property
     def is_local(self) -> bool:
-        """Return whether only programs on this machine can connect to the node."""
+        """Return whether only programs on this machine can connect to the ROS 1 node with these settings."""
         return is_loopback(self.bind)
 
 
@@ -59,7 +59,7 @@ def from_environment(
     name: str, arguments: Iterable[str] = (), bind: str | None = None,
     environment: Mapping[str, str] | None = None, **changes: Any,
 ) -> Ros1Settings:  # fmt: skip
-    """Return the settings of a ROS node from command-line arguments and environment variables.
+    """Return the settings of a ROS 1 node from command-line arguments and environment variables.
 
     Args:
         arguments: remappings, each `from:=to`, `_private:=value`, `__name:=`, `__ns:=`, `__ip:=`,
@@ -96,7 +96,7 @@ def from_environment(
 
 
 def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Split arguments into name remappings and special arguments that begin with an underscore.
+    """Split a ROS 1 node's arguments into name remappings and special arguments (`__name:=...`).
 
     Raises:
         InputError: an argument is not of the form from:=to.
@@ -112,7 +112,7 @@ def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str,
 
 
 def _value(text: str) -> Any:
-    """Parse a private parameter's value as YAML, like rosrun."""
+    """Parse a private parameter's value in a ROS 1 node's arguments as YAML, like rosrun."""
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError:
@@ -120,7 +120,7 @@ def _value(text: str) -> Any:
 
 
 def host_and_port(uri: str, scheme: str = "http") -> tuple[str, int]:
-    """Return host and port of an address such as `http://host:port/`; the default port is 11311.
+    """Return host and port of a ROS 1 address like `http://host:port/`; the default port is 11311.
 
     Raises:
         InputError: the address is invalid.
@@ -139,7 +139,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_this_machine(host: str) -> bool:
-    """Return whether an address or host name belongs to this machine."""
+    """Return whether an address or host name in a ROS 1 node's settings belongs to this machine."""
     if is_loopback(host) or host in (socket.gethostname(), "0.0.0.0"):
         return True
     try:
@@ -152,7 +152,7 @@ def is_this_machine(host: str) -> bool:
 
 
 def own_address() -> str:
-    """Return this machine's address on its default route, by which other machines reach it."""
+    """Return this machine's address on its default route, by which other ROS 1 machines reach it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # documentation address (RFC 5737); UDP sends nothing here

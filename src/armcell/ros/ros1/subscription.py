@@ -25,10 +25,10 @@ FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] first and longest delay between attemp
 
 
 class Sink(Protocol):
-    """Receiver for the messages of one publisher."""
+    """Receiver for the messages of one publisher of a subscribed ROS 1 topic."""
 
     def take(self, body: bytes) -> None:
-        """Handle one serialized message of a publisher.
+        """Handle one serialized message from a publisher of a subscribed ROS 1 topic.
 
         Raises:
             WireError: the bytes are not a message of the topic's type.
@@ -63,12 +63,12 @@ class Subscription:
         self._closed = False
 
     def links(self) -> list[PublisherLink]:
-        """Return the current publisher connections, including those that are being established."""
+        """Return a ROS 1 subscription's publisher connections, including those being established."""
         with self._lock:
             return list(self._links.values())
 
     def update(self, uris: list[str]) -> None:
-        """Connect to new publishers of the topic, and disconnect from publishers no longer listed."""
+        """Connect a ROS 1 subscription to new publishers, and disconnect it from those no longer listed."""
         with self._lock:
             if self._closed:
                 return
@@ -85,7 +85,7 @@ class Subscription:
             self.connect(link)
 
     def connect(self, link: PublisherLink) -> None:
-        """Start a connection to a publisher in a thread of the executor."""
+        """Start a ROS 1 subscription's connection to a publisher in a thread of the executor."""
         if not self._closed:
             with contextlib.suppress(RuntimeError):  # the executor is shut down because the node is closing
                 self._executor.submit(link.connect)
@@ -103,7 +103,7 @@ class Subscription:
 
 
 class PublisherLink:
-    """Connection of a subscription to one publisher."""
+    """Connection of a ROS 1 subscription to one publisher."""
 
     _numbers = itertools.count(1)
 
@@ -122,7 +122,7 @@ class PublisherLink:
 
     # --- in the executor ---
     def connect(self) -> None:
-        """Request the publisher's TCPROS port, connect and exchange headers; retry later on failure."""
+        """Connect a subscription to a publisher's TCPROS port and exchange headers; retry on failure."""
         if self._closed:
             return
         try:
@@ -229,7 +229,7 @@ class PublisherLink:
         self._again()
 
     def close(self) -> None:
-        """Close the connection to the publisher; callable from any thread."""
+        """Close a ROS 1 subscription's connection to a publisher; callable from any thread."""
         with self._lock:
             self._closed = True
             connected = self.connected

@@ -43,7 +43,7 @@ ACTION_TOPICS = {
 
 @dataclass(frozen=True)
 class Ros2Settings:
-    """Settings with which a bus joins a ROS 2 domain."""
+    """Settings with which the bridge of a bus joins a ROS 2 domain."""
 
     reach: Reach = field(default_factory=from_environment)
     node: str = "/armcell"  # node name in `ros2 node list`
@@ -70,7 +70,7 @@ class Ros2Status:
 
 
 class Ros2Bridge:
-    """Connection of a bus to a ROS 2 domain, from `start` (or `with`) to `close`.
+    """Bridge between a bus and a ROS 2 domain, from `start` (or `with`) to `close`.
 
     Raises (start):
         MissingExtraError: cyclonedds is not installed.
@@ -113,7 +113,7 @@ class Ros2Bridge:
         return self
 
     def close(self) -> None:
-        """Leave the ROS 2 domain and the bus; a second call has no effect."""
+        """Close the ROS 2 bridge: leave the domain and the bus; a second call has no effect."""
         context = self._context
         if context is None or self._stop.is_set():
             return
@@ -144,7 +144,7 @@ class Ros2Bridge:
         self.close()
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets that DDS opened in this process; valid after `start`."""
+        """Return the sockets that DDS opened for the ROS 2 bridge; valid after `start`."""
         return self._joined().participant.endpoints
 
     # --- status and discovery ---
@@ -163,19 +163,19 @@ class Ros2Bridge:
         )
 
     def topics(self) -> dict[str, str]:
-        """Return a dict from topic name to type for the topics of other ROS 2 nodes."""
+        """Return the topics of other ROS 2 nodes that the bridge sees, as a dict from name to type."""
         return self._joined().graph.topics()
 
     def services(self) -> dict[str, str]:
-        """Return a dict from service name to type for the services of other ROS 2 nodes."""
+        """Return the services of other ROS 2 nodes that the bridge sees, as a dict from name to type."""
         return self._joined().graph.services()
 
     def nodes(self) -> list[str]:
-        """Return the full names of the other nodes in the ROS 2 domain."""
+        """Return the full names of the other nodes in the bridge's ROS 2 domain."""
         return self._joined().graph.nodes()
 
     def wait_for_node(self, name: str, timeout: float) -> bool:
-        """Wait until another node appears in the ROS 2 domain; return False on timeout.
+        """Wait until another node appears in the bridge's ROS 2 domain; return False on timeout.
 
         Args:
             name: full name of the node.
@@ -195,7 +195,7 @@ class Ros2Bridge:
 
     # --- services in the domain ---
     def _find(self, name: str) -> Handler | None:
-        """Return a handler for a service in the ROS 2 domain, or None if no node serves the service."""
+        """Return the ROS 2 bridge's handler for a service in the domain, or None if no node serves it."""
         context = self._joined()
         type_name = context.graph.services().get(name)
         if type_name is None or type_name not in self.bus.schema.services or self._stop.is_set():
@@ -230,7 +230,7 @@ class Ros2Bridge:
                     part.look()
 
     def _look(self, context: Context) -> None:
-        """Update the endpoints in the domain to match the topics, services and actions of the bus."""
+        """Update the ROS 2 bridge's endpoints to match the topics, services and actions of the bus."""
         self._descriptions.look()
         infos = {info.name: info for info in self.bus.topics(besides=self)}
         acting = self._action_names(infos)
@@ -256,7 +256,7 @@ class Ros2Bridge:
         context.announcer.tell()
 
     def _try(self, name: str, table: dict[str, Any], make: Any, type_name: str, *more: Any) -> None:
-        """Start to bridge a topic; if this fails, report the reason once."""
+        """Start to bridge a topic to ROS 2; if this fails, report the reason once."""
         if (name, type_name) in self._refused:
             return
         profile = self.settings.qos.get(name)
@@ -284,7 +284,7 @@ class Ros2Bridge:
 
     # --- actions, which are ROS 1's five topics on the bus ---
     def _action_names(self, infos: Mapping[str, TopicInfo]) -> dict[str, str]:
-        """Return a dict from action name to type for the actions on the bus.
+        """Return the bus actions to bridge to ROS 2, as a dict from action name to type.
 
         An action is every name with a topic `<name>/goal` whose message is an action goal.
         """
@@ -318,7 +318,7 @@ class Ros2Bridge:
 
 
 def _is_of_action(info: TopicInfo, acting: Mapping[str, str]) -> bool:
-    """Return whether a topic is one of the five topics of a ROS 1 action.
+    """Return whether a bus topic is one of a ROS 1 action's five topics, which ROS 2 bridges as an action.
 
     The bridge does not forward these topics, because ROS 2 transports actions differently.
     """

@@ -30,7 +30,7 @@ HEADER_BYTES = 4  # CDR's encapsulation header, before the fields
 
 
 class Ros2Codec:
-    """CDR codec (little-endian) for one schema and one ROS 2 distribution; thread-safe.
+    """ROS 2 CDR codec (little-endian) for one schema and one ROS 2 distribution; thread-safe.
 
     Raises:
         UnknownNameError: the distribution does not exist.
@@ -52,7 +52,7 @@ class Ros2Codec:
 
     # --- types ---
     def message(self, name: str) -> type[Message]:
-        """Return the Python class of a message type.
+        """Return the Python class of a message type for the ROS 2 codec.
 
         Raises:
             UnknownNameError: the type does not exist.
@@ -63,7 +63,7 @@ class Ros2Codec:
         return self.message(name)(*values, **fields)
 
     def wire_class(self, name: str) -> type[Message]:
-        """Return the message class with exactly the fields of the ROS 2 definition."""
+        """Return the message class that the ROS 2 codec serializes, with exactly ROS 2's fields."""
         if name not in self._wire:
             if name not in self.definitions:
                 raise UnknownNameError("ROS 2 type", name, self.definitions)
@@ -78,14 +78,14 @@ class Ros2Codec:
         return name in self.schema.definitions and self.schema.whole(name) != self.schema.definition(name)
 
     def prepare(self, name: str) -> None:
-        """Generate the serialization functions of a message type now, not at its first message.
+        """Generate the ROS 2 serialization functions of a message type now, not at its first message.
 
         Generation takes up to 0.1 s.
         """
         self._store.get_msgdef(rosbags_name(name))
 
     def type_hash(self, name: str, kind: str = "msg") -> str | None:
-        """Return the REP 2016 hash of a message, service or action.
+        """Return the REP 2016 type hash of a message, service or action from the ROS 2 codec.
 
         Returns:
             The hash, or None for distributions without type hashes.
@@ -94,7 +94,7 @@ class Ros2Codec:
 
     # --- bytes ---
     def encode(self, message: Any) -> memoryview:
-        """Serialize a message to CDR bytes, including the 4-byte encapsulation header.
+        """Serialize a message to ROS 2's CDR bytes, including the 4-byte encapsulation header.
 
         Raises:
             InputError: a field's value does not fit its type.
@@ -109,7 +109,7 @@ class Ros2Codec:
             raise InputError(f"{name} cannot be encoded: {error}") from None
 
     def decode(self, name: str, data: bytes | memoryview) -> Any:
-        """Deserialize a message from CDR bytes, which must contain nothing else.
+        """Deserialize a message from ROS 2's CDR bytes, which must contain nothing else.
 
         Raises:
             WireError: the bytes are not a message of this type.
@@ -131,7 +131,7 @@ class Ros2Codec:
         return self._tidies[name]
 
     def translation(self, name: str) -> _Translation:
-        """Return the function that converts a bus message to ROS 2's field layout."""
+        """Return the codec's function that converts a bus message to ROS 2's field layout."""
         if name not in self._translations:
             self._translations[name] = _Translation(self, name)
         return self._translations[name]
@@ -142,7 +142,7 @@ def _is_empty(codec: Ros2Codec, name: str) -> bool:
 
 
 def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
-    """Return each ROS 2 field with the matching attribute of the bus's message class, or None.
+    """Pair each ROS 2 field with the attribute of the bus's message class that the codec copies, or None.
 
     Names match regardless of case: CameraInfo's `d` in ROS 2 is `D` on the bus.
     """
@@ -160,7 +160,7 @@ _MISSING: Any = object()
 
 
 class _Translation:
-    """Callable that converts a bus message to ROS 2's field layout.
+    """Function object of the ROS 2 codec that converts a bus message to ROS 2's field layout.
 
     Messages whose fields match already are returned without a copy.
     """
@@ -194,7 +194,7 @@ class _Translation:
 
 
 class _Makers(dict):
-    """Message constructors by rosbags type name, each built on first use.
+    """ROS 2 codec's message constructors by rosbags type name, each built on first use.
 
     The deserializer calls a constructor with the values that it has read.
     """

@@ -24,7 +24,7 @@ MAX_COMPLAINTS = 200  # different kinds of errors that are logged
 
 
 class Context:
-    """Shared state of a ROS 2 bridge, created when the bridge starts and closed with it.
+    """Shared context of a ROS 2 bridge (bus, DDS participant, workers), closed with the bridge.
 
     Raises:
         MissingExtraError: cyclonedds is not installed.
@@ -79,7 +79,8 @@ class Context:
             endpoint.close()
 
     def service_id(self) -> str:
-        """Return a new id for a service client or server, in the format of rmw_cyclonedds_cpp.
+        """Return a new id in the ROS 2 bridge for a service client or server, in the format of
+        rmw_cyclonedds_cpp.
 
         Both endpoints (reader and writer) of the client or server carry the id.
         """
@@ -91,7 +92,7 @@ class Context:
 
     # --- work that may take long ---
     def work(self, run: Callable[..., Any], *arguments: Any) -> bool:
-        """Run a function in the worker pool; return False if too many calls wait already."""
+        """Run a function in the ROS 2 bridge's worker pool; return False if too many calls wait already."""
         with self._lock:
             if self._calls >= MAX_CALLS:
                 return False

@@ -41,7 +41,7 @@ OFFERED_INCOMPATIBLE, REQUESTED_INCOMPATIBLE = (
 
 
 class DdsError(ArmcellError):
-    """An error that the DDS library reported."""
+    """An error that the Cyclone DDS library reported."""
 
 
 class _Sample(ct.Structure):
@@ -101,7 +101,7 @@ def library() -> SimpleNamespace:
 
 
 def check(result: int, what: str) -> int:
-    """Check a result of the DDS library: return valid results, raise for error codes.
+    """Check a result of the Cyclone DDS library: return valid results, raise for error codes.
 
     Raises:
         DdsError: the result is an error code.
@@ -120,7 +120,7 @@ class Sample(NamedTuple):
 
 
 class _Domains:
-    """DDS domains that this process has joined.
+    """DDS domains that the process has joined with Cyclone DDS.
 
     Each domain has one configuration and ends with its last participant.
     """
@@ -224,7 +224,7 @@ class Participant:
         user_data: bytes = b"",
         ignore_own: bool = True,
     ) -> Reader:
-        """Create a DDS reader for a topic.
+        """Create a Cyclone DDS reader for a topic.
 
         Args:
             on_sample: called with each sample, in order of arrival, in the participant's reading thread.
@@ -359,10 +359,10 @@ class _Endpoint:
 
 
 class Writer(_Endpoint):
-    """DDS writer for serialized samples."""
+    """Cyclone DDS writer for serialized samples."""
 
     def write(self, data: bytes | bytearray | memoryview) -> bool:
-        """Write a serialized sample; return False if the writer's queue is full.
+        """Write a serialized DDS sample; return False if the DDS writer's queue is full.
 
         Args:
             data: bytes of the sample, including CDR's 4-byte header.
@@ -380,11 +380,11 @@ class Writer(_Endpoint):
         return True
 
     def readers(self) -> list[int]:
-        """Return the handles of the DDS readers that receive this writer's samples."""
+        """Return the handles of the DDS readers that receive a writer's samples."""
         return self._matched(self._dds.dds_get_matched_subscriptions)
 
     def reader_qos(self, handle: int) -> Any:
-        """Return the QoS of a matched reader, or None if the reader has left."""
+        """Return the QoS of a DDS reader matched to a writer, or None if the reader has left."""
         builtin = self._dds.builtin
         found = self._dds.c.ddspy_get_matched_subscription_data(
             self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos
@@ -393,18 +393,18 @@ class Writer(_Endpoint):
 
 
 class Reader(_Endpoint):
-    """DDS reader that delivers samples until `close`."""
+    """Cyclone DDS reader that delivers samples until `close`."""
 
     def __init__(self, participant: Participant, name: DdsName, handle: int, number: int):
         super().__init__(participant, name, handle)
         self._number = number
 
     def writers(self) -> list[int]:
-        """Return the handles of the DDS writers whose samples this reader receives."""
+        """Return the handles of the DDS writers whose samples a DDS reader receives."""
         return self._matched(self._dds.dds_get_matched_publications)
 
     def writer_qos(self, handle: int) -> Any:
-        """Return the QoS of a matched writer, or None if the writer has left."""
+        """Return the QoS of a DDS writer matched to a reader, or None if the writer has left."""
         builtin = self._dds.builtin
         found = self._dds.c.ddspy_get_matched_publication_data(
             self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos

@@ -16,7 +16,7 @@ from armcell.ros.schema import Schema
 
 
 def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
-    """Return all message definitions of a ROS 2 distribution by `pkg/Name`.
+    """Return the ROS 2 dialect of messages: all definitions of a distribution by `pkg/Name`.
 
     Raises:
         UnknownNameError: the distribution does not exist.
@@ -29,7 +29,7 @@ def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
 
 
 def _action_messages(action: str) -> dict[str, Definition]:
-    """Return the messages that rosidl derives from an action.
+    """Return the messages that rosidl derives from an action definition of a ROS 2 distribution.
 
     Source: design.ros2.org/articles/actions.html.
     """

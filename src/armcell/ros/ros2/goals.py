@@ -30,7 +30,7 @@ RUNNING = {
 
 
 class Goal:
-    """A goal that a ROS 2 client has sent."""
+    """An action goal that a ROS 2 client has sent to an action of the bus."""
 
     def __init__(self, uuid: bytes, stamp: Any):
         self.uuid, self.stamp = uuid, stamp
@@ -46,7 +46,7 @@ class Goal:
 
 
 class ActionServing:
-    """Server of one action of the bus in the ROS 2 domain.
+    """Server of one bus action for goals of clients in the ROS 2 domain.
 
     A separate thread handles the messages of the bus's action server, in order.
     """
@@ -88,7 +88,7 @@ class ActionServing:
         ]
 
     def close(self) -> None:
-        """Stop serving the action and abort its unfinished goals; waiting clients receive a result."""
+        """Stop serving an action to ROS 2 and abort unfinished goals; waiting clients receive a result."""
         for server in self._servers:
             server.close()
         with self._lock:
@@ -122,7 +122,7 @@ class ActionServing:
             self._goal.publish(goal)
 
     def _on_cancel(self, server: Server, request: Any, asked: Asked) -> None:
-        """Cancel the goals that a cancel request selects by goal id, by time stamp or by both.
+        """Cancel the ROS 2 action goals that a cancel request selects by goal id, by time stamp or by both.
 
         A stamp selects all goals up to this time. A request without id and stamp cancels all goals.
         """
@@ -193,7 +193,7 @@ class ActionServing:
                 self._tell()
 
     def _final(self, goal: Goal, state: State) -> int:
-        """Return the ROS 2 status of a finished goal.
+        """Return the ROS 2 status of a finished action goal.
 
         A goal that a newer one preempted without a cancel request counts as aborted.
         """
@@ -216,7 +216,7 @@ class ActionServing:
             self._get_server.reply(asked, response)
 
     def _tell(self) -> None:
-        """Publish the status of all goals of the action."""
+        """Publish the status of all goals of an action to the ROS 2 domain."""
         new = self._context.codec.new
         with self._lock:
             goals = list(self._goals.values())

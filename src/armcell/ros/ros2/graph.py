@@ -20,7 +20,7 @@ MAX_ENDPOINTS = 20_000  # limits the memory that a flood of endpoints can use
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A DDS writer or reader of another participant."""
+    """A DDS writer or reader of another participant in the ROS 2 graph."""
 
     topic: str
     type: str
@@ -31,7 +31,7 @@ class Endpoint:
 
 
 class Graph:
-    """Thread-safe view of the other participants in a DDS domain; `version` counts changes."""
+    """Thread-safe ROS 2 graph of a DDS domain's other participants; `version` counts changes."""
 
     def __init__(self, participant: Participant, codec: Ros2Codec):
         self._participant, self._codec = participant, codec
@@ -48,12 +48,12 @@ class Graph:
 
     # --- queries ---
     def endpoints(self, dds_topic: str, writes: bool) -> list[Endpoint]:
-        """Return the other participants' writers or readers of a DDS topic."""
+        """Return the writers or readers of a DDS topic that other participants in the ROS 2 graph have."""
         with self._lock:
             return [e for e in self._endpoints.values() if e.topic == dds_topic and e.writes == writes]
 
     def topics(self) -> dict[str, str]:
-        """Return a dict from topic name to type for all ROS topics of other participants.
+        """Return the ROS 2 topics of other participants in the graph, as a dict from name to type.
 
         If endpoints of a topic have different types, the first endpoint counts.
         """
@@ -67,7 +67,7 @@ class Graph:
         return found
 
     def services(self) -> dict[str, str]:
-        """Return a dict from service name to type for all services of other participants.
+        """Return the ROS 2 services of other participants in the graph, as a dict from name to type.
 
         A service counts if its server reads requests and writes replies.
         """
@@ -83,7 +83,7 @@ class Graph:
         return found
 
     def nodes(self) -> list[str]:
-        """Return the full names of the other ROS 2 nodes."""
+        """Return the full names of the other nodes in the ROS 2 graph."""
         with self._lock:
             return sorted(name for nodes in self._nodes.values() for name in nodes)
 
@@ -121,7 +121,7 @@ class Graph:
 
 
 class Announcer:
-    """Announcer of the DDS endpoints of this node, so that `ros2 node list` shows the node."""
+    """Announcer of this node's DDS endpoints in the ROS 2 graph, so that `ros2 node list` shows the node."""
 
     def __init__(self, participant: Participant, codec: Ros2Codec, node: str):
         self._participant, self._codec = participant, codec
@@ -141,7 +141,7 @@ class Announcer:
             self._gids.pop(guid, None)
 
     def tell(self) -> None:
-        """Announce the node's endpoints to other participants if they changed since the last call."""
+        """Announce the node's endpoints to the ROS 2 graph if they changed since the last call."""
         with self._lock:
             gids = dict(self._gids)
         if gids == self._told:

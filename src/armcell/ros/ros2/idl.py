@@ -17,7 +17,7 @@ from armcell.ros.ros2.names import DdsName, dds_type
 
 
 class Types:
-    """Cache of `cyclonedds` types, each built on first use; thread-safe."""
+    """Cache of IDL types (`cyclonedds`) of messages, each built on first use; thread-safe."""
 
     def __init__(self, codec: Ros2Codec):
         self._codec = codec
@@ -26,7 +26,7 @@ class Types:
         self._topics: dict[tuple[str, str], Any] = {}
 
     def of(self, name: DdsName) -> Any:
-        """Return the `cyclonedds` type of a topic.
+        """Return the IDL type (`cyclonedds`) of a topic's message.
 
         Raises:
             InputError: DDS has no type for one of the fields.

@@ -16,7 +16,7 @@ _TYPE = re.compile(r"^(\w+)::(msg|srv|action)::dds_::(\w+)_$")
 
 
 class DdsName(NamedTuple):
-    """Name and type of a DDS topic."""
+    """DDS name and type name of a ROS 2 topic."""
 
     topic: str
     type: str  # type name on DDS
@@ -83,7 +83,7 @@ DISCOVERY = DdsName(
 
 
 def action_name(name: str, type_name: str) -> str:
-    """Return an action's name in ROS 2.
+    """Return the ROS 2 name of an action on the bus.
 
     ROS 1's MoveIt action `move_group` is `move_action` in MoveIt 2; other names do not change. Source:
     move_group/capability_names.h.

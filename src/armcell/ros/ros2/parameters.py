@@ -42,7 +42,7 @@ def kind_of(value: Any) -> int:
 
 
 class ParameterServices:
-    """Server of the six parameter services of a ROS 2 node."""
+    """Server of a ROS 2 node's six parameter services, for the parameters of the bus."""
 
     def __init__(self, context: Context, node: str):
         self._context, self._parameters = context, context.bus.parameters
@@ -78,7 +78,7 @@ class ParameterServices:
         return sorted({name[1:].replace("/", ".") for name in known} | {USE_SIM_TIME})
 
     def _read(self, name: str) -> Any:
-        """Return a parameter's value, or None if it is not set."""
+        """Return a bus parameter's value for a ROS 2 client, or None if it is not set."""
         if name == USE_SIM_TIME:
             return self._context.bus.clock.is_simulated
         try:
@@ -149,7 +149,7 @@ class ParameterServices:
 
 
 def _below(name: str, prefixes: list[str], depth: int) -> bool:
-    """Return whether a parameter is below one of the prefixes of a list request.
+    """Return whether a parameter is below one of the prefixes of ROS 2's ListParameters request.
 
     Args:
         depth: largest number of levels below the prefix; 0 means any.

@@ -14,7 +14,7 @@ from armcell.core.checks import require
 
 @dataclass(frozen=True)
 class Profile:
-    """Quality of service that a ROS 2 endpoint offers or requests."""
+    """Quality-of-service (QoS) profile that a ROS 2 endpoint offers or requests."""
 
     reliable: bool = True
     latched: bool = False  # transient local: the last `depth` messages are kept for late subscribers
@@ -28,7 +28,7 @@ class Profile:
         return f"{reliability}, {'transient local' if self.latched else 'volatile'}"
 
     def lacks(self, requested: Profile) -> list[str]:
-        """List the QoS policies that a subscriber requests but this publisher's profile lacks.
+        """List the QoS policies that a ROS 2 subscriber requests but a publisher's profile lacks.
 
         The list is empty if publisher and subscriber are compatible.
         """
@@ -55,7 +55,7 @@ LARGE = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/PointC
 
 
 def offered(topic: str, type_name: str, latched: bool) -> Profile:
-    """Return the QoS profile with which the bridge publishes a topic.
+    """Return the QoS profile with which the bridge publishes a ROS 2 topic.
 
     Images and point clouds are reliable as well, with the short queue of sensor data, so that subscribers of
     either kind receive them (RViz requests reliable ones, camera pipelines best effort).
@@ -88,7 +88,7 @@ BLOCKING = 100_000_000  # [ns] longest wait for queue space when writing a servi
 
 
 def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False, wait: bool = False) -> Any:
-    """Convert a profile to a `cyclonedds` Qos.
+    """Convert a ROS 2 QoS profile to a `cyclonedds` Qos.
 
     Args:
         user_data: user data of the endpoint, which discovery distributes.
@@ -116,7 +116,7 @@ def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False,
 
 
 def profile_of(qos: Any) -> Profile:
-    """Return the profile of another endpoint's `cyclonedds` Qos.
+    """Convert the `cyclonedds` Qos of another endpoint to a QoS profile.
 
     Discovery does not report the depth, which keeps its default.
     """
@@ -129,7 +129,7 @@ def profile_of(qos: Any) -> Profile:
 
 
 def user_values(qos: Any) -> dict[str, str]:
-    """Parse the `key=value;` pairs that ROS 2 stores in an endpoint's user data."""
+    """Parse the `key=value;` pairs that ROS 2 stores in the user data of an endpoint's QoS."""
     policy = _policy(qos, "Userdata")
     text: str = policy.data.decode("latin-1") if policy is not None else ""
     pairs = [part.partition("=") for part in text.split(";")]

@@ -33,7 +33,7 @@ LOCALHOST."""
 
 
 def _has_network() -> bool:
-    """Return whether packets for other machines would leave through a network interface.
+    """Return whether ROS 2 discovery packets for other machines would leave by a network interface.
 
     The test sends no packets.
     """
@@ -47,7 +47,7 @@ def _has_network() -> bool:
 
 @dataclass(frozen=True)
 class Reach:
-    """A ROS 2 domain and the range within which discovery finds other nodes."""
+    """A ROS 2 domain number and the range within which discovery finds other nodes."""
 
     domain: int = 0
     range: str = "LOCALHOST"
@@ -62,11 +62,11 @@ class Reach:
 
     @property
     def is_open(self) -> bool:
-        """Return whether nodes on other machines can discover this process."""
+        """Return whether the discovery range lets ROS 2 nodes on other machines find this process."""
         return self.range in ("SUBNET", "SYSTEM_DEFAULT") or (bool(self.peers) and self.range == "LOCALHOST")
 
     def xml(self) -> str:
-        """Return the Cyclone DDS configuration as XML."""
+        """Return the discovery range and domain as Cyclone DDS's XML configuration."""
         multicast = interfaces = peers = tag = ""
         index = "auto"
         if self.range in ("LOCALHOST", "SUBNET"):
@@ -103,7 +103,7 @@ class Reach:
 def from_environment(
     domain: int | None = None, network: bool = False, environ: Mapping[str, str] = os.environ
 ) -> Reach:
-    """Return domain and discovery range from ROS 2's environment variables.
+    """Return the domain number and discovery range from ROS 2's environment variables.
 
     The variables are ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY, ROS_STATIC_PEERS and
     CYCLONEDDS_URI.

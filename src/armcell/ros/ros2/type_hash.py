@@ -32,7 +32,7 @@ ACTION_SERVICES = ("_SendGoal", "_GetResult")
 
 
 class TypeNames:
-    """ROS 2's full type names: `pkg/msg/Name`, `pkg/srv/Name_Request`, `pkg/action/Name_Goal`."""
+    """Full type names in ROS 2's type hashes: `pkg/msg/Name`, `pkg/srv/Name_Request`, `pkg/action/Name_Goal`."""
 
     def __init__(self, services: Iterable[str], actions: Iterable[str]):
         self._parts: dict[str, str] = {}
@@ -44,7 +44,7 @@ class TypeNames:
                 self._parts[action + part] = f"{_full(action, 'action')}_{part.removeprefix('_')}"
 
     def full(self, name: str) -> str:
-        """Return the full ROS 2 name of a message `pkg/Name`, or of a part of a service or action."""
+        """Return the full name in ROS 2's type hashes of `pkg/Name`, or of a service's or action's part."""
         return self._parts.get(name) or _full(name, "msg")
 
 
@@ -63,7 +63,7 @@ class TypeHashes:
         self._hashes: dict[tuple[str, str], str] = {}
 
     def of(self, name: str, kind: str = "msg") -> str:
-        """Return the hash of a message, service or action: `RIHS01_` and 64 hexadecimal digits.
+        """Return the ROS 2 type hash of a message, service or action: `RIHS01_` and 64 hexadecimal digits.
 
         Args:
             kind: "msg" (also for a part of a service or action), "srv" or "action"; needed because an action
@@ -93,7 +93,7 @@ class TypeHashes:
         return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
 
     def _describe(self, name: str, described: dict[str, list[dict[str, Any]]]) -> str:
-        """Add the descriptions of a message and of its nested messages; return its full name."""
+        """Add the descriptions of a message and its nested messages to a type hash; return its full name."""
         full = self.names.full(name)
         if full not in described:
             described[full] = []  # a type cannot contain itself, so the order does not matter
@@ -105,7 +105,7 @@ class TypeHashes:
     def _describe_service(
         self, full: str, request: str, response: str, described: dict[str, list[dict[str, Any]]]
     ) -> str:
-        """Add the descriptions of a service, its messages and its introspection event message."""
+        """Add a service, its messages and its event message to the type description of a hash."""
         parts = {
             "request": self._describe(request, described),
             "response": self._describe(response, described),

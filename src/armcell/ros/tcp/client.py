@@ -30,7 +30,7 @@ LOGS = {"__log": logging.INFO, "__warn": logging.WARNING, "__error": logging.ERR
 
 @dataclass(frozen=True)
 class Bridge:
-    """Topics and services to transport over ROS-TCP, as dicts from name to type."""
+    """Topics and services that a ROS-TCP client bridges, as dicts from name to type."""
 
     publish: dict[str, str] = field(default_factory=dict)  # topics from the bus to the endpoint
     subscribe: dict[str, str] = field(default_factory=dict)  # topics from the endpoint to the bus
@@ -89,7 +89,7 @@ class RosTcpClient:
         self.close()
 
     def wait_connected(self, timeout: float | None = None) -> bool:
-        """Wait until all topics and services are registered at the ROS-TCP endpoint.
+        """Wait until the ROS-TCP client has registered all topics and services at the endpoint.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -99,7 +99,7 @@ class RosTcpClient:
         return self._connected.wait(timeout)
 
     def topic_list(self, timeout: float) -> dict[str, str] | None:
-        """Return a dict from topic name to type for the endpoint's topics.
+        """Return the ROS-TCP endpoint's topics for the client, as a dict from topic name to type.
 
         Args:
             timeout: limit [s] for the endpoint's answer.
@@ -179,7 +179,7 @@ class _Connection(Peer):
         }
 
     def register(self, bridge: Bridge) -> None:
-        """Register all topics and services of the bridge at the ROS-TCP endpoint.
+        """Register all topics and services of the ROS-TCP client at the endpoint.
 
         The endpoint runs the commands in order.
         """
@@ -198,7 +198,7 @@ class _Connection(Peer):
             self.offer(topic, type_name)
 
     def tell_error(self, text: str) -> None:
-        """Discard an error text: ROS-TCP endpoints do not accept error messages.
+        """Discard a client's error text: ROS-TCP endpoints do not accept error messages.
 
         The reference endpoint would close the connection.
         """

@@ -21,7 +21,7 @@ _U32 = struct.Struct("<I")
 
 
 class FrameError(ArmcellError):
-    """A malformed ROS-TCP stream.
+    """A malformed frame in a ROS-TCP stream.
 
     The connection must be closed, because the boundaries of later frames are unknown.
     """
@@ -67,11 +67,11 @@ def command(name: str, params: dict[str, Any], terminate: bool = False) -> bytes
 
 
 class CommandError(ArmcellError):
-    """A ROS-TCP command whose JSON is invalid."""
+    """A ROS-TCP command frame whose JSON is invalid."""
 
 
 def parameters(body: bytes) -> dict[str, Any]:
-    """Parse the JSON object of a ROS-TCP command.
+    """Parse the JSON object of a ROS-TCP command frame.
 
     Raises:
         CommandError: the body is too long, or is not a JSON object.

@@ -21,7 +21,7 @@ UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further message
 
 
 class Link:
-    """A ROS-TCP connection's socket and threads, active from `start` to `close`.
+    """A ROS-TCP link: a connection's socket and its two threads, from `start` to `close`.
 
     Args:
         on_frame: called with each frame in the reading thread.
@@ -69,7 +69,7 @@ class Link:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the ROS-TCP connection is over; return False on timeout.
+        """Wait until a ROS-TCP link's connection is over; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -77,7 +77,7 @@ class Link:
         return self._over.wait(timeout)
 
     def close(self, reason: str = "closed here") -> None:
-        """End the ROS-TCP connection and wait for its threads (except the calling thread)."""
+        """End a ROS-TCP link and wait for its threads (except the calling thread)."""
         self._end(reason)
         for thread in self._threads:
             if thread.ident is not None and thread is not threading.current_thread():
@@ -106,7 +106,7 @@ class Link:
         self._leave()
 
     def _say_goodbye(self, reason: str) -> None:
-        """Give the peer time to read the reason for the disconnection before the socket closes.
+        """Give a ROS-TCP link's peer time to read the reason for the disconnection before the socket closes.
 
         Closing a socket with unread bytes would reset the connection and lose the text.
         """
@@ -136,12 +136,12 @@ class Link:
         self._leave()
 
     def put(self, *parts: Part) -> None:
-        """Send a ROS-TCP command or service answer, from any thread and without blocking."""
+        """Send a ROS-TCP command or service answer over the link, from any thread, without blocking."""
         if not self._send_at_once(parts):
             self.outbox.put(*parts)
 
     def put_message(self, topic: str, *parts: Part) -> None:
-        """Send a topic's message without blocking; a full queue drops the topic's oldest message.
+        """Send a topic's message over the ROS-TCP link; a full queue drops the topic's oldest message.
 
         Any thread may call it.
         """
@@ -149,7 +149,7 @@ class Link:
             self.outbox.put_message(topic, *parts)
 
     def _send_at_once(self, parts: tuple[Part, ...]) -> bool:
-        """Send a small frame directly from the calling thread if no other frame is queued.
+        """Send a small ROS-TCP frame from the calling thread if the link's outbox is empty.
 
         Under load from Python threads this saves milliseconds, because a woken thread must wait for the
         interpreter.
@@ -178,7 +178,7 @@ class Link:
             self._sending.release()
 
     def _send(self, parts: list) -> None:
-        """Send the parts of a frame; only the writing thread calls this, holding the sending lock."""
+        """Send the parts of a ROS-TCP frame; only the link's writing thread calls this, with the lock."""
         if self._rest:
             self._socket.sendall(self._rest)
             self._rest = b""
@@ -191,7 +191,7 @@ class Link:
         self.bytes_out += size
 
     def _end(self, reason: str) -> None:
-        """End the ROS-TCP connection once and wake both of its threads.
+        """End a ROS-TCP link's connection once and wake both of its threads.
 
         The last thread to leave closes the socket, so that its file descriptor is not reused too early.
         """
@@ -202,7 +202,7 @@ class Link:
             self._over.set()
 
     def _shut(self) -> None:
-        """Shut the socket down, which wakes both threads from any blocking call."""
+        """Shut down a ROS-TCP link's socket, which wakes both threads from any blocking call."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
@@ -215,7 +215,7 @@ class Link:
 
 
 def _tune(sock: socket.socket) -> None:
-    """Set socket options for low latency, detection of dead peers, and a small kernel backlog."""
+    """Set a ROS-TCP link's socket options: low latency, detection of dead peers, small kernel backlog."""
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3)):
@@ -227,7 +227,7 @@ def _tune(sock: socket.socket) -> None:
 
 
 def _acknowledge_quickly(sock: socket.socket) -> None:
-    """Acknowledge received data immediately, for peers that use Nagle's algorithm.
+    """Acknowledge a ROS-TCP link's received data at once, for peers that use Nagle's algorithm.
 
     Unity's connector writes small pieces with Nagle's algorithm on, so each piece waits for our
     acknowledgment. The kernel resets the option, so it must be set again after each receive. A service

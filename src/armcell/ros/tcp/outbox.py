@@ -16,7 +16,7 @@ Part = bytes | memoryview
 
 
 class Caps(NamedTuple):
-    """Size limits of one connection's send queues."""
+    """Size limits of a ROS-TCP connection's outbox."""
 
     messages: int = 10  # per topic
     topic_bytes: int = 8 << 20  # per topic; one message is always kept
@@ -24,7 +24,7 @@ class Caps(NamedTuple):
 
 
 class Outbox:
-    """Thread-safe send queues of one ROS-TCP connection; many threads add, one thread sends.
+    """Outbox of a ROS-TCP connection: thread-safe send queues; many threads add, one thread sends.
 
     Args:
         on_overflow: called when waiting commands exceed `Caps.control_bytes`; must return quickly.
@@ -51,7 +51,7 @@ class Outbox:
         return self._control_bytes + sum(self._bytes.values())
 
     def put(self, *parts: Part) -> None:
-        """Queue a command or answer, which is sent as a whole and before any topic's messages."""
+        """Queue a ROS-TCP command or answer in the outbox, ahead of all topics' messages."""
         with self._condition:
             if self._closed or self._finishing or self.overflowed:
                 return
@@ -63,7 +63,7 @@ class Outbox:
             self._on_overflow()
 
     def put_message(self, topic: str, *parts: Part) -> None:
-        """Queue a topic's message; drop the topic's oldest messages if its queue is full."""
+        """Queue a ROS-TCP topic's message in the outbox; a full queue drops the oldest messages."""
         size = _size(parts)
         with self._condition:
             if self._closed or self._finishing:
@@ -85,7 +85,7 @@ class Outbox:
             self._condition.notify()
 
     def forget(self, topic: str) -> None:
-        """Discard the waiting messages of a topic without a subscriber (not counted as dropped)."""
+        """Discard the outbox's messages of a ROS-TCP topic without subscribers (not counted as dropped)."""
         with self._condition:
             for _ in self._topics.pop(topic, ()):
                 self._turns.remove(topic)
@@ -96,7 +96,7 @@ class Outbox:
         return not (self._control or self._turns)
 
     def wait(self, timeout: float | None) -> bool:
-        """Wait until data is queued for sending; return False on timeout.
+        """Wait until the ROS-TCP outbox has data to send; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -112,7 +112,7 @@ class Outbox:
             return not self.is_empty
 
     def take(self, max_bytes: int) -> list[Part]:
-        """Return the next parts of queued frames to send, in order, and remove them from the queue.
+        """Return the next parts of frames to send, in order, and remove them from the ROS-TCP outbox.
 
         Args:
             max_bytes: approximate size [bytes]; at least one frame is returned if any waits.
@@ -133,7 +133,7 @@ class Outbox:
             return taken
 
     def finish(self) -> None:
-        """Stop accepting new messages, but still send all queued messages."""
+        """Stop accepting messages in the ROS-TCP outbox, but still send all queued messages."""
         with self._condition:
             self._finishing = True
             self._condition.notify_all()

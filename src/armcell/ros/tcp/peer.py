@@ -34,7 +34,7 @@ Params = dict[str, Any]
 
 
 class Peer:
-    """A program connected by ROS-TCP; its creator sets `link` and starts it afterwards.
+    """Peer: a program connected by ROS-TCP; its creator sets `link` and starts it afterwards.
 
     Args:
         address: name of the peer in logs.
@@ -71,22 +71,22 @@ class Peer:
         self.link.put(command(name, params, self.terminate))
 
     def complain(self, kind: str, text: str) -> None:
-        """Send an error to the peer and log it, once per kind; count all errors."""
+        """Send an error to the ROS-TCP peer and log it, once per kind; count all errors."""
         if self.complaints.is_new(kind):
             logger.warning("%s: %s", self.address, text[: 2 * SHOWN])
             self.tell_error(text)
 
     def on_fault(self, reason: str) -> None:
-        """Handle malformed bytes from the peer, after which the connection must end."""
+        """Handle malformed bytes from a ROS-TCP peer, after which the connection must end."""
         self.complain("frame", f"closed: {reason}")
 
     def tell_error(self, text: str) -> None:
-        """Send an error text to the peer."""
+        """Send an error text to the ROS-TCP peer."""
         self.command("__error", text=text)
 
     # --- topics ---
     def offer(self, topic: str, type_name: str) -> None:
-        """Send a bus topic to the peer from now on; a repeated call has no effect.
+        """Offer a bus topic to the ROS-TCP peer from now on; a repeated call has no effect.
 
         Raises:
             InputError: the topic carries another type.
@@ -111,7 +111,7 @@ class Peer:
         self._undo_if_closed()
 
     def encode(self, topic: str, message: Any) -> memoryview:
-        """Serialize a message for the peer; the server overrides this method to share the result."""
+        """Serialize a message for the ROS-TCP peer; the server overrides this to share the result."""
         return self.codec.encode(message)
 
     def withdraw(self, topic: str) -> None:
@@ -120,7 +120,7 @@ class Peer:
             self.link.outbox.forget(topic)
 
     def take(self, topic: str, type_name: str, latch: bool) -> None:
-        """Publish on the bus the messages that the peer sends to a topic.
+        """Publish on the bus the messages that the ROS-TCP peer sends to a topic.
 
         A repeated call keeps a latched message.
 
@@ -146,7 +146,7 @@ class Peer:
 
     # --- services that the peer implements ---
     def serve_remote(self, name: str, type_name: str) -> None:
-        """Offer on the bus a service that the peer implements.
+        """Offer on the bus a service that the ROS-TCP peer implements.
 
         Raises:
             InputError: the service is served on the bus already.
@@ -185,7 +185,7 @@ class Peer:
 
     # --- receiving ---
     def on_frame(self, frame: Frame) -> None:
-        """Handle a received frame; the link calls this in its reading thread."""
+        """Handle a frame received from the ROS-TCP peer; the link calls this in its reading thread."""
         if self._pending is not None:
             (is_request, number), self._pending = self._pending, None
             if not frame.is_command:
@@ -240,7 +240,7 @@ class Peer:
             answer.give(frame.body)
 
     def _on_request(self, number: int, frame: Frame) -> None:
-        """Answer a service request in a worker thread, so that a slow service blocks nothing else."""
+        """Answer a ROS-TCP peer's service request in a worker thread, so that a slow service blocks nothing."""
         with self._lock:
             full = self._calls >= MAX_CALLS
             if not full:
@@ -271,7 +271,7 @@ class Peer:
                 self._calls -= 1
 
     def _refuse(self, number: int, name: str, reason: str) -> None:
-        """Answer a failed service call with default values, so that the peer stops waiting."""
+        """Answer a ROS-TCP peer's failed service call with default values, so that it stops waiting."""
         self.complain(f"service {name} {reason[:80]}", f"service {name[:80]}: {reason}")
         type_name = self._service_type(name)
         body: Any = b""
@@ -280,7 +280,7 @@ class Peer:
         self._respond(number, name, body)
 
     def _service_type(self, name: str) -> str | None:
-        """Return the type of a service: the type that the peer registered, else the type on the bus."""
+        """Return a service's type: the type that the ROS-TCP peer registered, else the type on the bus."""
         with contextlib.suppress(InputError):
             return self.service_types.get(name) or self.bus.services().get(resolve(name))
         return None
@@ -294,7 +294,7 @@ class Peer:
 
     # --- end of the connection ---
     def close(self) -> None:
-        """Remove the peer's topics and services from the bus after its connection has ended.
+        """Remove the ROS-TCP peer's topics and services from the bus after its connection has ended.
 
         A second call has no effect.
         """
@@ -313,13 +313,13 @@ class Peer:
             self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _undo_if_closed(self) -> None:
-        """Remove a registration from the bus if the connection ended during the registration."""
+        """Remove a ROS-TCP peer's registration from the bus if the connection ended meanwhile."""
         if self._closed:
             self.close()
 
 
 class _Answer:
-    """A pending answer to one service call."""
+    """A pending answer to a service call over ROS-TCP."""
 
     def __init__(self) -> None:
         self._there = threading.Event()
@@ -335,7 +335,7 @@ class _Answer:
 
 
 def need(params: Params, name: str, kind: type) -> Any:
-    """Return a required parameter of a ROS-TCP command; ignore other keys.
+    """Return a required parameter of a ROS-TCP peer's command; ignore other keys.
 
     Raises:
         CommandError: the parameter is missing or has another type.

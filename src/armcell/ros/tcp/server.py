@@ -87,7 +87,7 @@ class RosTcpServer:
         self._thread = threading.Thread(target=self._accept, name="ros-tcp accept", daemon=True)
 
     def reserve(self) -> None:
-        """Bind the server's port, but accept no connections before `start`.
+        """Bind the ROS-TCP server's port, but accept no connections before `start`.
 
         This allows `start` to wait until the cell is ready.
         """
@@ -130,7 +130,7 @@ class RosTcpServer:
         self.close()
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the address on which the server listens; empty before `reserve` or `start`."""
+        """Return the ROS-TCP server's address; empty before `reserve` or `start`."""
         return () if self._socket is None else (Endpoint.of(self._socket, "ROS-TCP"),)
 
     def clients(self) -> list[ClientStatus]:
@@ -141,7 +141,7 @@ class RosTcpServer:
 
     # --- for sessions ---
     def encode(self, topic: str, codec: Codec, message: Any) -> memoryview:
-        """Serialize a message once for all clients with the same encoding."""
+        """Serialize a message once for all clients of the ROS-TCP server with the same encoding."""
         key = (resolve(topic), codec.name)
         have = self._encoded.get(key)
         if have is None or have[0] is not message:
@@ -149,7 +149,7 @@ class RosTcpServer:
         return have[1]
 
     def take_over(self, name: str, by: _Session) -> None:
-        """Transfer a service to a newer client, for example after a restart of Unity.
+        """Transfer a service to a newer ROS-TCP client of the server, e.g. after Unity has restarted.
 
         If two clients implement the same service, the newer one takes over.
         """
@@ -202,7 +202,7 @@ class RosTcpServer:
 
 
 class _Session(Peer):
-    """Server side of one Unity client: its registrations and the commands that it sends."""
+    """The ROS-TCP server's session with one Unity client: its registrations and the commands that it sends."""
 
     def __init__(self, server: RosTcpServer, sock: socket.socket, address: str):
         settings = server.settings

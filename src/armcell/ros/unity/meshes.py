@@ -16,7 +16,7 @@ MAX_HULL_POINTS = 128
 
 
 def write_stl(mesh: Mesh, file: Path) -> None:
-    """Write a mesh as a binary STL file [m].
+    """Write a mesh [m] as a binary STL file for Unity.
 
     Corners keep the mesh's order; normals follow the right-hand rule.
     """
@@ -32,7 +32,7 @@ def write_stl(mesh: Mesh, file: Path) -> None:
 
 
 def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
-    """Return a convex hull of at most `points` corners of a mesh, and the approximation error.
+    """Return a hull of at most `points` mesh corners, Unity's limit for colliders, and its error.
 
     The error is the largest distance [m] of an unused corner outside the planes of the hull's faces. The hull
     grows by the corner that is farthest outside, so it is inside the convex hull of the mesh.
@@ -56,7 +56,7 @@ def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
 
 
 def _spread(corners: Array) -> list[int]:
-    """Return indices of at least four corners that span a volume.
+    """Return indices of at least four mesh corners that span a volume, to start a hull for Unity.
 
     The corners are the extremes along ten directions, and further corners if these are coplanar.
     """
@@ -73,7 +73,7 @@ def _spread(corners: Array) -> list[int]:
 
 
 def _oriented(points: Array, hull: ConvexHull) -> Mesh:
-    """Return a convex hull as a mesh whose faces have outward normals."""
+    """Return a convex hull for Unity as a mesh whose faces have outward normals."""
     index = np.full(len(points), -1)
     index[hull.vertices] = np.arange(len(hull.vertices))
     faces, vertices = index[hull.simplices], points[hull.vertices]

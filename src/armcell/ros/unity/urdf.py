@@ -25,7 +25,7 @@ SMALL_INERTIA = 1e-7  # [kg m^2]
 
 
 def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Path:
-    """Write a robot's URDF and its meshes (below `meshes/`) into a folder; create the folder.
+    """Write a robot's flattened URDF for Unity with its meshes (below `meshes/`) into a folder.
 
     Returns:
         Path of the URDF.
@@ -45,12 +45,12 @@ def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Pat
 
 
 def file_name(name: str) -> str:
-    """Convert a link's or object's name to a valid part of a file name."""
+    """Convert a link's or object's name to a valid part of a file name in an exported URDF."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
 
 
 def principal(inertial: Inertial | None) -> tuple[float, SE3, np.ndarray]:
-    """Return a link's mass [kg], the frame of its principal axes, and its principal moments.
+    """Return a link's mass [kg], principal frame and principal moments for the URDF of the Unity export.
 
     The frame T_link_principal has its origin at the center of mass. The moments (3,) are in [kg m^2]. Missing
     masses and moments become small positive values.
@@ -98,7 +98,7 @@ class _Writer:
     def _draw(
         self, element: etree._Element, link: str, number: int, shape: Shape, T: SE3, color: tuple
     ) -> int:
-        """Write a shape as visual elements and return their number.
+        """Write a shape as visual elements of the exported URDF and return their number.
 
         A capsule becomes three elements.
         """
