@@ -47,12 +47,12 @@ MOVEIT_NAMES = {
 
 
 def adapter_names() -> tuple[str, ...]:
-    """List all adapter names: request adapters first, then the steps that run after the planner."""
+    """List all planning adapter names: request adapters first, then steps that run after the planner."""
     return (*request_adapters, *FINISHING)
 
 
 def normalize_adapter_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Convert adapter names, armcell's or MoveIt's, to armcell's names.
+    """Convert names of planning request adapters, armcell's or MoveIt's, to armcell's names.
 
     MoveIt's names may have the prefix `default_planning_request_adapters/`.
 
@@ -74,7 +74,7 @@ def normalize_adapter_names(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def apply_request_adapters(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Apply a planning request's adapters in their order.
+    """Apply the request adapters of a planning request in their order.
 
     Return the changed request, or the reason why an adapter refuses it.
 
@@ -101,7 +101,7 @@ def apply_request_adapters(validated: ValidatedRequest) -> ValidatedRequest | Ou
 
 @request_adapters.register("fix_start_state_bounds")
 def fix_start_state_bounds(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Move a start state that is slightly outside the joint limits to the limits.
+    """Request adapter: move a start state that is slightly outside the joint limits to the limits.
 
     The start may be outside by at most `MAX_BOUNDS_ERROR`. The planned motion begins with a lead-in from the
     robot's actual state to the moved start.
@@ -128,7 +128,7 @@ def fix_start_state_bounds(validated: ValidatedRequest) -> ValidatedRequest | Ou
 
 @request_adapters.register("fix_start_state_collision")
 def fix_start_state_collision(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Replace a start state in contact, however deep, by a free state near it.
+    """Request adapter: replace a start state in contact, however deep, by a free state near it.
 
     The motion begins at the robot's actual state only if the way out is proven: no contact deepens or drags
     along, and no other pair touches. Otherwise the motion begins at the free state. `start_repaired` in the
@@ -150,7 +150,7 @@ def fix_start_state_collision(validated: ValidatedRequest) -> ValidatedRequest |
 
 @request_adapters.register("resolve_constraint_frames")
 def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Express goal constraints of object frames in the world or the carrying link's frame."""
+    """Request adapter: express goal constraints of object frames in the world or the carrying link's frame."""
     if not any(isinstance(goal, ConstraintGoal) for goal in validated.request.goals):
         return validated
     goals = tuple(
@@ -163,7 +163,7 @@ def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest |
 
 
 def in_robot_frames(scene: PlanningScene, constraints: Constraints) -> Constraints:
-    """Re-express constraints in frames of the robot: the world frame or a link's frame.
+    """Re-express a request's constraints in frames of the robot: the world frame or a link's frame.
 
     The frame of an attached object becomes the frame of the link that carries the object.
     """

@@ -20,7 +20,7 @@ SPARE = 1e-3  # [m] subtracted from the distance at a start or goal that is smal
 
 @dataclass(frozen=True, eq=False)
 class ArmClearance:
-    """Minimum distance that the arms of a multi-arm group keep from each other on a motion.
+    """Clearance that the arms of a multi-arm group must keep from each other on a motion [m].
 
     Attributes:
         distance: [m]; 0 means that the arms only do not touch.
@@ -35,7 +35,7 @@ class ArmClearance:
     sides: dict[str, int]
 
     def apply_to(self, checker: KernelChecker) -> KernelChecker:
-        """Return a copy of the checker that also enforces this clearance between the arms."""
+        """Return a copy of the checker that also enforces an arm clearance."""
         return checker.with_clearance_between(self.sides, self.distance)
 
 
@@ -47,7 +47,7 @@ def achievable_arm_clearance(
     goals: Sequence[Array],
     wanted: float,
 ) -> ArmClearance | None:
-    """Compute the largest clearance between arms that a free start and the goals (n,) allow.
+    """Compute the largest clearance between a group's arms that a free start and the goals (n,) allow.
 
     Returns:
         The clearance, at most `wanted` [m]; None for fewer than two arms or a zero `wanted`.

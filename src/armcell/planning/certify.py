@@ -55,7 +55,7 @@ class CertifiedMotion:
 
 
 class Certifier(Protocol):
-    """Protocol of a checker that proves motions: the exact checker or the kernel."""
+    """Protocol of a checker that proves planned motions free: the exact checker or the kernel."""
 
     model: RobotModel
     joint_names: tuple[str, ...]
@@ -75,7 +75,7 @@ def certify_and_time(
     jerk_limits: bool = False,
     keeps_padding: Callable[[Array, Array | None], bool] | None = None,
 ) -> CertifiedMotion:
-    """Round the corners of a path (k, n), certify it and compute its timing.
+    """Round the corners of a planned path (k, n), certify it and compute its timing.
 
     Corners whose rounding touches an obstacle are rounded less and in the end remain sharp: the motion then
     stops at the corner.
@@ -136,7 +136,7 @@ def certify_and_time(
 
 
 def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseDynamics:
-    """Build the inverse dynamics of a group: the robot's links and the objects attached to them."""
+    """Build the inverse dynamics for timing a plan: the group's links and the objects attached to them."""
     payloads = []
     for body in scene.attached.values():
         center, inertia = solid_inertia(body.object.shapes, body.object.mass_kg)
@@ -146,7 +146,7 @@ def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseD
 
 
 def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> float:
-    """Compute the distance [m] (at most 0.25) that a motion is proven to keep from obstacles.
+    """Compute the distance [m] (at most 0.25) that a certified motion is proven to keep from obstacles.
 
     See `KernelChecker.clearance`. A pair in resting contact at the start counts from the point where it no
     longer moves apart.
@@ -156,7 +156,7 @@ def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> floa
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
-    """A path (k, n) with its certified trajectory, or the reason why certification failed."""
+    """A planned path (k, n) with its certified trajectory, or the reason why certification failed."""
 
     waypoints: Array
     trajectory: JointTrajectory | None = None
@@ -202,7 +202,7 @@ def _certify_padded(checker: KernelChecker, chords: Array, slack: Array | None) 
 def complete_motion(
     validated: ValidatedRequest, checker: KernelChecker, waypoints: Array, trajectory: JointTrajectory
 ) -> PlannedMotion:
-    """Prepend the lead-in from the robot's actual state and apply the Cartesian speed limit."""
+    """Complete a certified motion: prepend the lead-in from the actual state, limit Cartesian speed."""
     request, note = validated.request, ""
     if validated.lead_in is not None:
         lead = time_lead_in(validated, checker)
@@ -222,13 +222,13 @@ def complete_motion(
 
 
 def contact_note(validated: ValidatedRequest) -> str:
-    """Describe the start contacts that a motion leaves first, as text for the result's message."""
+    """Describe the start contacts that a certified motion leaves first, as text for the plan result."""
     contacts = validated.evidence.get("start_repaired", {}).get("contacts", ())
     return "the motion first leaves contact: " + "; ".join(c.describe() for c in contacts) if contacts else ""
 
 
 def time_lead_in(validated: ValidatedRequest, checker: KernelChecker) -> JointTrajectory | None:
-    """Compute the timed motion from the robot's actual state to the planning start.
+    """Time the lead-in: the motion from the robot's actual state to the start of the certified path.
 
     Return None if the motion is not proven collision-free.
     """

@@ -13,7 +13,8 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def in_another_process(*statements: str) -> Iterator[None]:
-    """Run Python statements in a second process while the block runs, and wait for both to end.
+    """Compile kernels faster: run Python statements in a second process while the block runs, and wait for
+    both to end.
 
     Machines with one core start no second process. The statements must be optional work: an error in the
     second process has no effect.
@@ -34,7 +35,7 @@ def in_another_process(*statements: str) -> Iterator[None]:
 
 @contextmanager
 def progress_line(text: str) -> Iterator[None]:
-    """Show a text and the elapsed seconds on the terminal until the block ends."""
+    """Show a progress line with the elapsed seconds of the first compilation on the terminal."""
     if not sys.stderr.isatty():
         yield
         return

@@ -47,13 +47,13 @@ class MovedFrame:
             self.T_link_point = scene.frame_pose(self.link).inv() @ scene.frame_pose(name)
 
     def full(self, q: ArrayLike) -> Array:
-        """Return the positions (dof,) of all robot joints, with the group's joints at q (n,)."""
+        """Return all joint positions (dof,) of a moved frame's robot with the group's joints at q (n,)."""
         positions = self.scene.positions.copy()
         positions[self.scene.model.columns(self.joint_names)] = q
         return positions
 
     def pose(self, q: ArrayLike) -> SE3:
-        """Compute the frame's pose T_world_name at joint positions q (n,) of the group."""
+        """Compute a moved frame's pose T_world_name at joint positions q (n,) of the group."""
         return self.tree.link_pose(self.full(q), self.link) @ self.T_link_point
 
     def link_target(self, T_world_name: SE3) -> SE3:
@@ -61,7 +61,7 @@ class MovedFrame:
         return T_world_name @ self.T_link_point.inv()
 
     def velocity(self, q: ArrayLike, qd: ArrayLike) -> Array:
-        """Compute the velocity (3,) [m/s] of the frame's origin in the world."""
+        """Compute the velocity (3,) [m/s] of a moved frame's origin in the world."""
         full = self.full(q)
         twist = self.tree.jacobian(full, self.link, self.joint_names) @ np.asarray(qd)
         arm = self.tree.link_pose(full, self.link).rotation.matrix @ self.T_link_point.translation
@@ -69,7 +69,7 @@ class MovedFrame:
 
 
 def with_joint_positions(scene: PlanningScene, joint_names: tuple[str, ...], q: ArrayLike) -> PlanningScene:
-    """Return a copy of the scene with the named joints at q (n,), without checking limits."""
+    """Return a copy of the scene with the named joints at q (n,) for frame poses, without limit checks."""
     positions = scene.positions.copy()
     positions[scene.model.columns(joint_names)] = q
     return replace(scene, positions=positions)
@@ -87,12 +87,12 @@ def check_cartesian_speed(speed: float | None) -> None:
 def limit_cartesian_speed(
     trajectory: JointTrajectory, moved_frame: MovedFrame, speed: float
 ) -> JointTrajectory:
-    """Slow down a motion in time so that the frame's origin never exceeds `speed` [m/s]."""
+    """Slow down a motion in time so that a moved frame's origin never exceeds `speed` [m/s]."""
     return stretched(trajectory, max(1.0, peak_cartesian_speed(trajectory, moved_frame) / speed))
 
 
 def peak_cartesian_speed(trajectory: JointTrajectory, moved_frame: MovedFrame) -> float:
-    """Compute the highest speed [m/s] of a frame's origin along a trajectory."""
+    """Compute the highest speed [m/s] of a moved frame's origin along a trajectory."""
     times = trajectory.times
     fractions = np.arange(BETWEEN) / BETWEEN
     moments = np.append((times[:-1, None] + np.diff(times)[:, None] * fractions).ravel(), times[-1:])

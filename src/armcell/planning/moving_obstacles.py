@@ -106,7 +106,7 @@ def _around(
     scene: PlanningScene, request: PlanRequest, moving: Sequence[MovingObject], start_time: float,
     clearance: float, duration: float, cancel: threading.Event | None,
 ) -> PlanResult | None:  # fmt: skip
-    """Plan a motion around the volume that moving obstacles sweep during the motion.
+    """Plan a motion around the volume that moving obstacles sweep in its duration.
 
     If this motion fails the certification in time, plan again with a longer sweep.
     """

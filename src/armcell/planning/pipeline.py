@@ -55,7 +55,7 @@ ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds and attempts 
 
 @with_explanation(PlanRequest)
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
-    """Plan a certified, timed motion of one planning group.
+    """Plan a certified, timed motion of one planning group by the whole planning pipeline.
 
     Args:
         scene: the world; its state is the start unless the request names one.
@@ -95,7 +95,7 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
 
 
 def _links(request: PlanRequest) -> Iterator[str | None]:
-    """Yield the links whose inverse kinematics the request's goals need."""
+    """Yield the links whose inverse kinematics the pipeline needs for a request's goals."""
     for goal in request.goals:
         if isinstance(goal, PoseGoal):
             yield goal.link
@@ -105,7 +105,7 @@ def _links(request: PlanRequest) -> Iterator[str | None]:
 
 @dataclass(frozen=True, eq=False)
 class StartAndGoals:
-    """A free start (n,) and free goals (n,), with sampling bounds and a collision checker.
+    """Pipeline input of planners: a free start (n,), free goals (n,), bounds and a collision checker.
 
     Attributes:
         validated: the request with this start; after resting contact, its `lead_in` leads to the start.
@@ -152,7 +152,7 @@ PADDED_SHARE = 0.5
 
 
 def search(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
-    """Search for a motion that keeps the clearance between arms.
+    """Run the planning pipeline's search for a motion that keeps the clearance between arms.
 
     If no such motion is found, search for any collision-free motion.
     """
@@ -183,7 +183,7 @@ def search(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
 
 
 def _report_arm_clearance(result: PlanResult, distance: float, words: str) -> PlanResult:
-    """Add the clearance between arms [m] to a successful result."""
+    """Add the clearance between arms [m] to a successful result of the planning pipeline."""
     if not result.ok:
         return result
     message = "; ".join(text for text in (result.message, words) if text)
@@ -191,7 +191,7 @@ def _report_arm_clearance(result: PlanResult, distance: float, words: str) -> Pl
 
 
 def search_once(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
-    """Return the straight line to a goal if it is free.
+    """Run one search of the planning pipeline; return the straight line to a goal if it is free.
 
     Otherwise return the shortest motion of all planning attempts.
     """
@@ -221,7 +221,7 @@ def search_once(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanRe
 
 
 def _endpoints_of_thread(validated: ValidatedRequest, endpoints: StartAndGoals) -> StartAndGoals:
-    """Copy start and goals with a new checker for use in another thread.
+    """Copy the pipeline's start and goals with a new checker for use in another thread.
 
     Threads must not share a checker's workspace.
     """
@@ -250,7 +250,7 @@ def _problem(validated: ValidatedRequest, endpoints: StartAndGoals, seed: int) -
 
 
 def attempt(validated: ValidatedRequest, endpoints: StartAndGoals, number: int) -> PlanResult:
-    """Plan from one seed until a path can be certified and timed.
+    """Run the planning pipeline from one seed until a path can be certified and timed.
 
     Planners check the padding only at samples, so between samples a thin obstacle can be nearer than the
     padding. A few more rounds therefore try to find a motion that keeps the padding everywhere.
@@ -333,7 +333,7 @@ def _unsolved(
 
 
 def _direct(problem: Problem) -> Array | None:
-    """Return the straight line to a goal if it is free with padding; no path can be shorter."""
+    """Return the direct path: the straight line to a goal, if free with padding, as no path is shorter."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])

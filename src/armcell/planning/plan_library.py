@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 
 
 def fingerprint(*values: Any) -> str:
-    """Hash the content of values to 32 hexadecimal digits.
+    """Hash the content of values to 32 hexadecimal digits, as key of a plan library.
 
     Equal robots, scenes and goals give equal hashes. File locations do not count.
 
@@ -116,14 +116,14 @@ class LibraryStatistics:
 
 @dataclass(frozen=True, eq=False)
 class _Stored:
-    """A stored motion: waypoints (k, n) of the group's joints, and the hash of its scene."""
+    """A plan library's stored motion: waypoints (k, n) of the group's joints, and its scene's hash."""
 
     scene: str
     waypoints: Array
 
 
 class PlanLibrary:
-    """A folder of stored motions with one JSON file per motion.
+    """Plan library: a folder of stored motions with one JSON file per motion.
 
     Args:
         start_region: largest distance of each joint from a stored motion's start [rad or m].
@@ -145,7 +145,7 @@ class PlanLibrary:
     def plan(
         self, scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None
     ) -> PlanResult:
-        """Plan like `planning.plan`, but reuse a stored motion if it can be proven.
+        """Plan like `planning.plan`, but reuse a motion of the plan library if it can be proven.
 
         `evidence["library"]` reports what happened: "hit", "repaired" or "planned".
         """
@@ -175,7 +175,7 @@ class PlanLibrary:
         self, scene: PlanningScene, request: PlanRequest, problem: str, began: float,
         cancel: threading.Event | None,
     ) -> PlanResult | None:  # fmt: skip
-        """Return a stored motion for the request's start and goal, proven again or repaired.
+        """Return a plan library's motion for the request's start and goal, proven again or repaired.
 
         Return None if no stored motion is usable.
         """
@@ -242,7 +242,7 @@ class PlanLibrary:
 
 
 def _read(file: Path, model: RobotModel, names: tuple[str, ...]) -> _Stored:
-    """Read a stored motion from a JSON file.
+    """Read a plan library's stored motion from a JSON file.
 
     Only the motion's numbers are used, and they are proven before use.
     """
@@ -272,7 +272,7 @@ def _model_hash(model: RobotModel) -> str:
 
 
 def _problem_hash(model: RobotModel, request: PlanRequest) -> str:
-    """Hash robot, group and goals of a request; the time stamp of a goal state does not count."""
+    """Hash robot, group and goals of a request for the plan library, without time stamps."""
     goals = [
         (dict(zip(g.state.joint_names, g.state.positions.tolist(), strict=True)), g.tolerance)
         if isinstance(g, JointGoal) else g
@@ -282,7 +282,7 @@ def _problem_hash(model: RobotModel, request: PlanRequest) -> str:
 
 
 def _scene_hash(scene: PlanningScene) -> str:
-    """Hash a scene's obstacles and attached objects, without the robot's own state."""
+    """Hash a scene's obstacles and attached objects for the plan library, without the robot's state."""
     held = {n: (b.object.shapes, b.link, b.T_link_object, b.touch_links) for n, b in scene.attached.items()}
     things = {n: (o.shapes, o.T_world_object) for n, o in scene.objects.items()}
     arm_clearance = (scene.padding, scene.link_padding, scene.link_scale, scene.allowed)
@@ -290,7 +290,7 @@ def _scene_hash(scene: PlanningScene) -> str:
 
 
 def _needs_new_plan(request: PlanRequest) -> bool:
-    """Return whether a planning request has options that stored motions do not cover."""
+    """Return whether a planning request has options that stored motions of a plan library do not cover."""
     return (
         bool(request.path_constraints)
         or pipeline_for(request.pipeline_id, request.planner_id) == PILZ
@@ -302,7 +302,7 @@ def _needs_new_plan(request: PlanRequest) -> bool:
 
 
 def _reaches(scene: PlanningScene, request: PlanRequest, names: tuple[str, ...], q: Array) -> bool:
-    """Return whether the group's joint positions q (n,) reach one of the request's goals."""
+    """Return whether a stored motion's end q (n,) reaches one of the request's goals."""
     there = replace(scene, positions=scene.state.updated(JointState(names, q)).positions)
     for goal in request.goals:
         match goal:
@@ -362,7 +362,7 @@ def _finished(
     checker: KernelChecker, scene: PlanningScene, request: PlanRequest, waypoints: Array, began: float,
     how: str,
 ) -> PlanResult | None:  # fmt: skip
-    """Round, certify and time a stored motion; return None if the certification fails."""
+    """Round, certify and time a plan library's stored motion; return None if that fails."""
     torque = torque_model(scene, checker.joint_names) if request.torque_limits else None
     try:
         finished = certify_and_time(

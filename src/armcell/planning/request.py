@@ -27,7 +27,7 @@ STEP = 0.02  # [rad] between workspace checks along a motion
 
 
 class Workspace:
-    """The box in the world frame that the origin of the group's tip must not leave.
+    """Workspace of a planning request: the world-frame box that the group's tip must not leave.
 
     Raises:
         InputError: not two corners; the low corner is not below the high corner; the group has no tip.
@@ -44,12 +44,12 @@ class Workspace:
         self.tip = MovedFrame(scene, request.group)
 
     def excess(self, q: ArrayLike) -> float:
-        """Compute the distance [m] of the tip from the workspace box at positions q (n,); 0 inside."""
+        """Compute the tip's distance [m] from the request's workspace box at q (n,); 0 inside."""
         at = self.tip.pose(q).translation
         return float(np.linalg.norm(np.maximum(np.maximum(self.low - at, at - self.high), 0.0)))
 
     def describe(self, q: ArrayLike) -> str:
-        """Describe the tip's position relative to the workspace box at positions q (n,)."""
+        """Describe the tip's position relative to the request's workspace box at q (n,)."""
         low, high, at = (
             ", ".join(f"{v:.3g}" for v in p) for p in (self.low, self.high, self.tip.pose(q).translation)
         )
@@ -59,7 +59,7 @@ class Workspace:
         )
 
     def first_outside(self, positions: ArrayLike) -> Array | None:
-        """Return the first positions (n,) of a motion (k, n) with the tip outside the workspace.
+        """Return the first positions (n,) of a motion (k, n) with the tip outside the request's workspace.
 
         The result is None if the tip stays in the workspace.
         """
@@ -97,17 +97,17 @@ class ValidatedRequest:
 
     @property
     def deadline(self) -> float:
-        """Time [s] on the clock of time.monotonic() at which planning must end."""
+        """Time [s, time.monotonic()] at which planning of a validated request must end."""
         return self.began + self.request.planning_time
 
     def forbids(self, q: Array) -> str:
-        """Explain why collision-free positions q (n,) are not allowed; "" if they are allowed."""
+        """Explain why a request forbids collision-free positions q (n,); "" if they are allowed."""
         if self.workspace is not None and self.workspace.excess(q) > 0.0:
             return self.workspace.describe(q)
         return ""
 
     def failed(self, outcome: Outcome) -> PlanResult:
-        """Build the failed PlanResult of this request."""
+        """Build the failed PlanResult of a validated planning request."""
         return PlanResult(
             outcome.code,
             outcome.message,

@@ -44,7 +44,7 @@ CLEARANCE = 2e-3  # [m] beyond the padding that a sampled start keeps from objec
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """A motion from a start state (n,) in contact to a free state.
+    """Departure: a motion from a start state (n,) in contact to a free state.
 
     Attributes:
         points: (k, n) from the start to a free state.
@@ -93,7 +93,7 @@ def find_departure(
 
 
 def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> ValidatedRequest | Outcome:
-    """Move a start out of resting contact and store the motion as `lead_in`, or refuse.
+    """Move a start out of resting contact and store the motion as the plan's `lead_in`, or refuse.
 
     `start_repaired` in the evidence reports the distance between the old and the new start.
     """
@@ -109,7 +109,7 @@ def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> 
 
 
 def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
-    """Return a refusal if any start contact is deeper than `RESTING`, else None."""
+    """Refuse a start in contact deeper than `RESTING`, else return None."""
     if all(c.distance >= -RESTING for c in contacts):
         return None
     what = "; ".join(c.describe() for c in contacts[:3])
@@ -121,7 +121,7 @@ def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
 
 
 def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
-    """Return a function that tests whether a motion (k, n) keeps workspace and path constraints."""
+    """Return a test whether a departure (k, n) from contact keeps workspace and path constraints."""
     request, workspace = validated.request, validated.workspace
     is_pilz = (
         normalized_pipeline_id(request.pipeline_id) == PILZ
@@ -184,7 +184,7 @@ def _refused(what: str, contacts: list[Contact], found: Departure | None) -> Out
 
 
 def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | None:
-    """Push all touching pairs of bodies `distance` [m] apart.
+    """Push all touching body pairs of a start in contact `distance` [m] apart.
 
     Return the configurations (k, n) from the start on, or None if the pairs cannot be separated.
     """
@@ -212,7 +212,7 @@ def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | No
 def _push(
     exact: ExactChecker, q: Array, near: Mapping[Pair, float], apart: Collection[Pair], distance: float
 ) -> Array:
-    """Compute the joint step (n,) that separates touching bodies without closing other gaps."""
+    """Compute the joint step (n,) that separates a start's touching bodies and closes no other gap."""
     rows, wanted, turning = [], [], []
     bodies = list(near)
     rates = _rates(exact, q, bodies)
@@ -231,7 +231,7 @@ def _push(
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
-    """Compute central differences of each body pair's distance by each joint (pairs, n) [m/rad].
+    """Compute each touching pair's distance rate by each joint (pairs, n) [m/rad], by central differences.
 
     Two flat faces in contact come nearer for either direction of rotation; the central difference cancels
     this effect and leaves the motion along the pair's normal.
@@ -255,7 +255,7 @@ def _rows(exact: ExactChecker, pair: Pair) -> list[tuple[int, int]]:
 
 
 def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
-    """Compute the relative angular velocity (3, n) of a pair's two bodies per joint velocity."""
+    """Compute the relative angular velocity (3, n) of two touching bodies per joint velocity."""
     a, b = _rows(exact, pair)[0]
     full, names = exact.full(q), exact.joint_names
     turn = np.zeros((3, len(q)))
@@ -267,7 +267,7 @@ def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
 
 
 def _nearest_free(checker: KernelChecker, start: Array, rng: np.random.Generator) -> Array | None:
-    """Find a collision-free state (n,) near the start by random sampling.
+    """Find a collision-free state (n,) near a start in contact by random sampling.
 
     Take the nearest free sample in the smallest ball that contains one, then bisect toward the start.
     """

@@ -32,7 +32,7 @@ BOUNDS = np.array([0.0]), np.array([0.05])  # joint limits of the gripper in the
 
 
 def prepare(scene: PlanningScene, group: str) -> None:
-    """Compute the data that all plans of a planning group share, before the first plan.
+    """Warm up a planning group: compute the data that all its plans share, before the first plan.
 
     The data are collision covers, pairs of links that can collide, and the inverse kinematics.
     """
@@ -44,7 +44,7 @@ def prepare(scene: PlanningScene, group: str) -> None:
 
 @lru_cache(maxsize=64)
 def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
-    """Prepare the inverse kinematics of a chain, so that the first solve does not compile.
+    """Warm up the inverse kinematics of a chain, so that the first solve does not compile.
 
     Arms with a closed-form solution use other kernels.
     """
@@ -56,7 +56,7 @@ def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
 
 @lru_cache(maxsize=1)
 def warm_up() -> float:
-    """Compile all kernels of the default planner, or load them from the cache on disk.
+    """Warm up the default planner: compile all kernels, or load them from the cache on disk.
 
     The first call on a machine (or after source changes) compiles: two processes share the work, and a
     progress line on the terminal shows the wait. Later runs load the kernels from disk.
@@ -83,7 +83,7 @@ def warm_up() -> float:
 
 
 def compile_rest() -> None:
-    """Compile, in a separate process, all kernels for `warm_up` except collision checking.
+    """Warm up in a separate process: compile all planner kernels except collision checking.
 
     Planners call the collision check by its address, so a check that reports every configuration as free
     replaces it here.

@@ -47,7 +47,9 @@ FEWEST = 10  # smallest number of steps for the relative jump test, as in MoveIt
 
 
 def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
-    """Interpolate the tip poses of each line segment: first pose excluded, waypoint included."""
+    """Interpolate the tip poses of each line segment of a Cartesian path: first pose excluded, waypoint
+    included.
+    """
     legs, at = [], start
     least = FEWEST if request.relative_jump_threshold > 0 else 1
     for waypoint in request.waypoints:
@@ -98,7 +100,7 @@ CORRIDOR_SHARE, CORRIDOR_ROOM = 0.1, 5e-3  # share of a joint's corridor, and [r
 def plan_cartesian(
     scene: PlanningScene, request: CartesianRequest, cancel: threading.Event | None = None
 ) -> PlanResult:
-    """Plan a straight-line motion of a link through the waypoints of the request.
+    """Plan a Cartesian path: a straight-line motion of a link through the waypoints of the request.
 
     Args:
         cancel: set this event from another thread to stop; the result is then PREEMPTED.
@@ -163,7 +165,7 @@ def _refused(code: ErrorCode, text: str, evidence: dict[str, Any]) -> PlanResult
 
 
 class _CartesianProblem:
-    """One Cartesian request together with its solver, checker and constraints."""
+    """A Cartesian planning problem: one request together with its solver, checker and constraints."""
 
     def __init__(
         self, scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: KernelChecker,
@@ -206,7 +208,7 @@ class _CartesianProblem:
         return points, None if stop is None else stop.explain()
 
     def proven_part(self, path: Array, reason: StopReason | None) -> tuple[Array, StopReason | None]:
-        """Return the part of a path before the first unproven step, and why the rest is not proven."""
+        """Return the part of a Cartesian path before the first unproven step, and why the rest is not proven."""
         if self.request.avoid_collisions and len(path) > 1:
             certificate = self.certify(path)
             while not certificate.free and len(path) > 1:
@@ -296,7 +298,7 @@ def _along(line: _CartesianProblem, start: Array) -> PlanResult:
 
 
 class _AcceptAll:
-    """Certifier that accepts every motion without a collision check.
+    """Certifier for Cartesian plans without collision checks: it accepts every motion.
 
     It is for paths that need no collision check or are proven after timing.
     """

@@ -44,7 +44,7 @@ def plan_redundancy(
     zone: Array,
     allowed: Callable[[Array], bool],
 ) -> Array | None:
-    """Find guiding joint positions for a redundant arm along a line (len(poses), n), or None.
+    """Resolve a redundant arm's null space along a line: guiding joint positions (len(poses), n) or None.
 
     Args:
         start: (n,). rest: (dof,) of all joints. bounds: (n, 2) joint limits. zone: (n,) distance from the
@@ -82,7 +82,7 @@ def plan_redundancy(
 
 
 def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
-    """Compute the null-space direction (n,) with largest component 1 and the sign of `like`."""
+    """Compute a redundant arm's null-space direction (n,), largest component 1, sign as in `like`."""
     J = ik.tree.jacobian(full, ik.tip_link, ik.joint_names)
     along = np.linalg.svd(J)[2][-1]
     along = along / np.max(np.abs(along))
@@ -90,7 +90,7 @@ def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
 
 
 def _between(last: _Node, cuts: list[int], count: int) -> Array:
-    """Interpolate the joint positions linearly between the cuts of the line."""
+    """Interpolate a redundant arm's joint positions linearly between the cuts of a line."""
     nodes: list[Array] = []
     node: _Node | None = last
     while node is not None:

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def check_constraints(scene: PlanningScene, group: str, constraints: Constraints) -> None:
-    """Raise an error if constraints are invalid in every scene.
+    """Validate constraints: raise an error if constraints are invalid in every scene.
 
     Raises:
         UnknownNameError: no such joint, link, frame or parameterization.
@@ -72,7 +72,7 @@ def _tolerances(what: str, values: tuple[float, ...]) -> None:
 
 
 def contradiction(scene: PlanningScene, group: str, constraints: Constraints) -> str:
-    """Explain why no state can satisfy all constraints, as far as quick checks show.
+    """Explain why no state can satisfy all constraints of a request (contradictory constraints).
 
     Return "" if the checks find no contradiction.
     """
@@ -92,7 +92,7 @@ def contradiction(scene: PlanningScene, group: str, constraints: Constraints) ->
 def joint_ranges(
     scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]
 ) -> tuple[Array, Array]:
-    """Intersect the group's joint limits with joint constraints.
+    """Intersect the group's joint limits with joint constraints, to find contradictory constraints.
 
     Return the lower and upper bounds (n,), (n,).
     """
@@ -107,7 +107,7 @@ def joint_ranges(
 
 
 def empty_range(scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]) -> str:
-    """Name the joint for which joint constraints leave no allowed position.
+    """Name a joint for which contradictory joint constraints leave no allowed position.
 
     Return "" if every joint has an allowed position.
     """
@@ -143,7 +143,7 @@ def _out_of_reach(scene: PlanningScene, group: str, c: PositionConstraint) -> st
 
 
 def _apart(scene: PlanningScene, name: str, a: OrientationConstraint, b: OrientationConstraint) -> str:
-    """Explain why two orientation constraints of one link exclude each other.
+    """Explain why two orientation constraints of one link contradict each other.
 
     Return "" if a rotation can satisfy both.
     """

@@ -38,7 +38,7 @@ NEAR_HALF_TURN = 1e-9
 
 
 def scratch_size(dof: int, places: int) -> int:
-    """Compute the size of the constraint kernels' scratch memory in doubles.
+    """Compute the size of the scratch memory of the constraint error kernels in doubles.
 
     Layout: [link poses and axes], [errors], [Jacobian rows], [residuals], [system].
     """
@@ -47,7 +47,7 @@ def scratch_size(dof: int, places: int) -> int:
 
 @njit(cache=True, forceinline=True)
 def manifold_pointers(handle) -> Any:
-    """Convert the addresses (3,) of a constraint manifold to the pointers n, c, x."""
+    """Convert the addresses (3,) of a constraint manifold's arrays to the pointers n, c, x."""
     return (
         at_address(np.int64, handle[0]),
         at_address(np.float64, handle[1]),
@@ -57,7 +57,7 @@ def manifold_pointers(handle) -> Any:
 
 @njit(cache=True)
 def place_links(n, c, x, q, at):
-    """Compute the pose and joint axes of every constrained link into the scratch memory x.
+    """Compute the pose and joint axes of every constrained link into the error kernels' scratch memory x.
 
     A pose has 12 numbers, an axis 6: its direction and origin.
     """
@@ -104,7 +104,7 @@ def place_links(n, c, x, q, at):
 
 @njit(cache=True)
 def orientation_error(n, c, x, turn):
-    """Compute an orientation error (3) and its derivative (9) into x[work:] and x[work + 3:].
+    """Compute an orientation constraint's error (3) and its derivative (9) into x[work:] and x[work + 3:].
 
     The matrix maps the link's angular velocity in the world to the rate of the error. Call `place_links`
     first. A rotation vector e changes by the inverse left Jacobian of SO(3), 1 - [e]/2 + k [e]^2. Euler
@@ -161,7 +161,7 @@ def orientation_error(n, c, x, turn):
 
 @njit(cache=True)
 def point_at(n, c, x, point):
-    """Compute the world position of a constrained point.
+    """Compute the world position of a constrained point in a compiled error kernel.
 
     Call `place_links` first.
     """
@@ -177,7 +177,7 @@ def point_at(n, c, x, point):
 
 @njit(cache=True)
 def signed_distance(n, c, shape, sizes, px, py, pz):
-    """Compute the signed distance [m] from a world point to a convex shape.
+    """Compute the signed distance [m] from a world point to a position constraint's convex shape.
 
     `sizes` is the offset of the shape's sizes: SIZE or INNER_SIZE.
     """
@@ -207,7 +207,7 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find a region's shape nearest to a point, and the signed distance [m] to this shape."""
+    """Find a position constraint's region shape nearest to a point, and the signed distance [m] to it."""
     t = n[AT_POINTS] + point * POINT_WIDTH
     best, least = n[t + FIRST_SHAPE], 1e300
     for shape in range(n[t + FIRST_SHAPE], n[t + FIRST_SHAPE] + n[t + SHAPES]):
@@ -219,7 +219,7 @@ def nearest_region_shape(n, c, point, sizes, px, py, pz):
 
 @njit(cache=True)
 def within_tolerances(n, c, x, q, at, inner):
-    """Return whether a configuration keeps the constraints' tolerances.
+    """Return whether a configuration keeps all constraint tolerances, in a compiled kernel.
 
     `inner` selects the planning tolerances instead of the full tolerances.
     """

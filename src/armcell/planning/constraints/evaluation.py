@@ -40,7 +40,7 @@ EDGE_ON = 1e-6  # [m] distance from the disc's plane at which the sensor does no
 
 
 def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Array, str]:
-    """Compute how far the scene's state is from satisfying a visibility constraint.
+    """Evaluate a visibility constraint: how far the scene's state is from satisfying it.
 
     The rule is MoveIt's (kinematic_constraints::VisibilityConstraint::decide).
 
@@ -75,7 +75,7 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
 
 
 def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, float, float]:
-    """Compute the world poses of a sensor and its target, the view angle and range angle [rad]."""
+    """Compute a visibility constraint's world poses of sensor and target, view and range angle [rad]."""
     sensor = scene.frame_pose(c.sensor) @ c.T_link_sensor
     target = scene.frame_pose(c.frame) @ c.T_frame_target
     looks = sensor.rotation.matrix[:, AXES[c.view_axis]]
@@ -84,7 +84,7 @@ def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, fl
 
 
 def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
-    """Return the links that carry sensor and target; these links may be inside the view cone."""
+    """Return the links that carry a visibility constraint's sensor and target; the cone may contain them."""
     return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 
 
@@ -109,7 +109,7 @@ def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
 
 
 def _angle(a: Array, b: Array) -> float:
-    """Compute the angle between two vectors [rad], accurate also for small angles."""
+    """Compute the angle [rad] between two vectors for a constraint, accurate also for small angles."""
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
@@ -140,7 +140,7 @@ class ConstraintError:
 def constraint_errors(
     scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike
 ) -> tuple[ConstraintError, ...]:
-    """Evaluate every constraint at joint positions q; return one error per constraint.
+    """Evaluate the error of every constraint at joint positions q; return one error per constraint.
 
     Order: joints, positions, orientations, visibilities.
 
@@ -160,7 +160,7 @@ def constraint_errors(
 
 
 def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> bool:
-    """Return whether positions q (n,) of the group satisfy all constraints.
+    """Return whether positions q (n,) of the group satisfy all constraints, by evaluating their errors.
 
     See `constraint_errors`.
     """
@@ -192,7 +192,7 @@ def _position(scene: PlanningScene, group: str, c: PositionConstraint) -> Constr
 
 
 def region_distance(scene: PlanningScene, c: PositionConstraint, point: ArrayLike) -> float:
-    """Compute the distance [m] of a world point (3,) from a constraint's region; 0 inside."""
+    """Compute the distance [m] of a world point (3,) from a position constraint's region; 0 inside."""
     at = scene.frame_pose(c.frame).inv().apply(point)
     return min(distance_to_shape(shape, T.inv().apply(at)) for shape, T in c.region)
 
@@ -214,7 +214,7 @@ def _pose(scene: PlanningScene, group: str, name: str | None) -> tuple[SE3, str]
 
 
 def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
-    """Compute the error (3,) [rad] from the desired to the current rotation, in desired axes."""
+    """Compute an orientation constraint's error (3,) [rad] from desired to current rotation, desired axes."""
     turn = wanted.inv() @ present
     if parameterization == "rotation_vector":
         return turn.log()
@@ -225,7 +225,7 @@ def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
 
 
 def rotation_of(error: ArrayLike, parameterization: str) -> SO3:
-    """Convert a rotation error (3,) back to a rotation; inverse of `rotation_error`."""
+    """Convert an orientation constraint's error (3,) back to a rotation; inverse of `rotation_error`."""
     if parameterization == "rotation_vector":
         return SO3.exp(error)
     return SO3.from_rpy(-np.asarray(error, dtype=float)).inv()
@@ -261,7 +261,7 @@ _DISTANCES: dict[type, Callable[..., float]] = {
 
 
 def distance_to_shape(shape: Shape, point: ArrayLike) -> float:
-    """Compute the distance [m] of a point (3,) in a shape's frame from the shape; 0 inside.
+    """Compute a constraint's distance [m] of a point (3,) in a shape's frame from the shape; 0 inside.
 
     Raises:
         InputError: the shape is a mesh, cloud or octree: these are surfaces, not regions.

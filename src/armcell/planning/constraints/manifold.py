@@ -46,7 +46,7 @@ proven to stay exactly on a boundary."""
 
 @dataclass(frozen=True)
 class Violation:
-    """A violated constraint: its kind and name, the amount of violation, and a description."""
+    """A violated constraint of a manifold: its kind and name, the amount, and a description."""
 
     kind: str  # "joint", "orientation" or "position"
     name: str  # name of the joint or of the constrained link
@@ -55,7 +55,7 @@ class Violation:
 
 
 class ConstraintManifold:
-    """The set of configurations of a planning group that satisfy path constraints.
+    """Constraint manifold: the set of configurations of a planning group that satisfy path constraints.
 
     Not thread-safe: it owns scratch memory.
 
@@ -122,7 +122,7 @@ class ConstraintManifold:
         return at
 
     def _resolve(self, name: str | None) -> tuple[str, SE3]:
-        """Return the link that carries a link, tip or attached object, and the pose in this link."""
+        """Resolve a constraint's link, tip or attached object to the carrying link and the pose in it."""
         scene = self._scene
         if name is None:
             name = scene.model.group(self._group).tip_link
@@ -139,7 +139,7 @@ class ConstraintManifold:
         return name, SE3.identity()
 
     def _link(self, name: str) -> int:
-        """Return the number of a constrained link.
+        """Return the number of a constrained link in the constraint manifold.
 
         The link's chain is computed at the first use.
         """
@@ -204,7 +204,7 @@ class ConstraintManifold:
         return number, int(euler), self._keep(np.concatenate([wanted.matrix.T.ravel(), full, inner]))
 
     def _carried(self, link: str, T: SE3) -> int:
-        """Register a frame fixed to a link as an additional constrained link."""
+        """Register a frame fixed to a link as an additional constrained link of the manifold."""
         rows, _, base, _ = self._link_rows[self._link(link)]
         numbers = self._tables[self._links[link]].copy()
         at_base = base
@@ -243,12 +243,12 @@ class ConstraintManifold:
 
     # --- asking ---
     def values(self, q: Array) -> Array:
-        """Compute orientation errors (3 each) [rad] and distances of points to their regions [m]."""
+        """Evaluate a constraint manifold: orientation errors (3 each) [rad] and distances to regions [m]."""
         evaluate_errors(self.handle, np.ascontiguousarray(q, dtype=float), self._out)
         return self._out[:-1].copy()
 
     def violations(self, q: Array, inside: bool = False) -> list[Violation]:
-        """List constraints that q (dof,) violates by more than the boundary margin.
+        """List a manifold's constraints that q (dof,) violates by more than the boundary margin.
 
         Args:
             inside: also list constraints that q satisfies by less than the margin.
@@ -287,7 +287,7 @@ class ConstraintManifold:
         return moved if projected(self.handle, moved, lower, upper) else None
 
     def first_unproven_edge(self, points: Array, room: Array | None = None) -> int:
-        """Find the first edge of a motion (k, dof) that is not proven to satisfy the constraints.
+        """Find the first edge of a motion (k, dof) that is not proven to stay on the constraint manifold.
 
         Return -1 if all edges are proven.
 
@@ -302,7 +302,9 @@ class ConstraintManifold:
         return int(first_unproven_edge(self.handle, np.ascontiguousarray(points), slack, self.allowance))
 
     def relax_boundary(self, ends: list[Array]) -> None:
-        """Widen the tolerances slightly if a start or goal (dof,) is very close to a boundary."""
+        """Widen the constraint manifold's tolerances slightly if a start or goal (dof,) is very close to a
+        boundary.
+        """
         self.allowance = self.boundary_margin if any(self.violations(q, inside=True) for q in ends) else 0.0
 
 
@@ -329,7 +331,7 @@ def _corridors(names: tuple[str, ...], constraints: Constraints, scene: Planning
 
 
 def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
-    """Return the kind and sizes [m] of a region's shape, for `error_kernels.signed_distance`."""
+    """Return kind and sizes [m] of a constraint region's shape for the manifold's compiled kernels."""
     match shape:
         case Box():
             return layout.BOX, shape.half_extents
@@ -348,7 +350,7 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Compute upper bounds (dof,) [m] of a point's distance from each joint's axis.
+    """Bound the distance (dof,) [m] of a constrained point from each joint's axis.
 
     The bounds hold in all configurations.
     """

@@ -84,7 +84,7 @@ def time_on_manifold(
 
 
 def chords(trajectory: JointTrajectory) -> tuple[Array, Array]:
-    """Approximate a trajectory by chords (m, n) and bound its deviation (n,) [rad] from them.
+    """Approximate a constrained trajectory by chords (m, n); bound its deviation (n,) [rad] from them.
 
     A curve deviates from its chord over a time h by at most h^2 / 8 times its largest acceleration. The
     acceleration of a quintic is a cubic, bounded by the hull of its Bernstein coefficients.
@@ -206,7 +206,7 @@ def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem:
 
 
 def _searched(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlannerResult:
-    """Search for a path on the constraint manifold, or report why no path was found."""
+    """Search for a path on the constraint manifoldto the goals, or report why none was found."""
     if isinstance(manifold, VisibilityManifold):  # visibility has no projection: OMPL rejects invalid samples
         return find_planner("ompl", PLANNER)(replace(problem, forbids=manifold.forbids))
     planner = constrained_planner(problem.checker, manifold)
@@ -249,7 +249,7 @@ def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcom
 
 
 def _direct(problem: Problem, manifold: ConstraintManifold) -> Array | None:
-    """Return the straight line to a goal if it is free and satisfies the path constraints."""
+    """Return the straight line to a goal if the line is free and satisfies the path constraints."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])
@@ -266,7 +266,7 @@ def _goals(
     manifold: ConstraintManifold,
     found: tuple[Array, ...],
 ) -> tuple[tuple[Array, ...], list[Violation]]:
-    """Select the goals that satisfy the path constraints.
+    """Select the goals of a constrained request that satisfy its path constraints.
 
     If there are none, project further goal samples onto the constraints; if this fails, return the
     violations.
@@ -306,6 +306,6 @@ def _more(
     known: tuple[Array, ...],
     seed: int,
 ) -> Iterator[Array] | None:
-    """Yield further goals that satisfy the path constraints while a search runs."""
+    """Yield further goals of a constrained request that satisfy the path constraints while a search runs."""
     more = stream_goals(validated, checker, known, seed)
     return None if more is None else (q for q in more if not manifold.violations(q))

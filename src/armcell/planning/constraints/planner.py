@@ -73,7 +73,7 @@ class ConstrainedPlanner(NativePlanner):
         )  # fmt: skip
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Shorten path[:count] on the constraint manifold in place.
+        """Shorten path[:count] in place with the constrained planner, on the constraint manifold.
 
         Return the new count, or 0 if a proof fails.
         """

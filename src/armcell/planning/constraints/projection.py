@@ -55,7 +55,7 @@ PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over
 
 @njit(cache=True)
 def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
-    """Write one Jacobian row: the rate of g . angular velocity, or of g . point velocity.
+    """Write one Jacobian row for a constraint projection: the rate of g . angular or point velocity.
 
     `turns` selects the angular velocity.
     """
@@ -80,7 +80,7 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """Write the Jacobian row and residual of a point along a direction of a shape's frame."""
+    """Write a constraint projection's Jacobian row and residual of a point along a shape's direction."""
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]
     _row(
@@ -94,7 +94,7 @@ def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
 
 @njit(cache=True)
 def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
-    """Add a row that reduces a point's coordinate |value| in a shape's frame to `inner`.
+    """Add a projection row that reduces a constrained point's coordinate |value| in a shape to `inner`.
 
     Return the row count.
     """
@@ -111,7 +111,7 @@ def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
 
 @njit(cache=True)
 def rows(n, c, x):
-    """Write Jacobian rows and residuals of all violated planning tolerances.
+    """Write the projection's Jacobian rows and residuals of all violated constraint tolerances.
 
     Return the row count.
     """
@@ -164,7 +164,7 @@ def rows(n, c, x):
 
 @njit(cache=True)
 def _step(n, x, count, damping):
-    """Solve `J^T (J J^T + damping)^-1 r` by L D L^T decomposition.
+    """Compute a constraint projection's step `J^T (J J^T + damping)^-1 r` by L D L^T decomposition.
 
     Return the offset of the result in x; it follows the system.
     """
@@ -208,7 +208,7 @@ def _step(n, x, count, damping):
 
 @njit(cache=True)
 def project(n, c, x, q, at, lower, upper):
-    """Move q[at:] within joint bounds until it keeps the planning tolerances, in place.
+    """Project q[at:] onto its constraints: move it within joint bounds to the planning tolerances.
 
     Returns:
         Whether the projection succeeded.
@@ -250,6 +250,8 @@ def project(n, c, x, q, at, lower, upper):
 
 @njit(cache=True, nogil=True)
 def projected(handle, q, lower, upper):
-    """Project a configuration q (dof,) onto its constraints; runs `project` on arrays."""
+    """Project a configuration q (dof,) onto its constraints outside kernels; runs the kernel `project` on
+    arrays.
+    """
     n, c, x = manifold_pointers(handle)
     return project(n, c, x, pointer(q), 0, pointer(lower), pointer(upper))

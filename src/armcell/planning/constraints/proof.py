@@ -64,7 +64,7 @@ KEEPS, UNKNOWN, LEAVES = 1, 0, -1
 
 @njit(cache=True)
 def _bends(angle):
-    """Compute the bounds g and c (see the module) for rotation vectors up to `angle` [rad].
+    """Bound orientation changes for a constraint proof: g and c for rotation vectors up to `angle` [rad].
 
     Both bounds increase with the angle.
 
@@ -79,7 +79,7 @@ def _bends(angle):
 
 @njit(cache=True)
 def _turns(n, c, x, d, h, room, allowance):
-    """Check the orientation constraints on one interval of a motion: KEEPS, UNKNOWN or LEAVES."""
+    """Prove orientation constraints on one interval of a joint motion: KEEPS, UNKNOWN or LEAVES."""
     answer = KEEPS
     for turn in range(n[TURNS]):
         t = n[AT_TURNS] + turn * TURN_WIDTH
@@ -126,7 +126,7 @@ def _turns(n, c, x, d, h, room, allowance):
 
 @njit(cache=True)
 def _points(n, c, x, d, h, room, allowance):
-    """Check the position constraints on one interval of a motion: KEEPS, UNKNOWN or LEAVES."""
+    """Prove position constraints on one interval of a joint motion: KEEPS, UNKNOWN or LEAVES."""
     dof, answer = n[DOF], KEEPS
     for point in range(n[POINTS]):
         t = n[AT_POINTS] + point * POINT_WIDTH
@@ -171,7 +171,7 @@ def _points(n, c, x, d, h, room, allowance):
 
 @njit(cache=True)
 def edge_keeps_tolerances(n, c, x, p, a, b, room, allowance):
-    """Return whether the straight motion from p[a:] to p[b:] is proven to keep the tolerances.
+    """Return whether the straight motion from p[a:] to p[b:] is proven to keep the constraint tolerances.
 
     Args:
         room: (dof,) deviation of each joint from the line. allowance: [rad and m] added to the tolerances.
@@ -208,7 +208,8 @@ def edge_keeps_tolerances(n, c, x, p, a, b, room, allowance):
 
 @njit(cache=True, nogil=True)
 def first_unproven_edge(handle, points, room, allowance):
-    """Find the first edge of a motion (k, dof) that is not proven to keep the tolerances.
+    """Find the first edge of a motion (k, dof) that is not proven to keep the constraint tolerances
+    everywhere.
 
     Args:
         room: (dof,), allowance: see `edge_keeps_tolerances`.

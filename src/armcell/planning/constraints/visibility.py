@@ -73,7 +73,7 @@ class VisibilityManifold(ConstraintManifold):
             self._back = (0.0, 0.0)
 
     def forbids(self, q: Array) -> bool:
-        """Return whether q (dof,) violates the constraints, with a small margin if possible."""
+        """Return whether q (dof,) violates visibility constraints, with a small margin if possible."""
         return bool(super().violations(q)) or any(
             self._room(view, q, np.zeros(self.dof), *self._back) < 0.0 for view in self._views
         )
@@ -92,7 +92,7 @@ class VisibilityManifold(ConstraintManifold):
         return True
 
     def _room(self, view: _View, q: Array, moves: Array, back_angle: float = 0.0, back: float = 0.0) -> float:
-        """Compute the smallest margin [rad or m] left if joints deviate from q (dof,) by `moves`.
+        """Compute the smallest visibility margin [rad or m] left if joints deviate from q (dof,) by `moves`.
 
         Minus infinity means that q itself violates the constraint.
         """
@@ -165,7 +165,7 @@ class _View:
 
 
 def _farthest(scene: PlanningScene, link: str) -> float:
-    """Compute the distance [m] from a link's origin to the farthest corner of its bodies' boxes."""
+    """Compute the distance [m] from a viewing link's origin to the farthest corner of its bodies' boxes."""
     far, scale = 0.0, scene.link_scale.get(link, 1.0)
     for part in scene.model.links[link].collisions:
         center, half = local_bounds(part.shape)
@@ -176,7 +176,7 @@ def _farthest(scene: PlanningScene, link: str) -> float:
 
 
 def _moving(scene: PlanningScene, names: tuple[str, ...], link: str) -> list[tuple[int, float]]:
-    """List the group's joints on the path to a link, with their multipliers (mimic joints)."""
+    """List the joints that move a visibility constraint's link, with their mimic multipliers."""
     tree, columns = kinematic_tree(scene.model), {c: k for k, c in enumerate(scene.model.columns(names))}
     found = [j for j in tree.path_to(link) if tree.kind[j] != FIXED and int(tree.column[j]) in columns]
     return [(columns[int(tree.column[j])], abs(float(tree.multiplier[j]))) for j in found]
@@ -187,7 +187,7 @@ def _carriers(scene: PlanningScene, names: tuple[str, ...], link: str) -> set[in
 
 
 def _multipliers(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
-    """Compute a link's largest rotation per rad of each joint (dof,), including mimic joints."""
+    """Bound the rotation of a sensor's or target's link per rad of each joint (dof,), with mimic joints."""
     total = np.zeros(len(names))
     for k, multiplier in _moving(scene, names, link):
         total[k] += multiplier
@@ -201,7 +201,8 @@ def _table(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
 
 
 def make_manifold(scene: PlanningScene, group: str, constraints: Constraints) -> ConstraintManifold:
-    """Create the manifold of path constraints, with visibility constraints if needed.
+    """Create the manifold of path constraints, as `VisibilityManifold` if the request has visibility
+    constraints.
 
     Raises:
         InputError: the constraints are invalid, or no planner supports them.

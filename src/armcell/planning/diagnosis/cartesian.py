@@ -78,7 +78,7 @@ def _report_place(diagnosis: Diagnosis, request: CartesianRequest, number: int, 
 
 
 def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Report whether the last waypoint is out of reach, or only the straight line to it."""
+    """Report whether a Cartesian path's last waypoint is out of reach, or only the straight line to it."""
     path = diagnosis.result.path
     q = diagnosis.start if path is None else path.waypoints[-1]
     found = explain_pose(diagnosis.start_scene, request.group, request.waypoints[-1], request.link)
@@ -123,7 +123,7 @@ def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> None:
 
 
 def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, here: SE3) -> None:
-    """Suggest another joint solution of the start pose, from which the line is feasible.
+    """Suggest another joint solution of a Cartesian path's start pose from which its line is feasible.
 
     The solution is on another branch, or has another elbow position of a redundant arm.
     """
@@ -179,7 +179,7 @@ def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) ->
 
 
 def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Suggest to shift, then to rotate, the last waypoint in one of 26 directions."""
+    """Suggest to shift, then to rotate, a Cartesian path's last waypoint in one of 26 directions."""
     goal, rest = request.waypoints[-1], request.waypoints[:-1]
 
     def shifted(step: np.ndarray) -> SE3:
@@ -204,7 +204,7 @@ def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> Non
 
 
 def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, ik):
-    """Find the smallest change (3,) of the goal with which the line is completed, or None."""
+    """Find the smallest change (3,) of a Cartesian goal with which the line is completed, or None."""
     until = time.monotonic() + SHARE * max(diagnosis.time_left, 0.0)
     for size in sizes:
         for direction in DIRECTIONS:
@@ -222,7 +222,7 @@ def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, i
 
 
 def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarray, pose) -> np.ndarray:
-    """Reduce a change (3,) of the goal to the smallest part that completes the line."""
+    """Reduce a change (3,) of a Cartesian goal to the smallest part that completes the line."""
     low, high = 0.5, 1.0
     for _ in range(4):
         middle = (low + high) / 2
@@ -232,7 +232,7 @@ def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarr
 
 
 def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, number: int, stop: SE3) -> None:
-    """Suggest one more waypoint beside the pose at which the line stops."""
+    """Suggest one more waypoint beside the pose at which a Cartesian line stops."""
     if not _can_stand(diagnosis, request, request.waypoints[-1], ik):
         return
     until = time.monotonic() + SHARE * max(diagnosis.time_left, 0.0)
@@ -251,20 +251,20 @@ def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, numbe
 
 
 def _full(diagnosis: Diagnosis, q: np.ndarray) -> np.ndarray:
-    """Return the positions of all joints (dof,) with the group's joints at q (n,)."""
+    """Return all joint positions (dof,) with the group's at q (n,), to diagnose a Cartesian stop."""
     full = diagnosis.start_scene.positions.copy()
     full[diagnosis.columns] = q
     return full
 
 
 def _can_stand(diagnosis: Diagnosis, request: CartesianRequest, pose: SE3, ik: IKSolver) -> bool:
-    """Return whether any free configuration reaches the pose, which is faster than a line test."""
+    """Return whether a free configuration reaches a Cartesian pose, a faster test than the whole line."""
     some = islice(ik.solutions(pose, diagnosis.start_scene.positions, diagnosis.rng), 8)
     return any(not request.avoid_collisions or diagnosis.checker.is_free(q) for q in some)
 
 
 def _shorter(diagnosis: Diagnosis, request: CartesianRequest, number: int, pose: SE3) -> None:
-    """Suggest a Cartesian request that ends where the line stops."""
+    """Suggest a Cartesian request that ends where the requested line stops."""
     if diagnosis.result.path is None or diagnosis.result.fraction <= 0:
         return
     waypoints = (*request.waypoints[:number], pose)

@@ -28,19 +28,19 @@ SPARE = 1e-3  # [m] added to the smallest shift
 
 
 def pairs_of(contacts: Iterable[Contact]) -> list[tuple[str, str]]:
-    """List the body pairs of some contacts."""
+    """List the body pairs of a diagnosis' contacts."""
     return [(c.body_a, c.body_b) for c in contacts]
 
 
 def objects_in(scene: PlanningScene, contacts: Iterable[Contact]) -> list[str]:
-    """List the world objects that are in contact, in the order of the contacts."""
+    """List the world objects in a diagnosis' contacts, in the order of the contacts."""
     return list(dict.fromkeys(n for pair in pairs_of(contacts) for n in pair if n in scene.objects))
 
 
 def least_freeing_shift(
     scene: PlanningScene, name: str, joint_names: tuple[str, ...], qs: list[Array], padded: bool = True
 ) -> Array | None:
-    """Find the smallest shift (3,) [m] that frees an object from the robot at each of qs (n,).
+    """Find an object's smallest shift (3,) [m] that ends its contacts with the robot at each of qs (n,).
 
     The shift does not push the object into others. Return None if no shift up to a meter frees the object.
     """
@@ -74,7 +74,7 @@ def _least(free, direction: Array, low: float, high: float) -> float:
 def suggest_freeing_objects(
     diagnosis: Diagnosis, qs: list[Array], contacts: list[Contact], padded: bool
 ) -> None:
-    """Suggest to shift the objects in contact with the robot, or to remove them.
+    """Suggest to resolve contacts: to shift the objects in contact with the robot, or remove them.
 
     Args:
         qs: configurations of the group (n,) at which the objects must be free.

@@ -63,7 +63,7 @@ class Diagnosis:
     # --- request ---
     @cached_property
     def start_scene(self) -> PlanningScene:
-        """Scene with the robot at the request's start."""
+        """Scene of a diagnosis, with the robot at the start of the failed request."""
         if self.request.start is None:
             return self.scene
         positions = self.scene.state.updated(self.request.start).positions
@@ -79,19 +79,19 @@ class Diagnosis:
 
     @property
     def start(self) -> Array:
-        """Start positions (n,) of the group's joints."""
+        """Start positions (n,) of the group's joints in a diagnosed request."""
         return self.start_scene.positions[self.columns]
 
     @cached_property
     def checker(self) -> KernelChecker:
-        """Checker of the start scene, with its padding relaxed like the planner's."""
+        """Checker of a diagnosis' start scene, with its padding relaxed like the planner's."""
         checker = KernelChecker(self.start_scene, self.joint_names)
         if np.isfinite(self.start).all() and not checker.touches(self.start):
             checker.relax_margins(self.start)
         return checker
 
     def nearest_free(self, q: Array) -> Array | None:
-        """Find the free configuration (n,) nearest to q, with a small margin if possible."""
+        """Find the free configuration (n,) nearest to q for a diagnosis, with a small margin if possible."""
         lower, upper = self.scene.model.lower[self.columns], self.scene.model.upper[self.columns]
         roomy = self.start_scene.with_padding(
             self.scene.padding + SPARE, {k: v + SPARE for k, v in self.scene.link_padding.items()}
@@ -103,7 +103,7 @@ class Diagnosis:
         return None
 
     def tip_distance(self, a: Array, b: Array) -> float | None:
-        """Compute the motion [m] of the group's tip between two configurations (n,).
+        """Compute the tip motion [m] between two configurations (n,) for a diagnosis.
 
         Return None if the group has no tip.
         """
@@ -122,7 +122,7 @@ class Diagnosis:
         return np.random.default_rng([getattr(self.request, "seed", 0), 2])
 
     def group_state(self, q: Array) -> JointState:
-        """Create a JointState of the planning group from positions q (n,)."""
+        """Create a JointState of a diagnosed request's group from positions q (n,)."""
         return JointState(self.joint_names, q)
 
     # --- findings ---
@@ -132,12 +132,12 @@ class Diagnosis:
         return self.deadline - time.monotonic()
 
     def add_finding(self, line: str) -> None:
-        """Add a line to the diagnosis' findings unless it is already present."""
+        """Add a finding to the diagnosis' findings unless it is already present."""
         if line not in self.details:
             self.details.append(line)
 
     def succeeds(self, scene: PlanningScene, request: Request, seconds: float = TRY) -> PlanResult | None:
-        """Plan a changed request; None if planning fails, is misuse, or no time is left."""
+        """Plan a changed request for a diagnosis; None if planning fails, is misuse, or no time is left."""
         if self.time_left <= 0:
             return None
         if isinstance(request, PlanRequest):
@@ -153,7 +153,7 @@ class Diagnosis:
         known: bool = False,
         anyway: bool = False,
     ) -> bool:  # fmt: skip
-        """Test a change and keep it as a suggestion if the changed request succeeds.
+        """Test a change of a failed request and keep it as a suggestion if the changed request succeeds.
 
         Args:
             known: a test has already shown that the change works.
@@ -197,7 +197,7 @@ class Diagnosis:
 
 
 def report_limit_margins(diagnosis: Diagnosis) -> None:
-    """Record the start's distances from joint limits; report the joints close to a limit."""
+    """Diagnose a start's distances from joint limits; report the joints close to a limit."""
     model, q = diagnosis.scene.model, diagnosis.start
     margins = np.minimum(q - model.lower[diagnosis.columns], model.upper[diagnosis.columns] - q)
     diagnosis.data["start_limit_margins"] = dict(zip(diagnosis.joint_names, margins.tolist(), strict=True))
@@ -211,14 +211,14 @@ def report_limit_margins(diagnosis: Diagnosis) -> None:
 
 
 def report_distance(diagnosis: Diagnosis, what: str, a: Array, b: Array) -> None:
-    """Report the difference of two configurations (n,), and the motion of the tip between them."""
+    """Report the difference of two configurations (n,) in a diagnosis, and the tip motion between them."""
     tip = diagnosis.tip_distance(a, b)
     moved = f", which moves the tip by {tip * 1000:.0f} mm" if tip is not None else ""
     diagnosis.add_finding(f"{what} is {np.linalg.norm(b - a):.2f} rad away{moved}")
 
 
 def wanted_joints(diagnosis: Diagnosis, goal: JointGoal | NamedGoal) -> np.ndarray | None:
-    """Return the group positions (n,) that a joint goal requests, within limits or not.
+    """Return the group positions (n,) that a diagnosed joint goal requests, within limits or not.
 
     Return None for misuse.
     """

@@ -36,7 +36,7 @@ EXPLAINERS: dict[ErrorCode, Callable[[Diagnosis], None]] = {
 
 
 def with_explanation(kind: type) -> Callable[[F], F]:
-    """Decorate a planning function so that its failed results can be explained."""
+    """Dispatcher of diagnoses: decorate a planning function so that its failed results can be explained."""
 
     def decorate(solve: F) -> F:
         @wraps(solve)
@@ -67,7 +67,7 @@ def _explain(scene: PlanningScene, request: Request, result: PlanResult, seconds
 def explain_misuse(
     scene: PlanningScene, request: Request, error: InputError, seconds: float = 10.0
 ) -> Explanation:
-    """Explain a request that a planning function rejected, and suggest corrections."""
+    """Dispatch to the diagnosis of a request that a planning function rejected, and suggest corrections."""
     diagnosis = Diagnosis(scene, request, missing_result(error), SOLVERS, time.monotonic() + seconds)
     explain_request_error(diagnosis, error)
     return diagnosis.explanation()

@@ -53,7 +53,7 @@ def nearest_free(q: ArrayLike, free: Free, lower: Array, upper: Array, seed: int
 
 
 def _pulled(at: Array, p: Array, free: Free) -> Array:
-    """Pull a free configuration p toward `at`: reset joints that need not move, bisect the rest."""
+    """Pull a free configuration p toward `at`: reset joints that need not move, bisect the others."""
     for k in np.argsort(np.abs(p - at)):  # small detours first
         only = p.copy()
         only[k] = at[k]
@@ -76,7 +76,7 @@ def _bisected(bad: Array, good: Array, free: Free) -> Array:
 
 # --- poses ---
 def _grid() -> Array:
-    """Create 26 unit directions (26, 3) toward the faces, edges and corners of a cube."""
+    """Create 26 unit directions (26, 3) for the nearest pose: toward a cube's faces, edges and corners."""
     steps = np.array(np.meshgrid(*[[0, 1, -1]] * 3, indexing="ij")).reshape(3, -1).T
     steps = steps[np.any(steps != 0, axis=1)].astype(float)
     steps = steps[np.argsort(np.abs(steps).sum(1), kind="stable")]
@@ -89,7 +89,7 @@ ANGLES: Array = np.deg2rad(np.array([5.0, 10.0, 20.0, 40.0, 80.0, 130.0, 180.0])
 
 
 class PoseSearch:
-    """Search for poses near a desired pose that a free configuration reaches.
+    """Search for the nearest pose that a free configuration reaches.
 
     Args:
         free: returns whether a configuration (n,) of the group is allowed.
@@ -113,7 +113,7 @@ class PoseSearch:
         return self._nearest(directions, DISTANCES, lambda step: SE3(T.rotation, T.translation + step))
 
     def nearest_orientation(self, T: SE3) -> tuple[SE3, Array] | None:
-        """Find the smallest rotation of a pose in place that makes the pose reachable."""
+        """Find the smallest rotation of an unreachable pose in place that makes the pose reachable."""
         return self._nearest(DIRECTIONS, ANGLES, lambda step: SE3(T.rotation @ SO3.exp(step), T.translation))
 
     def towards(self, T: SE3, goals: list[Array]) -> tuple[SE3, Array] | None:
@@ -160,7 +160,7 @@ class PoseSearch:
     def _closer(
         self, directions: list[Array], low: float, high: float, pose: Callable[[Array], SE3]
     ) -> tuple[SE3, Array] | None:
-        """Bisect along each direction; return the pose with the smallest change."""
+        """Bisect along each direction from an unreachable pose; return the reachable pose nearest to it."""
         best, chosen = np.inf, None
         for direction in directions[:8]:
             a, b = low, min(high, best)

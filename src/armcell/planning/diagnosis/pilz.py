@@ -63,7 +63,7 @@ def explain_pilz_motion(diagnosis: Diagnosis) -> None:
 
 
 def _otherwise(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Suggest another motion type to the same goal, or a motion found by search."""
+    """Suggest another motion type instead of a failed PTP, LIN or CIRC motion, or a search."""
     ours = {k: v for k, v in request.parameters.items() if k not in POINTS}
     less = {"path_constraints": Constraints()} if request.planner_id == "CIRC" else {}
     for name in ("LIN", "PTP"):
@@ -89,7 +89,7 @@ SPARE = 1.02  # safety factor of the suggested slowdown
 def change_blend_radius(
     scene: PlanningScene, sequence: SequenceRequest, number: int, radius: float
 ) -> tuple[PlanningScene, SequenceRequest]:
-    """Change the blend radius [m] after motion `number`, counted from 0."""
+    """Suggested change of the blend radius [m] after motion `number` of a failed Pilz sequence."""
     items = list(sequence.items)
     items[number] = (items[number][0], radius)
     return scene, replace(sequence, items=tuple(items))
@@ -98,7 +98,7 @@ def change_blend_radius(
 def slow_motions(
     scene: PlanningScene, sequence: SequenceRequest, number: int, factor: float
 ) -> tuple[PlanningScene, SequenceRequest]:
-    """Slow down motion `number` (from 0) and the next one by a factor >= 1."""
+    """Suggested change that slows motion `number` (from 0) and the next of a Pilz sequence by a factor."""
     items = list(sequence.items)
     for k in (number, number + 1):
         request, radius = items[k]
@@ -115,7 +115,9 @@ def explain_blend(
     scene: PlanningScene, sequence: SequenceRequest, outcome: Outcome,
     solve: Callable[[PlanningScene, Any], PlanResult], seconds: float,
 ) -> Explanation:  # fmt: skip
-    """Explain why a blend failed; find the largest blend radius or speed that works."""
+    """Explain why a blend of PTP, LIN or CIRC motions failed; find the largest blend radius or speed that
+    works.
+    """
     deadline, number = time.monotonic() + seconds, outcome.evidence["item"]
     radius = sequence.items[number][1]
 

@@ -23,7 +23,7 @@ OUTSIDE = IKSettings(seeds=60)
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One joint solution (n,) of a pose, with its contacts and limit violations.
+    """One joint solution (n,) of an unreachable pose, with its contacts and limit violations.
 
     Attributes:
         contacts: contacts of the solution, including pairs within the padding.
@@ -36,18 +36,18 @@ class Branch:
 
     @property
     def free(self) -> bool:
-        """Whether the joint solution is within limits and free of contact."""
+        """Whether a joint solution of a diagnosed pose is within limits and free of contact."""
         return not self.contacts and not self.beyond
 
     def reason(self, model: RobotModel) -> str:
-        """Describe the contacts and limit violations of a joint solution; "free" if it has none."""
+        """Describe contacts and limit violations of a diagnosed pose's joint solution; "free" if none."""
         outside = [f"{n} {wording.joint_value(model, n, v)} beyond its limit" for n, v in self.beyond.items()]
         return "; ".join(outside) or wording.contacts(self.contacts) or "free"
 
 
 @dataclass(frozen=True, eq=False)
 class PoseExplanation:
-    """Explanation of why an arm cannot reach a pose.
+    """Explanation of why an arm cannot reach a pose, with its joint solutions.
 
     Attributes:
         branches: solutions within limits; free ones first, then by depth of contact.
@@ -72,7 +72,7 @@ class PoseExplanation:
 def explain_pose(
     scene: PlanningScene, group: str, target: SE3, link: str | None = None, seed: int = 0
 ) -> PoseExplanation:
-    """Examine every joint solution found for a pose of a link (by default the group's tip)."""
+    """Examine every joint solution of an unreachable pose of a link (by default the group's tip)."""
     ik = ik_solver(scene.model, group, link)
     checker = ExactChecker(scene, ik.joint_names)
     start = checker.contacts(scene.positions[ik.columns], padded=False)
@@ -132,7 +132,7 @@ def solutions_beyond_limits(
 
 
 def _turned_in(ik: IKSolver, q: np.ndarray) -> np.ndarray:
-    """Turn revolute joints by full turns to minimize their limit violations."""
+    """Turn revolute joints of a pose's solution by full turns to minimize limit violations."""
     at = q.copy()
     for k, name in enumerate(ik.joint_names):
         if ik.model.joint(name).type != "prismatic":
@@ -143,7 +143,7 @@ def _turned_in(ik: IKSolver, q: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _without_limits(model: RobotModel, group: str, link: str | None) -> IKSolver:
-    """Create an IK solver for the same robot with unlimited revolute joints."""
+    """Create an IK solver with unlimited revolute joints, to show that only limits forbid a pose."""
     joints = {
         name: replace(joint, limits=replace(joint.limits, lower=-np.inf, upper=np.inf))
         if joint.type == "revolute"

@@ -32,7 +32,7 @@ DEFAULT = {"planner_id": "RRTConnect", "pipeline_id": "native"}
 
 
 def explain_search_failure(diagnosis: Diagnosis) -> None:
-    """Test whether more time, another planner, less padding or fewer objects helps."""
+    """Diagnose a failed search: test whether more time, another planner, less padding or fewer objects helps."""
     request = diagnosis.request
     assert isinstance(request, PlanRequest)
     if diagnosis.result.code is ErrorCode.PREEMPTED:
@@ -57,7 +57,7 @@ def explain_search_failure(diagnosis: Diagnosis) -> None:
 
 
 def _report_search(diagnosis: Diagnosis) -> None:
-    """Report the statistics and contacts of the planner's failed search."""
+    """Report the statistics and contacts of the planner's failed search for a path."""
     evidence = diagnosis.result.evidence
     blocked = evidence.get("blocked_by", [])
     if "closest_approach_rad" in evidence:
@@ -70,7 +70,7 @@ def _report_search(diagnosis: Diagnosis) -> None:
 
 
 def _more_time(diagnosis: Diagnosis, request: PlanRequest) -> bool:
-    """Test whether longer planning times help, if the request allowed little time.
+    """Diagnose a failed search: test whether longer planning times help, if the request allowed little time.
 
     Five seconds without success are conclusive.
     """
@@ -110,7 +110,7 @@ def _other_planner(diagnosis: Diagnosis, request: PlanRequest) -> bool:
 
 
 def _less_padding(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the largest padding with which a path exists."""
+    """Find the largest padding with which a failed search finds a path."""
     scene = diagnosis.scene
     most = max([scene.padding, *scene.link_padding.values()])
     if most <= 0 or diagnosis.succeeds(padded(scene, 0.0), request, SHORT) is None:
@@ -133,7 +133,9 @@ def _less_padding(diagnosis: Diagnosis, request: PlanRequest) -> None:
 
 
 def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the fewest objects whose removal opens a path: one, two, or as many as necessary."""
+    """Find the fewest objects whose removal lets a failed search find a path: one, two, or as many as
+    necessary.
+    """
     names = _by_suspicion(diagnosis)
 
     def opens(gone: tuple[str, ...] | list[str]) -> bool:
@@ -173,7 +175,7 @@ def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
 
 
 def _by_suspicion(diagnosis: Diagnosis) -> list[str]:
-    """Sort the scene's objects; objects that the search touched come first."""
+    """Sort the scene's objects; objects that a failed search touched come first."""
     met = [n for c in diagnosis.contacts for n in (c.body_a, c.body_b)]
     return sorted(diagnosis.scene.objects, key=lambda name: (name not in met, name))
 
@@ -183,7 +185,7 @@ def _and(names: list[str]) -> str:
 
 
 def _not_so_far(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the reachable goal nearest to the requested goal.
+    """Find the reachable goal nearest to the goal of a failed search.
 
     The candidates are a few configurations between start and goal.
     """
@@ -244,7 +246,7 @@ def _joints_between(diagnosis: Diagnosis, goal: JointGoal | NamedGoal, share: fl
 
 
 def _too_weak(diagnosis: Diagnosis, joint: str, torque: float, limit: float) -> None:
-    """Explain a violated torque limit and suggest a smaller payload."""
+    """Explain a torque limit that no found path keeps, and suggest a smaller payload."""
     diagnosis.add_finding(f"{joint} takes {torque:.3g} to hold still, and has {limit:.3g} (Nm or N)")
     for name, body in diagnosis.scene.attached.items():
         low, high = 0.0, body.object.mass_kg

@@ -26,7 +26,7 @@ WITHIN = 1e-6  # [rad or m] inside a limit
 
 
 def explain_start_limits(diagnosis: Diagnosis) -> None:
-    """Report start joints outside their limits or not finite, and suggest valid values."""
+    """Diagnose start joints outside their limits or not finite, and suggest valid values."""
     model, q = diagnosis.scene.model, diagnosis.start_scene.positions
     wrong, mended = {}, {}
     usual = model.default_positions()
@@ -58,7 +58,7 @@ def explain_start_limits(diagnosis: Diagnosis) -> None:
 
 
 def explain_start_contact(diagnosis: Diagnosis) -> None:
-    """Report contacts at the start; suggest a free start, moved objects or allowed contact."""
+    """Diagnose contacts at the start state; suggest a free start, moved objects or allowed contact."""
     checker = KernelChecker(diagnosis.start_scene, diagnosis.joint_names)
     contacts = checker.exact.contacts(diagnosis.start, padded=False) or touching(checker, diagnosis.start)
     diagnosis.contacts, diagnosis.state = contacts, diagnosis.group_state(diagnosis.start)
@@ -93,7 +93,7 @@ def explain_start_contact(diagnosis: Diagnosis) -> None:
 
 
 def _report_departure(diagnosis: Diagnosis) -> None:
-    """Report why the motion cannot leave the contacts at the start by itself."""
+    """Report why the planner cannot leave the contacts at the start state."""
     deepest = max((-c.distance for c in diagnosis.contacts), default=0.0)
     if deepest > RESTING:
         diagnosis.add_finding(
@@ -111,7 +111,7 @@ ALIKE = 0.02  # [rad] largest difference of equal positions
 
 def explain_start(measured: JointState, planned: JointState, tolerance: float, code: ErrorCode,
                   message: str, seconds: float = 0.0) -> Explanation:  # fmt: skip
-    """Explain which measured joints differ from a motion's start, by how much, and what to do.
+    """Explain which measured joints differ from an invalid start state, by how much, and what to do.
 
     Args:
         planned: start of the motion. measured: state of the robot, with the same joints.
@@ -146,7 +146,9 @@ def explain_start(measured: JointState, planned: JointState, tolerance: float, c
 
 
 def start_from(scene: PlanningScene, request: PlanRequest, state: JointState) -> SceneAndRequest:
-    """Use the measured state as the scene's state, and drop the request's own start."""
+    """Suggested change of an invalid start: use the measured state as the scene's state, and drop the
+    request's own start.
+    """
     return change_request(scene.with_state(state), request, start=None)
 
 

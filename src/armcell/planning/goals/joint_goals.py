@@ -66,7 +66,7 @@ def find_joint_goals(
 
 
 class _GoalFilter:
-    """Filter of goal positions by collisions and workspace; records why it rejects positions."""
+    """Filter of joint goal positions by collisions and workspace; records why it rejects positions."""
 
     def __init__(self, validated: ValidatedRequest, checker: KernelChecker):
         self.validated, self.checker = validated, checker
@@ -74,7 +74,7 @@ class _GoalFilter:
         self.forbidden = ""
 
     def usable(self, q: Array) -> bool:
-        """Return whether positions q (n,) are free and allowed; record the reason if they are not."""
+        """Return whether goal positions q (n,) are free and allowed; record the reason if they are not."""
         if not self.checker.is_free(q):
             self.blocked.append(q)
             return False
@@ -87,7 +87,7 @@ class _GoalFilter:
         return list(islice((q for q in positions if self.usable(q)), count))
 
     def refusal(self) -> Outcome | None:
-        """Return the reason why all tested goal positions were rejected; None if none was tested."""
+        """Return the reason why all tested joint goals were rejected; None if none was tested."""
         if self.forbidden:
             return Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, f"goal: {self.forbidden}")
         contacts = [c for c in map(self.checker.exact.contacts, self.blocked[:BLOCKED]) if c]
@@ -189,7 +189,7 @@ DISTINCT = 1e-2  # [rad or m] goals with a smaller difference in every joint cou
 def stream_goals(
     validated: ValidatedRequest, checker: KernelChecker, known: Sequence[Array], seed: int
 ) -> Iterator[Array] | None:
-    """Yield further free goal positions (n,) while a search runs.
+    """Yield further collision-free goal positions (n,) while a planner's search runs.
 
     The positions of the request's goals alternate. Nothing is computed before the first position is
     requested. The result is None if the goals have no further positions.

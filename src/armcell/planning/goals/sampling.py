@@ -46,7 +46,7 @@ EQUIVALENTS = 4  # number of positions that differ by full turns
 
 
 def is_region(goal: Goal) -> bool:
-    """Return whether a goal has more joint solutions than the few that are tried first."""
+    """Return whether to sample a goal: it has more joint solutions than the few that are tried first."""
     return isinstance(goal, PoseGoal | ConstraintGoal) or (
         isinstance(goal, JointGoal) and goal.tolerance > WIDE[0]
     )
@@ -76,7 +76,7 @@ def sample_goal_positions(
 
 def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGoal, q: Array,
             slack: tuple[float, float] = (0.0, 0.0)) -> bool:  # fmt: skip
-    """Return whether positions q (n,) reach a goal within its tolerances or `slack` [m], [rad]."""
+    """Return whether positions q (n,) reach a sampled goal within its tolerances or `slack` [m], [rad]."""
     if isinstance(goal, ConstraintGoal):
         return satisfied(scene, group, goal.constraints, q)
     pose, wanted = MovedFrame(scene, group, goal.link).pose(q), goal.T_world_link
@@ -94,7 +94,7 @@ def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGo
 def _of_joints(
     scene: PlanningScene, group: str, goal: JointGoal, rng: np.random.Generator
 ) -> Iterator[Array]:
-    """Sample positions of a joint goal, first near the goal, then in the whole tolerance."""
+    """Sample positions of a joint goal: first near the goal, then in the whole tolerance."""
     names = scene.model.group(group).joint_names
     low, high = joint_ranges(scene, group, ())
     named = np.array([name in goal.state.joint_names for name in names])
@@ -107,7 +107,7 @@ def _of_joints(
 def whole_turn_equivalents(
     model: RobotModel, joint_names: tuple[str, ...], q: Array, start: Array
 ) -> list[Array]:
-    """List positions equal to q (n,) up to full turns of joints, nearest to the start first.
+    """List goal positions equal to q (n,) up to full turns of joints, nearest to the start first.
 
     Joints that drive a mimic joint at a non-integer ratio keep their position.
     """
@@ -155,7 +155,7 @@ def _random(ik: IKSolver, rng: np.random.Generator) -> Array:
 
 
 def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
-    """Sample a pose within a goal's tolerances: uniform in position and rotation vector.
+    """Sample a pose within a pose goal's tolerances: uniform in position and rotation vector.
 
     Position and rotation vector are uniform in balls. With three angular tolerances, the rotation vector is
     uniform in their box.
@@ -175,7 +175,7 @@ def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
 
 
 def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> SO3:
-    """Sample a random rotation whose rotation error is within tolerances (3,)."""
+    """Sample a random rotation of a pose goal whose rotation error is within tolerances (3,)."""
     most = np.minimum(np.where(tolerance < np.pi, SHARE * tolerance, np.pi), np.pi)
     for _ in range(TRIES):
         turn = rotation_of(rng.uniform(-most, most), parameterization)
@@ -192,7 +192,7 @@ def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> 
 def _of_constraints(
     scene: PlanningScene, group: str, wanted: Constraints, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample joint positions that satisfy goal constraints.
+    """Sample joint positions for a goal that is given by constraints.
 
     The sampler starts from the request's start or from random positions, and moves each of them to the
     nearest solution or to a random solution.
@@ -222,7 +222,7 @@ def _of_constraints(
 def _pulled(
     scene: PlanningScene, group: str, wanted: Constraints, q: Array, rng: np.random.Generator, clip: bool
 ) -> Array | None:
-    """Return positions near q (n,) at which the first constrained link meets its constraints."""
+    """Pull a goal sample q (n,) to positions at which the first constrained link meets its constraints."""
     first = (*wanted.positions, *wanted.orientations)[0]
     moved_frame = MovedFrame(scene, group, first.link)
     pose = moved_frame.pose(q)
@@ -256,7 +256,7 @@ def _rotation(
 def _point(
     scene: PlanningScene, c: PositionConstraint, present: Array, rng: np.random.Generator, keep: bool
 ) -> Array:
-    """Return a world point in the region of a position constraint.
+    """Sample a world point in the region of a goal's position constraint.
 
     The result is the current point if it is inside the region, otherwise a random point of the region.
     """

@@ -36,7 +36,7 @@ SEARCHES = 3  # searches, each for an earlier arrival than the last
 
 @dataclass(frozen=True, eq=False)
 class RunningMotion:
-    """Motion of an arm that begins at time `start` [s], in the past or future.
+    """Running motion of the other arm that begins at time `start` [s], in the past or future.
 
     The arm rests after the end of the motion.
     """
@@ -46,12 +46,12 @@ class RunningMotion:
 
     @property
     def end(self) -> float:
-        """End time [s] of the running motion."""
+        """End time [s] of the other arm's running motion."""
         return self.start + self.trajectory.duration
 
     @staticmethod
     def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
-        """Create the motion of an arm that rests at its position in the scene."""
+        """Create the running motion of another arm that rests at its position in the scene."""
         names = scene.model.group(group).joint_names
         return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
 
@@ -134,11 +134,11 @@ class MovingArmTimeline:
         self._room = np.concatenate([np.zeros(self.dof), self.room])
 
     def other_at(self, t: float) -> Array:
-        """Interpolate the other arm's joint positions at a time [s]."""
+        """Interpolate the moving arm's joint positions at a time [s]."""
         return np.array([np.interp(t, self.times, column) for column in self.points.T])
 
     def first_conflict(self, trajectory: JointTrajectory) -> float | None:
-        """Find the first time [s] at which a motion violates the clearance to the other arm.
+        """Find the first time [s] at which a motion violates the clearance to the other, moving arm.
 
         The arm rests after its motion. None if the motion and the rest keep the clearance.
         """
@@ -149,12 +149,14 @@ class MovingArmTimeline:
         return None if found.free else found.time
 
     def contact(self, trajectory: JointTrajectory, at: float) -> Contact | None:
-        """Find the nearest pair of bodies of the two arms at a time [s] of the planned motion."""
+        """Find the nearest bodies of the planned and the moving arm at a time [s] of the planned motion."""
         q = trajectory.sample(at - self.start_time)[0]
         return self.arms.contact(np.concatenate([q, self.other_at(at)]))
 
     def keeps_clearance(self, p: Array, s: float, q: Array, t: float, more: float = 0.0) -> bool:
-        """Return whether a straight motion (p, s) to (q, t) keeps the clearance plus `more` [m]."""
+        """Return whether a straight motion (p, s) to (q, t) keeps the clearance to the moving arm plus `more`
+        [m].
+        """
         inside = self.times[(self.times > s) & (self.times < t)]
         clock = np.concatenate([[s], inside, [t]]) if t > s else np.array([s])
         share = (clock - s) / (t - s) if t > s else np.zeros(1)
@@ -165,7 +167,7 @@ class MovingArmTimeline:
         return self.arms.find_too_close(points, self._room, self.clearance + more) < 0
 
     def free_after(self, q: Array, more: float) -> float:
-        """Compute the time [s] after which the arm may rest at joint positions q.
+        """Compute the time [s] after which the arm may rest at q without the moving arm coming near.
 
         The time is infinite if the other arm comes to rest too near.
         """
@@ -178,7 +180,7 @@ class MovingArmTimeline:
 
 
 def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointTrajectory | None:
-    """Delay a motion by the shortest wait that lets the other arm pass; None if no wait helps."""
+    """Delay a motion by the shortest wait that lets the other, moving arm pass; None if no wait helps."""
     start = trajectory.positions[0]
     longest = timeline.end - timeline.start_time + WAIT_STEP
     for k in range(1, int(np.ceil(longest / WAIT_STEP)) + 1):
@@ -192,7 +194,7 @@ def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointT
 
 
 class _TimelineValidity:
-    """Edge validity in time: free of the world at samples, and proven clear of the other arm."""
+    """Edge validity in time: free of the world at samples, and proven clear of the moving arm."""
 
     def __init__(self, checker: KernelChecker, timeline: MovingArmTimeline, margin: float):
         self.checker, self.timeline, self.margin = checker, timeline, margin
@@ -207,7 +209,7 @@ def _searched(
     alone: PlanningScene, timeline: MovingArmTimeline, request: PlanRequest, first: PlanResult, latest: float,
     deadline: float, cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in joint positions and time for a motion that arrives before `latest` [s].
+    """Search a motion around a moving arm in joint positions and time that arrives before `latest` [s].
 
     The search seeks the earliest arrival. Return a proven smooth motion or None.
     """
@@ -234,7 +236,7 @@ def _earliest(
     latest: float, deadline: float,
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search for the earliest arrival from the start of `endpoints` at the timeline's start.
+    """Search for the earliest arrival past a moving arm, from the start at its timeline's start.
 
     See `_searched`.
     """
@@ -282,7 +284,7 @@ def _earliest(
 
 
 def _horizon(problem: SpaceTimeProblem, timeline: MovingArmTimeline, arrivals: list[float]) -> float:
-    """Compute the latest arrival time [s] to search for.
+    """Compute the latest arrival time [s] to search for around the moving arm.
 
     The time suffices for a detour after the other arm has come to rest.
     """
@@ -294,7 +296,7 @@ def _smoothed(
     names: tuple[str, ...], path: SpaceTimePath, start_time: float, acceleration: Array,
     checker: KernelChecker, timeline: MovingArmTimeline,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Smooth a path in time; return the motion if it is certified collision-free, else None."""
+    """Smooth a path around a moving arm in time; return the motion if certified, else None."""
     times, points = path.times, path.points
     keep = np.concatenate([[True], np.diff(times) > 1e-6])
     times, points = times[keep], points[keep]

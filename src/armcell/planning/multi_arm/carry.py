@@ -57,7 +57,7 @@ POSTURES = 4  # joint solutions tried at the end of a detour
 
 @dataclass(frozen=True, eq=False)
 class CarrySegment:
-    """A timed motion of both arms along one object path, from rest to rest."""
+    """Segment of a two-arm carry: a timed motion of both arms along one object path, rest to rest."""
 
     trajectory: JointTrajectory
     path: Array  # (k, n) joint positions at evenly spaced shares of the path
@@ -66,7 +66,7 @@ class CarrySegment:
 
 @dataclass(frozen=True, eq=False)
 class BlockedSegment:
-    """Reason why an object path is not feasible: text, evidence and error code."""
+    """Reason why a two-arm carry's object path is not feasible: text, evidence and error code."""
 
     text: str
     evidence: dict[str, Any] = field(default_factory=dict)
@@ -151,7 +151,7 @@ def plan_carry(
 
 
 class _SegmentBuilder:
-    """Builder of certified timed motions along object paths.
+    """Builder of certified timed carry motions of two arms along object paths.
 
     Attributes:
         checker: checker of the given scene.
@@ -168,7 +168,7 @@ class _SegmentBuilder:
     def build(
         self, way: ObjectPath, q: Array, checker: KernelChecker, padded: bool = False, evidence: bool = False
     ) -> CarrySegment | BlockedSegment:
-        """Build the certified timed motion from joints q (dof,) along an object path.
+        """Build two arms' certified timed carry motion from joints q (dof,) along an object path.
 
         Args:
             padded: also keep the checker's padding.
@@ -206,14 +206,14 @@ class _SegmentBuilder:
         return CarrySegment(trajectory, path, exact[-1])
 
     def along(self, way: ObjectPath, q: Array) -> Array | ClosedChainFailure:
-        """Compute all joint positions (k, dof) at evenly spaced shares of an object path."""
+        """Compute two carrying arms' joint positions (k, dof) at evenly spaced shares of an object path."""
         steps = max(int(np.ceil(max(way.meters / STEP, way.radians / TURN))), 4)
         shares = np.linspace(0, 1, steps + 1)
         return self.hands.along(way.poses(shares), shares, q)
 
 
 class _DetourPlanner:
-    """Planner of a detour between two object poses: lift off the supports, go around, set down."""
+    """Planner of a two-arm carry's detour between object poses: lift off, go around, set down."""
 
     def __init__(
         self,
@@ -232,7 +232,7 @@ class _DetourPlanner:
     def plan(
         self, a: SE3, b: SE3, q: Array, blocked: BlockedSegment, seed: tuple[int, int]
     ) -> tuple[list[CarrySegment] | BlockedSegment, int]:
-        """Plan detour segments from joints q, with the object at a, to object pose b.
+        """Plan a two-arm carry's detour segments from joints q, with the object at a, to object pose b.
 
         Return the segments, or the reason why there are none, and the number of poses tried.
         """
@@ -271,7 +271,7 @@ class _DetourPlanner:
         return BlockedSegment(text, blocked.evidence, ErrorCode.TIMED_OUT), poses_tried
 
     def _ends(self, a: SE3, b: SE3, q: Array) -> list[Array] | BlockedSegment:
-        """Find joint positions at the goal pose of the object.
+        """Find joint positions of both arms at the goal pose of a carried object.
 
         The result contains the positions at the end of the straight path, otherwise the nearest ones.
         """
@@ -290,7 +290,7 @@ class _DetourPlanner:
         return free[:POSTURES]
 
     def _clear(self, T: SE3, q: Array) -> tuple[SE3, Array] | None:
-        """Return the object pose T or a pose above T with more clearance, with joint positions.
+        """Return a carried object's pose T or a pose above T with more clearance, with joint positions.
 
         Return None if the object touches at all these poses.
         """
@@ -308,7 +308,7 @@ class _DetourPlanner:
         return None
 
     def _made(self, a: SE3, q: Array, poses: list[SE3], b: SE3) -> list[CarrySegment] | None:
-        """Build segments from object pose a to the first pose, through all poses, and down to b."""
+        """Build carry segments of a detour: from object pose a through all poses and down to b."""
         up = self._straight([a, poses[0]], q, self.builder.checker)
         if up is None:
             return None
@@ -319,7 +319,7 @@ class _DetourPlanner:
         return None if down is None else [*up, *through, *down]
 
     def _through(self, poses: list[SE3], q: Array) -> list[CarrySegment] | None:
-        """Build one rounded segment through object poses, with padding if possible.
+        """Build one rounded carry segment through object poses, with padding if possible.
 
         If the rounded segment is not free, build straight segments with stops.
         """

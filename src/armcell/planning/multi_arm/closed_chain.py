@@ -34,7 +34,7 @@ JUMP = 0.2  # [rad] largest joint step between near poses; a larger step means a
 
 @dataclass(frozen=True, eq=False)
 class CarriedObject:
-    """An object held by two hands: by group, the pose of the hand's TCP in the object frame."""
+    """Object in a closed chain of two hands: by group, the pose of the hand's TCP in the object frame."""
 
     name: str
     grasps: Mapping[str, SE3]  # by group, T_object_tcp
@@ -51,7 +51,7 @@ class CarriedObject:
 
 @dataclass(frozen=True)
 class ClosedChainFailure:
-    """Reason why an arm cannot follow the carried object."""
+    """Reason why an arm of a closed chain cannot follow the carried object."""
 
     group: str
     share: float  # share of the path at which the arm fails
@@ -65,7 +65,7 @@ class ClosedChainFailure:
 
 
 class ClosedChainIK:
-    """Inverse kinematics of two arms that hold one object with fixed grasps.
+    """Closed-chain inverse kinematics of two arms that hold one object with fixed grasps.
 
     Positions `q` contain all joints (dof,).
     """
@@ -75,7 +75,7 @@ class ClosedChainIK:
         self.solvers = {g: ik_solver(scene.model, g, carried.tips[g]) for g in carried.grasps}
 
     def at(self, T: SE3, last: Array, share: float = 0.0, jump: float = JUMP) -> Array | ClosedChainFailure:
-        """Solve for all joints with the object at T (T_world_object), on the branch of `last`."""
+        """Solve the closed chain's joints with the object at T (T_world_object), on the branch of `last`."""
         new = last.copy()
         for group, ik in self.solvers.items():
             near = ik.nearest(T @ self.carried.grasps[group], last, among=8)
@@ -87,7 +87,7 @@ class ClosedChainIK:
         return new
 
     def along(self, poses: Sequence[SE3], shares: Array, q: Array) -> Array | ClosedChainFailure:
-        """Solve for all joints (k, dof) along object poses, each solution near the previous one."""
+        """Solve the closed chain's joints (k, dof) along object poses, each near the previous solution."""
         rows, last = [], q
         for T, share in zip(poses, shares, strict=True):
             last = self.at(T, last, float(share))
@@ -97,7 +97,7 @@ class ClosedChainIK:
         return np.array(rows)
 
     def postures(self, T: SE3, q: Array) -> list[Array] | ClosedChainFailure:
-        """List joint solutions with the object at T on both arms' branches, nearest to q first."""
+        """List closed-chain solutions with the object at T on both arms' branches, nearest to q first."""
         options = []
         for group, ik in self.solvers.items():
             options.append(ik.nearest(T @ self.carried.grasps[group], q, among=8))
@@ -125,19 +125,19 @@ SAME = 1e-3  # [rad] tolerance of equal joint positions
 
 @dataclass(frozen=True, eq=False)
 class SearchLimits:
-    """Deadline and cancel event of an object pose search."""
+    """Deadline and cancel event of a closed chain's search over object poses."""
 
     deadline: float  # [s] of time.monotonic()
     cancel: threading.Event
 
     @property
     def over(self) -> bool:
-        """Whether the object pose search is canceled or its deadline has passed."""
+        """Whether a closed chain's object pose search is canceled or its deadline has passed."""
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
 
 class _Tree:
-    """Search tree of object poses with the positions of all joints (dof,) at each pose."""
+    """RRT-Connect tree of object poses with a closed chain's joint positions (dof,) at each pose."""
 
     def __init__(self, radius: float):
         self.radius = radius
@@ -147,7 +147,7 @@ class _Tree:
         self.parents: list[int] = []
 
     def _key(self, T: SE3) -> Array:
-        """Map an object pose to 12 numbers whose differences measure translation and rotation."""
+        """Map an object pose to 12 tree coordinates whose differences measure translation and rotation."""
         return np.concatenate([T.translation, (self.radius / np.sqrt(2)) * T.rotation.matrix.ravel()])
 
     def add(self, T: SE3, q: Array, parent: int) -> int:
@@ -165,14 +165,14 @@ class _Tree:
         return int(np.argmin(np.einsum("ij,ij->i", gaps, gaps)))
 
     def branch(self, node: int) -> Iterator[SE3]:
-        """Yield the object poses from a tree node to the root."""
+        """Yield the object poses of an RRT-Connect tree from a node to the root."""
         while node >= 0:
             yield self.poses[node]
             node = self.parents[node]
 
 
 class ObjectPoseSearch:
-    """Search for a path from one object pose, with its joint positions, to another pose.
+    """RRT-Connect search over object poses of a closed chain: a path from one pose to another.
 
     Args:
         checker: checker of both arms' joints. q: all joints (dof,) at the start. ends: joint positions
@@ -195,7 +195,7 @@ class ObjectPoseSearch:
         self.low, self.high = corners.min(axis=0) - SPREAD, corners.max(axis=0) + SPREAD
 
     def find_poses(self) -> list[SE3] | None:
-        """Find object poses from start to goal, connected by straight motions and already shortened.
+        """Search object poses of a closed chain from start to goal, joined by straight, shortened motions.
 
         Return None if the search is stopped.
         """
@@ -224,7 +224,7 @@ class ObjectPoseSearch:
         return SE3(rotation, position)
 
     def _extend(self, tree: _Tree, target: SE3, most: int | None) -> tuple[int, bool] | None:
-        """Extend a tree toward an object pose by at most `most` strides.
+        """Extend an RRT-Connect tree toward an object pose by at most `most` strides.
 
         Return the new node and whether it is at the pose; None if no stride is possible.
         """
@@ -238,7 +238,9 @@ class ObjectPoseSearch:
         return tree.add(T, q, near), arrived
 
     def _walk(self, T: SE3, q: Array, target: SE3, most: int | None = None) -> tuple[SE3, Array, bool] | None:
-        """Move the object straight from T toward a pose until an arm cannot follow or bodies touch."""
+        """Move a closed chain's object straight from T toward a pose until an arm cannot follow or bodies
+        touch.
+        """
         meters, radians = T.distance_to(target)
         count = max(int(np.ceil(max(meters / STRIDE, radians / SWING))), 1)
         columns, at, arrived = self.checker.columns, None, False
@@ -255,7 +257,7 @@ class ObjectPoseSearch:
         return None if at is None else (at, q, arrived)
 
     def _shortened(self, poses: list[SE3]) -> list[SE3]:
-        """Shorten a path of object poses by straight shortcuts that the joints can follow."""
+        """Shorten a closed chain's path of object poses by straight shortcuts that the joints can follow."""
         joints = self._followed(poses, self.q)
         for _ in range(SHORTCUTS):
             if joints is None or len(poses) < 3 or self.limits.over:
@@ -284,7 +286,7 @@ class ObjectPoseSearch:
         return length(a, b, self.radius) > 1e-6
 
     def _followed(self, poses: Sequence[SE3], q: Array) -> list[Array] | None:
-        """Compute all joints at object poses, starting with q; None if the path is not free."""
+        """Compute a closed chain's joints at object poses, starting with q; None if the path is not free."""
         found = [q]
         for a, b in pairwise(poses):
             reached = self._walk(a, found[-1], b)
@@ -295,5 +297,5 @@ class ObjectPoseSearch:
 
     @property
     def poses_tried(self) -> int:
-        """Number of object poses in both search trees."""
+        """Number of object poses in both trees of the closed chain's search."""
         return len(self.ahead.parents) + len(self.back.parents)

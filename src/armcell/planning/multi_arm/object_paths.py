@@ -39,7 +39,7 @@ class ObjectPath(Protocol):
 
 
 class StraightObjectPath:
-    """Straight path of an object with even rotation between two poses."""
+    """Straight path of a carried object with even rotation between two poses."""
 
     def __init__(self, a: SE3, b: SE3):
         self.a, self.b = a, b
@@ -51,7 +51,7 @@ class StraightObjectPath:
 
 
 class RoundedObjectPath:
-    """Smooth path of an object through poses with cut corners: a uniform cubic B-spline.
+    """Smooth path of a carried object through poses with cut corners: a uniform cubic B-spline.
 
     The control poses are on the straight pieces. Positions are a B-spline in space, rotations the
     cumulative B-spline (Kim, Kim and Shin, "A general construction scheme for unit quaternion curves with
@@ -98,7 +98,7 @@ class RoundedObjectPath:
 
 
 def length(a: SE3, b: SE3, radius: float) -> float:
-    """Measure the distance [m] between two object poses, rotation included.
+    """Measure the distance [m] between two poses of a carried object, rotation included.
 
     A rotation counts as the motion of a point at the distance `radius` [m].
     """
@@ -107,7 +107,7 @@ def length(a: SE3, b: SE3, radius: float) -> float:
 
 
 def _evenly(through: Sequence[SE3], spacing: float, radius: float) -> list[SE3]:
-    """Place object poses at even distances on the straight pieces between the given poses."""
+    """Place object poses at even distances on the straight pieces of a carried object's path."""
     ends = np.concatenate([[0.0], np.cumsum([length(a, b, radius) for a, b in pairwise(through)])])
     count = max(int(np.ceil(ends[-1] / spacing)), 3)
     out = []
@@ -120,7 +120,7 @@ def _evenly(through: Sequence[SE3], spacing: float, radius: float) -> list[SE3]:
 def time_law(
     path: Array, way: ObjectPath, velocity: Array, acceleration: Array, max_speed: float
 ) -> tuple[Array, Array]:
-    """Compute the fastest time law of an object path within joint limits and object speed.
+    """Compute the fastest time law along a carried object's path within joint limits and object speed.
 
     Return times (m,) and shares (m,) of the path. The time law is one quintic from rest to rest; a rounded
     path is slower at its bends.
@@ -149,7 +149,7 @@ def time_law(
 def _paced(
     path: Array, way: ObjectPath, velocity: Array, acceleration: Array, max_speed: float
 ) -> tuple[Array, Array]:
-    """Compute the fastest time law of a rounded object path.
+    """Compute the fastest time law along a carried object's rounded path.
 
     Bends and speed changes share the acceleration limits. A moving average over time then makes the
     acceleration continuous; the object stays exactly on its path.
@@ -181,7 +181,7 @@ def _paced(
 
 
 def _quintic(x: Array) -> tuple[Array, Array, Array]:
-    """Evaluate the quintic from 0 to 1 from rest to rest: value, first and second derivative."""
+    """Evaluate an object path's quintic time law 0 to 1, rest to rest: value, first and second derivative."""
     return (
         x**3 * (10 - 15 * x + 6 * x**2),
         30 * x**2 * (1 - x) ** 2,
@@ -190,14 +190,14 @@ def _quintic(x: Array) -> tuple[Array, Array, Array]:
 
 
 def cubic_spline(x: Array, y: Array, **options: Any) -> CubicSpline:
-    """Return SciPy's cubic spline through points (m, n)."""
+    """Return SciPy's cubic spline through points (m, n) of an object path."""
     from scipy.interpolate import CubicSpline  # a third of a second, which other plans need not wait for
 
     return CubicSpline(x, y, **options)
 
 
 def derivatives(times: Array, q: Array) -> tuple[Array, Array]:
-    """Compute velocities and accelerations of the cubic spline through positions (m, n)."""
+    """Compute velocities and accelerations for an object path's spline through joint positions (m, n)."""
     spline = cubic_spline(times, q, bc_type="clamped")
     v, a = spline(times, 1), spline(times, 2)
     v[0] = v[-1] = a[0] = a[-1] = 0.0

@@ -25,14 +25,14 @@ SHORTCUTS = 150
 
 
 class EdgeValidity(Protocol):
-    """Protocol of the validity check of an edge in time from (p, s) to (q, t)."""
+    """Protocol of the validity check of a space-time edge from (p, s) to (q, t)."""
 
     def free(self, p: Array, s: float, q: Array, t: float) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False)
 class SpaceTimeProblem:
-    """A start (n,) at a time, and goals (g, n) with the earliest time [s] of rest at each goal."""
+    """Space-time search problem: a start (n,) at a time, goals (g, n) with earliest times of rest [s]."""
 
     validity: EdgeValidity
     start: Array
@@ -44,11 +44,11 @@ class SpaceTimeProblem:
     upper: Array
 
     def quickest(self, p: Array, q: Array) -> float:
-        """Compute the shortest time [s] of a motion between two joint positions."""
+        """Compute the shortest time [s] of a space-time motion between two joint positions."""
         return float(np.max(np.abs(q - p) / self.speed))
 
     def arrival(self, goal: int) -> float:
-        """Compute the earliest arrival time [s] at a goal."""
+        """Compute the earliest arrival time [s] at a goal of a space-time search."""
         return max(
             self.start_time + self.quickest(self.start, self.goals[goal]), float(self.goals_from[goal])
         )
@@ -56,7 +56,7 @@ class SpaceTimeProblem:
 
 @dataclass(frozen=True, eq=False)
 class SpaceTimePath:
-    """Path in time: joint positions (k, n) at times (k,) [s], with constant speed between them.
+    """Space-time path: joint positions (k, n) at times (k,) [s], with constant speed between them.
 
     `nodes` is the number of nodes in both search trees.
     """
@@ -67,7 +67,7 @@ class SpaceTimePath:
 
 
 class _Tree:
-    """Search tree of nodes (q, t) with parents; sign 1 grows into the future, -1 into the past."""
+    """Space-time search tree of nodes (q, t) with parents; sign 1 grows into the future, -1 into the past."""
 
     def __init__(self, dof: int, sign: int):
         self.q, self.t = np.empty((256, dof)), np.empty(256)
@@ -87,7 +87,7 @@ class _Tree:
         return n
 
     def nearest(self, q: Array, t: float, speed: Array) -> int:
-        """Find the nearest tree node from which (q, t) is reachable in time; -1 if none exists."""
+        """Find the nearest space-time tree node from which (q, t) is reachable in time; -1 if none exists."""
         n = len(self)
         gap = self.sign * (t - self.t[:n])
         away = np.abs(self.q[:n] - q)
@@ -111,7 +111,7 @@ def search(
     deadline: float,
     iterations: int = 30_000,
 ) -> SpaceTimePath | None:
-    """Search in time for a path that arrives before `horizon` [s]; None if none was found.
+    """Search in space and time for a path that arrives before `horizon` [s]; None if none was found.
 
     Args:
         deadline: [s] of time.monotonic(). iterations: each grows one tree and then connects the other.
@@ -163,7 +163,7 @@ def _sample(problem: SpaceTimeProblem, tree: _Tree, horizon: float, rng: np.rand
 
 
 def _extend(problem: SpaceTimeProblem, tree: _Tree, q: Array, t: float) -> int:
-    """Add one edge toward (q, t) to a search tree; return the new node, or -1."""
+    """Add one edge toward (q, t) to a space-time search tree; return the new node, or -1."""
     node = tree.nearest(q, t, problem.speed)
     if node < 0:
         return -1
@@ -193,7 +193,7 @@ def _joined(problem, ahead: _Tree, back: _Tree, end: int, reached: int, from_ahe
 def shortened(
     problem: SpaceTimeProblem, path: SpaceTimePath, rng: np.random.Generator, deadline: float
 ) -> SpaceTimePath:
-    """Remove corners from a path in time and make it arrive earlier if possible."""
+    """Remove corners from a space-time path and make it arrive earlier if possible."""
     points, times = list(path.points), list(path.times)
     for _ in range(SHORTCUTS):
         if len(points) < 3 or time.monotonic() > deadline:

@@ -35,7 +35,7 @@ TRIES = 3  # pairs of separate plans with different seeds before planning both a
 
 @dataclass(frozen=True)
 class SynchronizedPlan(Outcome):
-    """Two arm motions of equal duration, by group and as one trajectory.
+    """Synchronized plan of two arms: motions of equal duration, by group and as one trajectory.
 
     Both are None unless planning succeeded.
     """
@@ -55,7 +55,7 @@ def plan_synchronized(
     clearance: float = CLEARANCE,
     template: PlanRequest | None = None,
 ) -> SynchronizedPlan:
-    """Plan motions of two arms that start and end at the same time and keep a clearance.
+    """Plan synchronized motions of two arms: equal start and end time, with a clearance.
 
     Each arm is planned without the other, the shorter motion is stretched to the longer duration, and the
     timed pair is proven. If the proof fails, planning repeats with other seeds, then plans both arms as one
@@ -134,7 +134,7 @@ def _done(
 
 
 def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] | Outcome:
-    """Choose collision-free joint positions for both arms' goals, nearest to the start first."""
+    """Choose both arms' goals for synchronized motions: collision-free and nearest to the start first."""
     found, starts = [], []
     for group, request in requests.items():
         endpoints = find_start_and_goals(validate_request(scenes[group], request))

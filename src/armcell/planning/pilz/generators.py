@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def synchronized_profile(step: Array, velocity: Array, acceleration: Array, deceleration: Array) -> Trapezoid:
-    """Compute the fastest common trapezoidal profile over s in 0..1 for joint steps (n,).
+    """Compute PTP's fastest common trapezoidal profile over s in 0..1 for joint steps (n,).
 
     MoveIt applies the group's strictest limits to every joint. Here each joint has its own limits: if all
     limits are equal, the motion equals MoveIt's; otherwise it is at least as fast.
@@ -50,7 +50,7 @@ def synchronized_profile(step: Array, velocity: Array, acceleration: Array, dece
 
 @pipelines[PILZ].register("PTP")
 def ptp(command: MotionCommand) -> GeneratedMotion | Outcome:
-    """Generate a point-to-point motion: all joints start, cruise, brake and end together."""
+    """Generate a PTP motion: all joints start, cruise, brake and end together."""
     if np.max(np.abs(command.goal - command.start)) <= AT_GOAL:
         return command.standing()
     names, request = command.validated.joint_names, command.request
@@ -69,7 +69,7 @@ def ptp(command: MotionCommand) -> GeneratedMotion | Outcome:
 
 @pipelines[PILZ].register("LIN")
 def lin(command: MotionCommand) -> GeneratedMotion | Outcome:
-    """Generate a straight-line motion of the tip with even rotation."""
+    """Generate a LIN motion: the tip on a straight line with even rotation."""
     moved_frame = command.moved_frame()
     line = Line(moved_frame.pose(command.start), command.goal_pose(moved_frame))
     if max(line.length, line.angle) > AT_GOAL:
@@ -87,7 +87,7 @@ def lin(command: MotionCommand) -> GeneratedMotion | Outcome:
 def generate_along_path(
     command: MotionCommand, path: TipPath, moved_frame: MovedFrame
 ) -> GeneratedMotion | Outcome:
-    """Generate a motion of the tip along a path within the joint limits."""
+    """Generate a LIN or CIRC motion of the tip along its path within the joint limits."""
     ik = solver_for(moved_frame, command.request.group)
     curve = follow_path(path, moved_frame, ik, command.start, command.goal_joints, command.stopped)
     if isinstance(curve, Outcome):
@@ -100,7 +100,7 @@ def generate_along_path(
 
 @pipelines[PILZ].register("CIRC")
 def circ(command: MotionCommand) -> GeneratedMotion | Outcome:
-    """Generate a circular motion of the tip, through an interim point or around a center."""
+    """Generate a CIRC motion of the tip, through an interim point or around a center."""
     kind, point, link = auxiliary_point(command.validated)
     moved_frame = command.moved_frame(link)
     start, goal = moved_frame.pose(command.start), command.goal_pose(moved_frame)

@@ -20,7 +20,7 @@ RADIUS_DIFFERENCE = 1e-2  # [m] allowed between both ends' distances from the ce
 
 
 class TipPath(Protocol):
-    """Protocol of a tip path: a pose for every s in 0..1.
+    """Protocol of a LIN or CIRC tip path: a pose for every s in 0..1.
 
     Position and orientation change evenly with s.
     """
@@ -38,14 +38,14 @@ class TipPath(Protocol):
 
 
 class Line:
-    """Straight tip path between two poses."""
+    """Straight tip path of LIN between two poses."""
 
     def __init__(self, start: SE3, goal: SE3):
         self.start, self.goal = start, goal
 
     @cached_property
     def turn(self) -> Array:
-        """Whole rotation of the line as a vector (3,) in the start's axes [rad]."""
+        """Whole rotation of a LIN tip path as a vector (3,) in the start's axes [rad]."""
         return (self.start.rotation.inv() @ self.goal.rotation).log()
 
     @property
@@ -64,7 +64,7 @@ class Line:
 
 
 class Arc(Line):
-    """Circular tip path between two poses.
+    """Circular tip path of CIRC between two poses.
 
     Args:
         axis: (3,) unit vector; the arc turns about it by `sweep` [rad], right-handed.
@@ -89,7 +89,7 @@ class Arc(Line):
 
 
 def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
-    """Compute the circular arc from start to goal through an interim point (3,) [m]."""
+    """Compute CIRC's arc from start to goal through an interim point (3,) [m]."""
     a, b = interim - start.translation, goal.translation - start.translation
     normal = np.cross(a, b)
     size = float(np.linalg.norm(normal))
@@ -107,7 +107,7 @@ def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
 
 
 def arc_around(start: SE3, goal: SE3, center: Array) -> Arc | Outcome:
-    """Compute the shorter circular arc from start to goal around a center (3,) [m].
+    """Compute CIRC's shorter arc from start to goal around a center (3,) [m].
 
     A center that is not exactly equidistant from start and goal is moved until it is: the arc keeps its
     radius and ends in the goal.
@@ -141,14 +141,14 @@ def _no_arc(why: str, hint: str) -> Outcome:
 
 
 class Curve(Protocol):
-    """Protocol of a twice continuously differentiable joint curve over s."""
+    """Protocol of a Pilz motion's joint curve: twice continuously differentiable over s."""
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """Evaluate joint positions and their first and second derivatives (m, n) at s (m,)."""
+        """Evaluate a Pilz joint curve's positions and first and second derivatives (m, n) at s (m,)."""
         ...
 
     def polyline(self, sagitta: float) -> tuple[Array, Array]:
-        """Sample points (k, n) on the joint curve.
+        """Sample points (k, n) on the joint curve of a Pilz motion.
 
         Return the points and the largest deviation (n,) of the curve from their chords.
         """
@@ -156,7 +156,7 @@ class Curve(Protocol):
 
 
 class JointLine:
-    """Straight joint curve between two joint positions."""
+    """Straight joint curve of PTP between two joint positions."""
 
     def __init__(self, start: Array, goal: Array):
         self.start, self.step = start, goal - start
@@ -170,7 +170,7 @@ class JointLine:
 
 
 class JointSpline:
-    """Joint curve that is a cubic spline through points (k, n) at x (k,).
+    """Joint curve of a LIN or CIRC motion: a cubic spline through points (k, n) at x (k,).
 
     Args:
         ends: first derivatives (2, n) at both ends, if specified.
@@ -207,7 +207,7 @@ AIMS = 4
 
 
 def solver_for(moved_frame: MovedFrame, group: str) -> IKSolver:
-    """Return an inverse kinematics solver with tight tolerances for a moved frame."""
+    """Return a LIN or CIRC path's inverse kinematics solver, with tight tolerances for the moved frame."""
     return ik_solver(moved_frame.scene.model, group, moved_frame.link, EXACT)
 
 
@@ -219,7 +219,7 @@ def follow_path(
     goal: Array | None = None,
     stopped: Callable[[], Outcome | None] = lambda: None,
 ) -> JointSpline | Outcome:
-    """Solve inverse kinematics along a tip path and return a joint curve over s in 0..1.
+    """Solve inverse kinematics along a LIN or CIRC tip path and return a joint curve over s in 0..1.
 
     Args:
         start: positions (n,) at the beginning of the path.
@@ -249,7 +249,7 @@ def follow_path(
 def _led(
     path: TipPath, moved_frame: MovedFrame, ik: IKSolver, start: Array, goal: Array | None, count: int
 ) -> Array | Outcome:
-    """Compute IK solutions (count + 1, n) along a tip path that end at the goal (n,), if given."""
+    """Compute IK solutions (count + 1, n) along a LIN or CIRC path that end at the goal (n,), if given."""
     points = _solutions(path, moved_frame, ik, start, goal, count)
     if goal is None:
         return points
@@ -274,7 +274,7 @@ def _led(
 def _solutions(
     path: TipPath, moved_frame: MovedFrame, ik: IKSolver, start: Array, goal: Array | None, count: int
 ) -> Array | Outcome:
-    """Solve for each pose of a tip path (count + 1, n), starting from the previous solution."""
+    """Solve each pose of a LIN or CIRC path (count + 1, n), starting from the previous solution."""
     q = moved_frame.full(start)
     points = [start]
     for k in range(1, count + 1):
@@ -289,7 +289,7 @@ def _solutions(
 
 
 def _sideways(ik: IKSolver, q: Array, wish: Array) -> Array:
-    """Project a joint step (n,) onto the tip's null space (zero for an arm with six joints)."""
+    """Project a joint step (n,) along a LIN or CIRC path onto the tip's null space (zero for 6 joints)."""
     J = ik.tree.jacobian(q, ik.tip_link, ik.joint_names)
     return wish - np.linalg.pinv(J, rcond=1e-4) @ (J @ wish)
 
@@ -308,7 +308,7 @@ def _stops(path: TipPath, ik: IKSolver, last: Array, s: float, meters: float, ra
 def _largest_error(
     path: TipPath, moved_frame: MovedFrame, curve: JointSpline, count: int
 ) -> tuple[float, float]:
-    """Find the tip's largest deviation half-way between solutions [m or rad] and its location."""
+    """Find the tip's largest deviation [m or rad] from a LIN or CIRC path half-way between solutions."""
     middles = (np.arange(count) + 0.5) / count
     errors = [
         max(moved_frame.pose(q).distance_to(path.pose(s)))

@@ -52,7 +52,7 @@ BISECTIONS = 40
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """A blend that replaces the end of one motion and the beginning of the next.
+    """Blend that replaces the end of one motion of a sequence and the beginning of the next.
 
     Attributes:
         leaves: time [s] in the first motion at which the blend begins.
@@ -69,7 +69,7 @@ class Blend:
 def blend_motions(
     first: JointTrajectory, second: JointTrajectory, radius: float, moved_frame: MovedFrame, ik: IKSolver
 ) -> Blend | Outcome:
-    """Blend one motion into the next inside a sphere of `radius` [m] around their corner."""
+    """Blend a sequence's motion into the next inside a sphere of `radius` [m] around their corner."""
     corner = moved_frame.pose(first.positions[-1]).translation
 
     def outside(trajectory: JointTrajectory, t: float) -> bool:
@@ -88,7 +88,7 @@ def blend_motions(
 
 
 def _border(outside, far: float, near: float) -> float:
-    """Find the time at which the tip crosses the sphere, between an outside and an inside time."""
+    """Find the time at which the tip crosses a blend's sphere, between an outside and an inside time."""
     for _ in range(BISECTIONS):
         middle = (far + near) / 2
         far, near = (middle, near) if outside(middle) else (far, middle)
@@ -133,7 +133,7 @@ SPEED_ROUNDING = 1.001
 
 @dataclass(frozen=True, eq=False)
 class _Item:
-    """A planned motion of the sequence, with the scene at the beginning of the motion."""
+    """A planned motion of a PTP, LIN, CIRC sequence, with the scene at the beginning of the motion."""
 
     scene: PlanningScene
     request: PlanRequest
@@ -245,13 +245,13 @@ def _check_kept(request: PlanRequest, name: str) -> None:
 
 
 def _placed(scene: PlanningScene, request: PlanRequest) -> MovedFrame:
-    """Return the frame that the blend radius refers to: the goal's link, or the group's tip."""
+    """Return the frame that a sequence's blend radius refers to: the goal's link, or the group's tip."""
     named = [goal.link for goal in request.goals if isinstance(goal, PoseGoal)]
     return MovedFrame(scene, request.group, named[0] if named else None)
 
 
 def _blends(items: list[_Item]) -> list[Blend | None] | Outcome:
-    """Compute and certify the blends between motions, or report which blend is invalid."""
+    """Compute and certify the blends between motions of a sequence, or report which blend is invalid."""
     if (overlap := _overlap(items)) is not None:
         return overlap
     blends: list[Blend | None] = []
@@ -275,7 +275,7 @@ def _blends(items: list[_Item]) -> list[Blend | None] | Outcome:
 
 
 def _overlap(items: list[_Item]) -> Outcome | None:
-    """Return an Outcome if the spheres of two consecutive blends overlap, else None."""
+    """Return an Outcome if the spheres of two consecutive blends of a sequence overlap, else None."""
     for number, (a, b) in enumerate(pairwise(items)):
         if a.radius == 0 or b.radius == 0:
             continue
@@ -312,7 +312,7 @@ def _blend(first: _Item, second: _Item, number: int) -> Blend | Outcome:
 
 
 def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
-    """Return why a blend violates a speed limit or workspace of its two motions, else None."""
+    """Return why a sequence's blend violates a speed limit or workspace of its two motions, else None."""
     request, speed = item.request, item.request.max_cartesian_speed
     if speed is not None:
         moved_frame = MovedFrame(item.scene, request.group, request.speed_link)
@@ -330,7 +330,7 @@ def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
 def _joined(
     scene: PlanningScene, items: list[_Item], blends: list[Blend | None]
 ) -> tuple[JointTrajectory, dict]:
-    """Concatenate motions and blends to one trajectory.
+    """Concatenate a sequence's motions and blends to one trajectory.
 
     Return it with the start and end [s] of each motion and blend.
     """

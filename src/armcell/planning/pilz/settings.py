@@ -21,7 +21,7 @@ FILE_KEY = "cartesian_limits"  # of pilz_cartesian_limits.yaml
 
 @dataclass(frozen=True)
 class CartesianLimits:
-    """Cartesian limits of the tip; defaults as in MoveIt's pilz_cartesian_limits.yaml."""
+    """Cartesian limits of LIN and CIRC motions; defaults as in MoveIt's pilz_cartesian_limits.yaml."""
 
     max_trans_vel: float = 1.0  # [m/s]
     max_trans_acc: float = 2.25  # [m/s^2]
@@ -30,7 +30,7 @@ class CartesianLimits:
 
     @property
     def equivalent_radius(self) -> float:
-        """Path length [m] that is equivalent to a rotation by one radian.
+        """Path length [m] that LIN and CIRC settings equate with a rotation by one radian.
 
         With it, a motion reaches both speed limits together.
         """

@@ -16,7 +16,7 @@ CLOSE = 5e-4  # [s] switching times with a smaller difference get one point
 
 @dataclass(frozen=True)
 class Trapezoid:
-    """Trapezoidal velocity profile from rest to rest, like MoveIt's ATrap.
+    """Trapezoidal velocity profile of a Pilz motion from rest to rest, like MoveIt's ATrap.
 
     Attributes:
         speed: of the middle phase.
@@ -45,7 +45,7 @@ class Trapezoid:
         return self.speed * (self.up / 2 + self.flat + self.down / 2)
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate the integral of position, the position and the speed at times (m,).
+        """Evaluate a trapezoidal profile: integral of position, position and speed at times (m,).
 
         The profile is at rest before its start and after its end.
         """
@@ -67,7 +67,7 @@ class Trapezoid:
 
 @dataclass(frozen=True)
 class Profile:
-    """Trapezoidal velocity profile averaged over a time window.
+    """Pilz velocity profile: a trapezoid whose corners a moving average over a time window rounds.
 
     The averaged profile is never faster, has no higher acceleration, and is longer by `window` [s], because
     an average of values within a limit stays within it. Its acceleration is piecewise linear.
@@ -81,14 +81,14 @@ class Profile:
         return self.trapezoid.duration + self.window
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate position, speed and acceleration of the averaged profile at times (m,)."""
+        """Evaluate position, speed and acceleration of the averaged velocity profile at times (m,)."""
         t = np.asarray(t, dtype=float)
         now, then = self.trapezoid.at(t), self.trapezoid.at(t - self.window)
         place, speed, acceleration = ((a - b) / self.window for a, b in zip(now, then, strict=True))
         return place, speed, acceleration
 
     def times(self) -> Array:
-        """Compute the times of trajectory points for the averaged profile.
+        """Compute the times of trajectory points for the averaged velocity profile.
 
         Points are at the corners of the acceleration and, between them, at most `SAMPLE_TIME` apart.
         """

@@ -57,7 +57,7 @@ class AnytimeSettings:
 
 @dataclass(frozen=True, eq=False)
 class AnytimeResult:
-    """Result of the anytime planner: the shortest path found, every edge proven free, or None.
+    """Result of AORRTC: the shortest path found, every edge proven free, or None.
 
     Attributes:
         history: (seconds of wall time, iterations, cost [rad]) of every improvement, beginning with the
@@ -91,7 +91,7 @@ class AnytimePlanner:
         self, start: Array, goals: Array, lower: Array, upper: Array, seed: int = 0,
         stop: NDArray[np.int64] | None = None,
     ) -> AnytimeResult:  # fmt: skip
-        """Return the shortest path found until `stop` is set or the iterations are used up.
+        """Run AORRTC; return the shortest path found until `stop` is set or the iterations are used up.
 
         Args:
             goals: (g, dof). stop: an int64 array (1,) that another thread writes to.
@@ -147,7 +147,7 @@ class AnytimePlanner:
         return AnytimeResult(best, history, iterations, most, rounds)
 
     def improve(self, roots, lower, upper, bound, random, stop, iterations) -> tuple[int, int, int]:
-        """Search for a path shorter than `bound` [rad] and write it to the native planner's `path`.
+        """Search by AORRTC for a path shorter than `bound` [rad]; write it to the native planner's `path`.
 
         See `aorrtc`.
 
@@ -161,7 +161,7 @@ class AnytimePlanner:
         )  # fmt: skip
 
     def _polished(self, path: Array, rng: np.random.Generator, stop: NDArray[np.int64]) -> Array | None:
-        """Cut a path's edges at random points and simplify the path again.
+        """Cut the edges of AORRTC's path at random points and simplify the path again.
 
         Return None if the path gets too long.
         """
@@ -177,7 +177,7 @@ class AnytimePlanner:
 
 
 def length(path: Array) -> float:
-    """Compute a path's length [rad]: the sum of the edges' norms in joint space."""
+    """Compute the length [rad] that AORRTC minimizes: the sum of a path's edge norms in joint space."""
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 

@@ -53,7 +53,7 @@ def optimize_chomp(
     cost: ObstacleCost, path: Array, lower: Array, upper: Array, settings: CHOMPSettings,
     is_free: Callable[[Array], bool], stopped: Callable[[], bool], at_least: int = 0,
 ) -> Descent:  # fmt: skip
-    """Optimize a path (m, n) by CHOMP with fixed ends.
+    """Optimize a path (m, n) by CHOMP's gradient descent with fixed ends.
 
     Args:
         lower, upper: (n,) joint limits.

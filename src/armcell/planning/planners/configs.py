@@ -26,7 +26,7 @@ WITHOUT_EFFECT = {
 
 @dataclass(frozen=True, eq=False)
 class PlannerChoice:
-    """A planner with its settings, and the configuration keys that have no effect."""
+    """A request's chosen planner with its settings, and configuration keys without effect."""
 
     planner: Planner
     planner_id: str
@@ -74,7 +74,7 @@ def _mapping(value: Any, what: str) -> Mapping[str, Any]:
 
 
 def _config(request: PlanRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return the request's planner configuration and the group's own configuration keys.
+    """Return the request's entry of ompl_planning.yaml and the group's own configuration keys.
 
     Both are empty if the request has no configuration.
     """
@@ -107,7 +107,7 @@ def _config(request: PlanRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]
 
 
 def _options(values: Mapping[str, Any]) -> tuple[SpaceOptions, set[str], dict[str, Any]]:
-    """Split configuration values into space options, ignored keys and planner parameters."""
+    """Split a planner configuration's values into space options, ignored keys and planner parameters."""
     rest = dict(values)
     ignored = {key for key in rest if key in WITHOUT_EFFECT}
     for key in ignored:
@@ -135,7 +135,7 @@ def _number(key: str, value: Any) -> float:
 
 
 def _projection(text: Any) -> tuple[str, ...]:
-    """Parse the joint names of MoveIt's projection evaluator `joints(a,b)`."""
+    """Parse the joints of a planner configuration's projection evaluator `joints(a,b)`."""
     if not text:
         return ()
     if not isinstance(text, str) or not (text.startswith("joints(") and text.endswith(")")):

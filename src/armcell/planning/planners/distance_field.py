@@ -27,7 +27,7 @@ MOST_POINTS = 4_000_000
 
 
 class DistanceField:
-    """Signed distances [m] to some objects on a grid; negative inside the objects.
+    """Signed distance field: distances [m] to objects on a grid; negative inside the objects.
 
     Attributes:
         low: the first grid point (3,) in the world [m]. step: distance between grid points [m].
@@ -70,11 +70,11 @@ class DistanceField:
         np.minimum(part, distance.astype(np.float32), out=part)
 
     def distances(self, points: F32) -> F32:
-        """Interpolate the distances of points (m, 3) [m] linearly; clamp points to the grid."""
+        """Interpolate the distance field at points (m, 3) [m] linearly; clamp points to the grid."""
         return self._look(points, False)[0]
 
     def gradients(self, points: F32) -> tuple[F32, F32]:
-        """Interpolate the distances (m,) of points and the gradients (m, 3) of the distances."""
+        """Interpolate the distance field (m,) and its gradients (m, 3) at points."""
         return self._look(points, True)
 
     def _look(self, points: F32, gradient: bool) -> tuple[F32, F32]:
@@ -106,7 +106,7 @@ _fields: LruCache[DistanceField] = LruCache(8)
 
 
 def distance_field(objects: tuple[CollisionObject, ...], low: Array, high: Array) -> DistanceField:
-    """Return the distance field of objects; the fields of the last few worlds are cached."""
+    """Return the signed distance field of objects; the fields of the last few worlds are cached."""
     key = (objects, low.tobytes(), high.tobytes())
     return _fields.get(key, lambda: DistanceField(objects, low, high))
 
@@ -119,7 +119,7 @@ def _bounds(T_world_shape, shape: Shape) -> tuple[Array, Array]:
 
 
 def _outside(over: Array) -> Array:
-    """Combine the distances beyond each face (..., k) [m] to a signed distance."""
+    """Combine the distances beyond each face (..., k) [m] of a solid to a distance field's value."""
     return np.linalg.norm(np.maximum(over, 0.0), axis=-1) + np.minimum(over.max(axis=-1), 0.0)
 
 
@@ -143,7 +143,7 @@ _EXACT: dict[type, Callable[..., Array]] = {
 
 
 def _drawn(shape: Shape, T: Array, low: Array, step: float, counts: tuple[int, ...]) -> Array:
-    """Rasterize a shape into a part of the grid and compute distances to the shape."""
+    """Rasterize a shape into a part of the distance field's grid and compute distances to it."""
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
     points, room = _surface(shape, step)
@@ -161,7 +161,7 @@ def _drawn(shape: Shape, T: Array, low: Array, step: float, counts: tuple[int, .
 
 
 def _surface(shape: Shape, step: float) -> tuple[Array, float]:
-    """Sample a shape's surface densely enough to reach every grid cell on it.
+    """Sample a shape's surface densely enough to reach every distance field cell on it.
 
     Return points (k, 3) and a radius [m].
     """

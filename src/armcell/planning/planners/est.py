@@ -38,7 +38,7 @@ class ESTSettings:
 
 
 class _Tree:
-    """Search tree: nodes with their parents and neighbor counts."""
+    """EST's search tree: nodes with their parents and neighbor counts."""
 
     def __init__(self, root: Array, size: int, radius: float):
         self._q = np.empty((size, len(root)))
@@ -55,7 +55,7 @@ class _Tree:
         self.size += 1
 
     def draw(self, rng: np.random.Generator) -> int:
-        """Draw a tree node with probability inversely proportional to its neighbor count."""
+        """Draw a node of EST's tree with probability inversely proportional to its neighbor count."""
         chances = np.cumsum(1.0 / (self._neighbors[: self.size] + 1.0))
         return int(np.searchsorted(chances, rng.random() * chances[-1]))
 
@@ -63,7 +63,7 @@ class _Tree:
         return self._q[i]
 
     def path_to(self, i: int) -> list[Array]:
-        """Return the path from the tree's root to a node."""
+        """Return the path from the root of EST's tree to a node."""
         path = []
         while i >= 0:
             path.append(self._q[i].copy())
@@ -73,7 +73,7 @@ class _Tree:
 
 @pipelines["native"].register("EST")
 def est(problem: Problem) -> PlannerResult:
-    """Plan by EST and return the first path found.
+    """Plan by EST (expansive space trees) and return the first path found.
 
     The pipeline simplifies and certifies the path.
     """

@@ -13,7 +13,7 @@ F32 = NDArray[np.float32]
 
 
 class RobotSpheres:
-    """Spheres that approximate the bodies that a planning group moves.
+    """Spheres for the obstacle cost that approximate the bodies a planning group moves.
 
     The spheres come from the kernel's pack. Shapes use s for spheres and m for configurations.
 
@@ -56,7 +56,7 @@ class RobotSpheres:
         self._of_frame = [np.flatnonzero(self.frame == f) for f in range(self.frames)]
 
     def frame_poses(self, q: Array) -> tuple[Array, Array]:
-        """Compute rotations (m, f, 3, 3) and origins (m, f, 3) of the robot's frames at q (m, n)."""
+        """Compute frame rotations (m, f, 3, 3) and origins (m, f, 3) at q (m, n) for the obstacle cost."""
         m = len(q)
         R, o = np.empty((m, self.frames, 3, 3)), np.empty((m, self.frames, 3))
         R[:, 0], o[:, 0] = np.eye(3), 0.0
@@ -76,11 +76,11 @@ class RobotSpheres:
         return R, o
 
     def centers(self, R: Array, o: Array) -> F32:
-        """Compute the world positions of the robot's spheres (m, s, 3) [m]."""
+        """Compute world positions (m, s, 3) [m] of the robot spheres of the obstacle cost."""
         return self._placed(R, o, self.center, self.frame)
 
     def group_centers(self, R: Array, o: Array) -> F32:
-        """Compute the world positions of the balls around the sphere groups (m, g, 3) [m]."""
+        """Compute world positions (m, g, 3) [m] of the obstacle cost's balls around sphere groups."""
         return self._placed(R, o, self._group_center, self._group_frame)
 
     def _placed(self, R: Array, o: Array, points: F32, frame: NDArray) -> F32:
@@ -92,7 +92,7 @@ class RobotSpheres:
         return out
 
     def joint_gradient(self, R: Array, o: Array, x: F32, pull: F32) -> Array:
-        """Map forces on the spheres (m, s, 3) at x (m, s, 3) to joint gradients (m, n).
+        """Map the obstacle cost's forces on spheres (m, s, 3) at x (m, s, 3) to joint gradients (m, n).
 
         The result is the sum of J^T f over the spheres.
         """
@@ -115,7 +115,7 @@ class RobotSpheres:
 
 
 class SelfCollisionPairs:
-    """Pairs of the robot's sphere groups that can collide, and their distances."""
+    """Pairs of the robot's sphere groups for the self-collision part of the obstacle cost."""
 
     def __init__(self, checker: KernelChecker, spheres: RobotSpheres):
         p = checker.pack
@@ -126,7 +126,7 @@ class SelfCollisionPairs:
     def nearest(
         self, R: Array, o: Array, x: F32, within: float
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], F32]:
-        """Find the nearest two spheres in each pair of sphere groups closer than `within` [m].
+        """Find the nearest spheres of each self-collision pair closer than `within` [m], for the cost.
 
         Return configurations, spheres of both groups and gaps [m].
         """
@@ -252,7 +252,7 @@ class ObstacleCost:
 
 
 def _hinge(d: F32, clearance: float) -> tuple[F32, F32]:
-    """Compute the obstacle cost at distances d [m] and its slope.
+    """Compute the obstacle cost at signed distances d [m] and its slope.
 
     The cost is linear inside the obstacle, parabolic up to the clearance, then 0.
     """
@@ -262,7 +262,7 @@ def _hinge(d: F32, clearance: float) -> tuple[F32, F32]:
 
 
 def _moved(x: NDArray) -> NDArray:
-    """Compute the motion of points (k, m, s, 3) per step, by central differences."""
+    """Compute the obstacle cost's sphere motion (k, m, s, 3) per step, by central differences."""
     out = np.empty_like(x)
     out[:, 1:-1] = 0.5 * (x[:, 2:] - x[:, :-2])
     out[:, 0], out[:, -1] = x[:, 1] - x[:, 0], x[:, -1] - x[:, -2]

@@ -50,14 +50,14 @@ UNDECLARED = {"AORRTC": {"range": "0"}}  # parameters with a method that OMPL do
 
 
 def declared(planner: ob.Planner, name: str) -> dict[str, str]:
-    """Read a planner's parameters and current values from OMPL's printed settings."""
+    """Read an OMPL planner's parameters and current values from its printed settings."""
     lines = planner.printSettings().splitlines()[1:]
     pairs = (line.split(" = ", 1) for line in lines if " = " in line)
     return {key.strip(): value.strip() for key, value in pairs} | UNDECLARED.get(name, {})
 
 
 def settings_maker(name: str) -> SettingsParser:
-    """Create a parser of planner parameters that checks them on a trial planner.
+    """Create a parser of OMPL planner parameters that checks them on a trial planner.
 
     The settings are the parameters.
     """
@@ -136,7 +136,7 @@ def _text(value: Any) -> str:
 
 
 def _converted(kind: type, value: Any, what: str) -> Any:
-    """Convert a value to the type of the planner's current value; accepts text from files."""
+    """Convert a value to the type of an OMPL planner parameter; accepts text from files."""
     if kind is str:
         return str(value)
     text = str(value).strip().lower()
@@ -175,7 +175,7 @@ _one_at_a_time = threading.Lock()
 
 
 class _Edges(ob.MotionValidator):
-    """Motion validator that checks whole edges, 16 configurations at a time."""
+    """OMPL motion validator that checks whole edges, 16 configurations at a time."""
 
     def __init__(self, info: ob.SpaceInformation, problem: Problem, step: float):
         super().__init__(info)
@@ -183,7 +183,7 @@ class _Edges(ob.MotionValidator):
         self.forbids = problem.forbids
 
     def checkMotion(self, a: Any, b: Any) -> bool:
-        """Return whether the straight motion between two states is valid."""
+        """Return whether the straight motion between two OMPL states is valid."""
         n = range(self.n)
         first, last = [a[i] for i in n], [b[i] for i in n]
         if not self.free(first, last, self.step):
@@ -268,7 +268,7 @@ def _search(name: str, problem: Problem) -> PlannerResult:
 def _solve_without_python(
     setup: og.SimpleSetup, planner: ob.Planner, space: ob.RealVectorStateSpace, problem: Problem
 ) -> None:
-    """Solve with a planner whose second thread searches for solutions, without Python callbacks.
+    """Solve with an OMPL planner that has a second thread, without Python callbacks.
 
     The second thread asks for the end of the time limit and for the validity of further goals. A Python
     callback would wait there for the interpreter lock, which the first thread holds while it waits for the
@@ -297,7 +297,7 @@ def _time_for(name: str, problem: Problem) -> float:
 
 
 def _project(space: ob.RealVectorStateSpace, problem: Problem) -> None:
-    """Register the joints whose values span the cells of (B)KPIECE, if the request names them."""
+    """Register the joints that span the cells of OMPL's (B)KPIECE, if the request names them."""
     joints = problem.options.projection_evaluator
     if not joints:
         return

@@ -79,7 +79,7 @@ class PRMResult:
 
 
 class Roadmap:
-    """PRM roadmap of one group of joints, for any scene.
+    """PRM roadmap of one joint group, kept between queries and valid for any scene.
 
     Hold `lock` during a query.
     """
@@ -117,7 +117,7 @@ class Roadmap:
         )  # fmt: skip
 
     def enter(self, checker: KernelChecker, stop: NDArray[np.int64]) -> None:
-        """Check every roadmap vertex in the checker's scene, unless the last query had this scene."""
+        """Check every PRM roadmap vertex in the checker's scene, unless the last query had this scene."""
         digest = hashlib.blake2b(digest_size=16)
         for array in checker.flat:
             digest.update(array.data)
@@ -129,14 +129,14 @@ class Roadmap:
         )
 
     def grow(self, checker: KernelChecker, lower: Array, upper: Array, blocks: int, stop) -> None:
-        """Add the collision-free configurations of `blocks` times 16 samples to the roadmap."""
+        """Grow the PRM roadmap by the collision-free configurations of `blocks` times 16 samples."""
         compiled.grow(
             checker.handle, self.no_room, *self._graph, *self.near, self.stamp, lower, upper, self.steps,
             self.sample, self.block, blocks, stop,
         )  # fmt: skip
 
     def insert(self, path: Array, joined: bool) -> NDArray[np.int32]:
-        """Add free configurations, and optionally the edges between them, to the roadmap.
+        """Add free configurations, and optionally the edges between them, to the PRM roadmap.
 
         Return the numbers of the vertices.
         """
@@ -146,7 +146,7 @@ class Roadmap:
         return numbers
 
     def query(self, checker, start: int, goals, step: float, path: Array, route, stop) -> int:
-        """Find the shortest collision-free path on the roadmap.
+        """Query the PRM roadmap for the shortest collision-free path.
 
         See native.roadmap.query.
         """
@@ -159,7 +159,7 @@ def plan_with_roadmap(
     roadmap: Roadmap, planner: NativePlanner, start: Array, goals: Array, lower: Array, upper: Array,
     seed: int = 0, stop: NDArray[np.int64] | None = None,
 ) -> PRMResult:  # fmt: skip
-    """Plan a path on a roadmap, every edge proven free, and extend the roadmap with the path.
+    """Plan by PRM on a kept roadmap, every edge proven free, and extend the roadmap with the path.
 
     The result depends on earlier queries; the same queries in the same order give the same results.
 
@@ -224,7 +224,7 @@ _lock = threading.Lock()
 def roadmap_of(
     model: RobotModel, joint_names: tuple[str, ...], settings: PRMSettings = PRMSettings()
 ) -> Roadmap:
-    """Return the roadmap for a model, group and settings; the first request creates it."""
+    """Return PRM's roadmap for a model, group and settings; the first request creates it."""
     with _lock:
         kept = _roadmaps.setdefault(model, {})
         key = (joint_names, settings)

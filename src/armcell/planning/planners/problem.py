@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SpaceOptions:
-    """Options of a planner configuration besides the planner's own parameters."""
+    """Options of a planner configuration for the joint space, besides the planner's parameters."""
 
     longest_valid_segment_fraction: float | None = None  # check step: share of the space's extent
     projection_evaluator: tuple[str, ...] = ()  # joints whose values span the cells of (B)KPIECE
@@ -28,7 +28,7 @@ class SpaceOptions:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A planning problem in joint space: start, goals (n,), bounds, checker and deadline."""
+    """Problem that every planner receives: start, goals (n,), bounds, checker and deadline."""
 
     checker: KernelChecker
     start: Array
@@ -46,7 +46,7 @@ class Problem:
 
     @property
     def stopped(self) -> bool:
-        """Whether the planning request is canceled or its time is up."""
+        """Whether a planner must stop: the request is canceled or its time is up."""
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
     @property
@@ -56,7 +56,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class PlannerResult:
-    """Result of a planner: waypoints (k, n) from the start to a goal, or None with a message."""
+    """Result that every planner returns: waypoints (k, n) from start to goal, or None with a message."""
 
     waypoints: Array | None
     message: str = ""

@@ -24,7 +24,7 @@ SettingsParser = Callable[[Mapping[str, Any]], Any]
 
 
 class UnknownParameterError(UnknownNameError):
-    """Error for a parameter that a planner does not have.
+    """Error for a parameter that a registered planner does not have.
 
     The message lists the planner's parameters with their current values.
     """
@@ -41,7 +41,7 @@ class UnknownParameterError(UnknownNameError):
 
 
 def settings_parser(planner: str, cls: type) -> SettingsParser:
-    """Create a parser from a request's parameters to a planner's settings dataclass.
+    """Create a parser from a request's parameters to a registered planner's settings dataclass.
 
     Raises:
         UnknownParameterError: no such parameter. InputError: a value of the wrong type.
@@ -69,14 +69,14 @@ logger = logging.getLogger(__name__)
 
 
 def announce_compilation(planner: str, function: Any) -> None:
-    """Log that a planner's kernel will be compiled, unless it is loaded or cached."""
+    """Log that a registered planner's kernel will be compiled, unless it is loaded or cached."""
     if function.signatures or _cached(function):
         return
     logger.info("compiling planner %s, which is kept for later runs", planner)
 
 
 def _cached(function: Any) -> bool:
-    """Return whether Numba's cache folder has an index file for a compiled function."""
+    """Return whether Numba's cache folder has an index file for a planner's compiled function."""
     folder, code = Path(os.environ["NUMBA_CACHE_DIR"]), function.py_func.__code__
     pattern = f"{Path(code.co_filename).stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"
     return any(folder.rglob(pattern))
@@ -106,7 +106,7 @@ first_use_hooks: dict[Planner, Callable[[], object]] = {}
 
 
 def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str, Any]) -> Any:
-    """Convert a request's parameters to a planner's settings; None without parameters.
+    """Convert a request's parameters to a registered planner's settings; None without parameters.
 
     Raises:
         UnknownParameterError: the planner has no such parameter; the error lists its parameters.
@@ -120,7 +120,7 @@ def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str,
 
 
 def planner_defaults(pipeline_id: str, planner_id: str) -> dict[str, Any]:
-    """List a planner's parameters with their default values.
+    """List a registered planner's parameters with their default values.
 
     Raises:
         UnknownNameError: no such pipeline or planner.
@@ -150,7 +150,7 @@ def normalized_pipeline_id(pipeline_id: str) -> str:
 
 
 class UnknownPlannerError(UnknownNameError):
-    """Error for a planner that a pipeline does not have.
+    """Error for a planner name that no registered pipeline has.
 
     The message names the pipeline that has the planner, or the most similar planners.
     """
@@ -176,7 +176,7 @@ class UnknownPlannerError(UnknownNameError):
 
 
 def _name_in(pipeline_id: str, name: str) -> str | None:
-    """Return the name under which a pipeline has a planner, or None if it does not have it."""
+    """Return the name under which the registry has a pipeline's planner, or None."""
     table = pipelines[pipeline_id]
     return next((n for n in (name, ALIASES.get(name)) if n in table), None)
 
@@ -193,7 +193,7 @@ def pipeline_for(pipeline_id: str, planner_id: str) -> str:
 
 
 def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
-    """Look up the name and function of a planner by pipeline name and planner name.
+    """Look up in the registry the name and function of a planner by pipeline name and planner name.
 
     Without a pipeline name, the first pipeline that has the planner is used.
 
@@ -215,7 +215,7 @@ def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
 
 
 def find_planner(pipeline_id: str, planner_id: str) -> Planner:
-    """Look up a planner's function by pipeline name and planner name; see `named_planner`."""
+    """Look up a planner's function in the registry by pipeline and planner name."""
     return named_planner(pipeline_id, planner_id)[1]
 
 

@@ -51,7 +51,7 @@ class NativeSettings:
 
 @dataclass(frozen=True, eq=False)
 class NativeResult:
-    """Result of a native planner: waypoints (k, dof) proven free, or None.
+    """Result of RRT-Connect or another native planner: waypoints (k, dof) proven free, or None.
 
     Times are seconds of this thread's CPU time.
     """
@@ -68,7 +68,7 @@ class NativeResult:
 
 
 class NativePlanner:
-    """RRT-Connect planner with simplification for one collision checker.
+    """Native RRT-Connect planner with path simplification for one collision checker.
 
     The planner keeps its trees between calls. Use one instance per thread.
     """
@@ -128,7 +128,7 @@ class NativePlanner:
         )
 
     def add_goal(self, q: Array, number: int) -> None:
-        """Add a goal as another tree root to the running search.
+        """Add a goal as another tree root to a running RRT-Connect search.
 
         The goal becomes row `number` of the goals.
         """
@@ -142,7 +142,8 @@ class NativePlanner:
         self.found[NODES_1] += 1
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Prove the waypoints path[:count] collision-free and shorten the path in place.
+        """Prove the waypoints path[:count] collision-free and shorten the path in place, with the native
+        planner.
 
         Return the new count, or 0 if a proof fails.
         """
@@ -150,7 +151,7 @@ class NativePlanner:
         return simplify_path(c.handle, self.path, count, self.space, self.index, self.slack, PADDED, stop)
 
     def shortened(self, waypoints: Array, stop: NDArray[np.int64]) -> Array | None:
-        """Simplify a path (m, dof) to waypoints (k, dof) with every edge proven free.
+        """Simplify a path (m, dof) with the native planner to waypoints (k, dof), every edge proven free.
 
         Return None if an edge cannot be proven.
         """
@@ -167,7 +168,7 @@ class NativePlanner:
 
     @property
     def closest(self) -> Array | None:
-        """Closest approach of the two trees in the last search: its two ends (2, dof).
+        """Closest approach of RRT-Connect's two trees in the last search: its two ends (2, dof).
 
         See `NativeResult`.
         """
@@ -235,7 +236,7 @@ class NativePlanner:
     def _in_slices(
         self, start: Array, goals: Array, ask: tuple, more_goals: Iterator[Array]
     ) -> tuple[int, int, int, Array]:
-        """Search in slices of iterations, with one more goal after each slice.
+        """Run RRT-Connect in slices of iterations, with one more goal after each slice.
 
         Return the search result and all goals.
         """
@@ -257,7 +258,7 @@ class NativePlanner:
 
 
 def nearest_roots(start: Array, goals: Array) -> Array:
-    """Return the start and its nearest goal (2, dof).
+    """Return the start and its nearest goal (2, dof), RRT-Connect's nearest pair of roots.
 
     This pair is the closest approach of the trees before any search.
     """
@@ -265,7 +266,7 @@ def nearest_roots(start: Array, goals: Array) -> Array:
 
 
 def shorter(known: Array, other: Array | None) -> Array:
-    """Return the connection (2, dof) with the smaller distance [rad] between its two ends."""
+    """Return the closer of two connections (2, dof) between RRT-Connect's trees, by distance [rad]."""
     return known if other is None or _length(known) <= _length(other) else other
 
 
@@ -306,7 +307,7 @@ settings_parsers[plan_rrt_connect] = settings_parser("RRTConnect", NativeSetting
 def unsolved(
     planner: str, problem: Problem, iterations: int, closest: NDArray[np.float64] | None, statistics: dict
 ) -> PlannerResult:
-    """Build the planner result of a failed search.
+    """Build the planner result of a failed RRT-Connect search.
 
     The result reports how near the trees came and which contacts blocked them.
 
@@ -332,7 +333,7 @@ def unsolved(
 
 
 def _in_the_way(problem: Problem, closest: NDArray[np.float64]) -> list:
-    """Find the contacts at the first blocked configuration of a failed connection."""
+    """Find the contacts that block RRT-Connect's failed connection, at its first blocked configuration."""
     a, b = closest
     for t in np.linspace(0.0, 1.0, max(int(np.linalg.norm(b - a) / FINE), 2)):
         q = a + t * (b - a)
@@ -361,7 +362,7 @@ def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -
 
 @contextmanager
 def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
-    """Provide a stop flag for compiled searches; a watcher thread sets it at deadline or cancel."""
+    """Provide a stop flag for compiled planner searches; a watcher thread sets it at deadline or cancel."""
     stop, done = np.zeros(1, np.int64), threading.Event()
 
     def watch() -> None:
@@ -380,7 +381,7 @@ def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
 
 
 def simplify(problem: Problem, waypoints: Array) -> Array | None:
-    """Simplify another planner's path (m, n) to waypoints (k, n) with the same ends.
+    """Simplify another planner's path (m, n) with the native planner to waypoints (k, n), same ends.
 
     Return None if an edge cannot be proven.
 

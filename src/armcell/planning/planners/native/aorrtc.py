@@ -35,7 +35,7 @@ GAIN = 1e-3  # [rad] smallest cost reduction for another parent of a node
 
 @inner_njit(forceinline=True)
 def uniform(random):
-    """Draw a random number in [0, 1) from the generator state random[0].
+    """Draw a random number in [0, 1) for AORRTC's kernel from the generator state random[0].
 
     The generator is splitmix64 (Steele, Lea and Flood 2014).
     """
@@ -57,7 +57,7 @@ def _apart(a, i, b, k, dof):
 
 @inner_njit
 def _to_go(roots, dof, first, last, q, at):
-    """Compute the distance of configuration q[at:] from the nearest of the roots first..last."""
+    """Compute AORRTC's lower cost bound: distance of configuration q[at:] from the nearest root."""
     least = 1e300
     for r in range(first, last):
         least = min(least, _apart(roots, r * dof, q, at, dof))
@@ -66,7 +66,7 @@ def _to_go(roots, dof, first, last, q, at):
 
 @inner_njit
 def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
-    """Sample uniformly from the ellipsoid of configurations on paths below the cost bound."""
+    """Sample uniformly from AORRTC's ellipsoid of configurations on paths below the cost bound."""
     length = _apart(roots, 0, roots, goal * dof, dof)
     norm = 0.0
     for j in range(0, dof, 2):  # a direction from normal deviates (Box and Muller)
@@ -92,7 +92,7 @@ def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
 
 @inner_njit
 def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
-    """Sample a configuration that a path below the cost bound can pass, into q[at:].
+    """Sample a configuration for AORRTC that a path below the cost bound can pass, into q[at:].
 
     Return False if no sample was found.
     """
@@ -114,7 +114,7 @@ def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
 def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
             axis, nodes, parents, radii, leaves, leaf_ints, capacity, room, random, stop, max_iterations,
             found):  # fmt: skip
-    """Run the search of `aorrtc` on bare pointers.
+    """Run AORRTC's compiled search on bare pointers.
 
     Nodes have dof + 1 coordinates; the last coordinate is the cost from their root.
     """
@@ -234,7 +234,7 @@ def aorrtc(
     max_iterations,
     path,
 ):
-    """Find a path shorter than `bound` [rad] and write its waypoints into path (m, dof).
+    """AORRTC kernel: find a path shorter than `bound` [rad] and write its waypoints (m, dof).
 
     Args:
         roots: (1 + g, dof) start and goals. reach: longest edge of the trees [rad].

@@ -52,7 +52,7 @@ JOINED, LEAVES, SIZES = 0, 1, 2
 
 
 def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
-    """Allocate the leaves for two trees of `capacity` nodes with `dims` coordinates."""
+    """Allocate nearest-neighbor leaves for two trees of `capacity` nodes with `dims` coordinates."""
     most = _most(capacity)
     return (
         np.empty(2 * most * ((L + 2) * dims + 1), np.float32),
@@ -62,7 +62,7 @@ def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True)
 def _most(capacity):
-    """Compute the maximum number of leaves for a tree of `capacity` nodes.
+    """Compute the maximum number of nearest-neighbor leaves for a tree of `capacity` nodes.
 
     Each leaf holds at least half of L nodes.
     """
@@ -71,7 +71,7 @@ def _most(capacity):
 
 @inner_njit
 def reset_leaves(ints, capacity):
-    """Remove all nodes from the leaves of both trees."""
+    """Remove all nodes from the nearest-neighbor leaves of both trees."""
     size = SIZES + _most(capacity) * (L + 1) + capacity
     for tree in range(2):
         ints[tree * size + JOINED] = ints[tree * size + LEAVES] = 0
@@ -79,7 +79,7 @@ def reset_leaves(ints, capacity):
 
 @inner_njit
 def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, at, room):
-    """Find the node of a tree with `count` nodes that is nearest to q[at:].
+    """Find the nearest neighbor of q[at:] among the `count` nodes of a search tree.
 
     New nodes join their leaves first.
 
@@ -108,7 +108,7 @@ def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, a
 
 @inner_njit
 def _clear(floats, ints, dims, f, boxes, i, leaf):
-    """Initialize an empty leaf of nodes.
+    """Initialize an empty leaf of the nearest-neighbor search.
 
     The first leaf of a vector also empties the boxes that share the vector.
     """
@@ -125,7 +125,7 @@ def _clear(floats, ints, dims, f, boxes, i, leaf):
 
 @inner_njit
 def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, at):
-    """Append a node to a leaf that has a free lane.
+    """Append a node to a nearest-neighbor leaf that has a free lane.
 
     The node's coordinates are source[at::L].
     """
@@ -143,7 +143,7 @@ def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, a
 
 @inner_njit
 def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, node):
-    """Add a tree node to a leaf; split the leaf first if it is full."""
+    """Add a tree node to a nearest-neighbor leaf; split the leaf first if it is full."""
     at = ((first + node) // L) * dims * L + (first + node) % L
     if ints[i + SIZES + leaf] == L:
         box = boxes + (leaf // L) * 2 * dims * L + leaf % L
@@ -198,7 +198,7 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
 
 @inner_njit
 def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
-    """Find the lane (over all leaves) of the node nearest to configuration q[at:]."""
+    """Find the lane (over all leaves) of the nearest neighbor of configuration q[at:]."""
     zero, least, first = splat(np.float32(0.0)), np.float32(FAR * FAR), 0
     blocks = (leaves + L - 1) // L
     for b in range(blocks):
@@ -239,7 +239,7 @@ def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
 
 @inner_njit(forceinline=True)
 def _look(floats, dims, f, leaf, q, at, best, where):
-    """Update each lane's best distance, and the leaf of the best node, with one more leaf."""
+    """Scan one more nearest-neighbor leaf: update each lane's best distance and the best leaf."""
     base, total = f + leaf * dims * L, splat(np.float32(0.0))
     for j in range(dims):
         d = load(floats, base + j * L) - splat(q[at + j])

@@ -42,7 +42,7 @@ def _copy(p, width, src, dst):
 
 @inner_njit
 def _shortcut(k, p, count, first, last, at, mode, stop):
-    """Join each path vertex with the farthest later vertex that a proven straight line reaches."""
+    """Shortcut a path in the simplification kernel: join vertices by the farthest proven straight line."""
     dof = ints(k)[DOF]
     width, i = dof + 1, 0
     while i < count - 2 and stop[0] == 0:
@@ -63,7 +63,7 @@ def _shortcut(k, p, count, first, last, at, mode, stop):
 
 @inner_njit
 def _round_corners(k, p, count, room, first, last, at, mode):
-    """Move path corners toward the midpoints of their edges if the new edges are proven free.
+    """Round a path's corners in the simplification kernel, if the new edges are proven free.
 
     p: rows, count of them; behind `room` rows there is memory for three times as many tried rows and then
     for the new path. Returns count, changed.
@@ -121,7 +121,7 @@ def _round_corners(k, p, count, room, first, last, at, mode):
 
 @njit(cache=True, nogil=True)
 def simplify_path(handle, path, count, space, index, room, mode, stop):
-    """Shorten the path rows path[:count] in place; every remaining edge is proven free.
+    """Path simplification kernel: shorten path[:count] in place; every edge is proven free.
 
     Args:
         path: (m, dof). space: float64 scratch of 6 m (dof + 1) + 2 m numbers. index: int64 scratch of 4 m.

@@ -24,7 +24,7 @@ FAR = 1e9
 
 
 def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Allocate two search trees of `capacity` nodes each (a multiple of L).
+    """Allocate storage of two native search trees of `capacity` nodes each (a multiple of L).
 
     `put` fills them block by block.
 
@@ -41,7 +41,7 @@ def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 @inner_njit(forceinline=True)
 def put(nodes, dof, i, q, at):
-    """Write the configuration q[at:] as tree node i.
+    """Store the configuration q[at:] as node i of a native search tree.
 
     Write nodes in ascending order. The rest of a new block is set far away.
     """
@@ -55,7 +55,7 @@ def put(nodes, dof, i, q, at):
 
 @inner_njit(forceinline=True)
 def get(nodes, dof, i, q, at):
-    """Read the configuration of tree node i into q[at:]."""
+    """Read the configuration of a native search tree's node i into q[at:]."""
     base = (i // L) * dof * L + i % L
     for j in range(dof):
         q[at + j] = nodes[base + j * L]
@@ -63,7 +63,7 @@ def get(nodes, dof, i, q, at):
 
 @inner_njit
 def nearest(nodes, dof, first, count, q, at, room):
-    """Find the tree node nearest to q[at:] among `count` nodes from `first` on.
+    """Find the nearest node of a native search tree to q[at:] by brute force, `count` nodes from `first` on.
 
     `first` is a multiple of L.
 
