@@ -89,7 +89,7 @@ def _need_some(name: str, stages: tuple[Stage, ...]) -> None:
 
 
 def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Return the interface names available after any one of several stages, and all problems."""
+    """Return the stage interface names that a container of alternatives provides, and all problems."""
     results = [single(stage, have, scene) for stage in stages]
     return InterfaceCheck(
         frozenset.intersection(*(each.have for each in results)),

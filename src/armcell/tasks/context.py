@@ -23,7 +23,7 @@ from armcell.tasks.stage_statistics import reason_in_short
 
 
 class World:
-    """Planning scene without measurements, shared by threads.
+    """Planning scene of a running task, without measurements and shared by threads.
 
     Attributes:
         scene: may be read at any time. It is replaced while `editing` is held, never mutated.
@@ -41,7 +41,7 @@ class World:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """Return a changed scene in which measured values are reset to those of the base scene.
+    """Return a task's changed scene with measured values reset to those of the base scene.
 
     Args:
         base: the scene before the change.
@@ -74,7 +74,7 @@ UNWATCHED = 0.02  # [s] step size without observers
 
 @dataclass
 class StageReport:
-    """Row of the stage table: one stage of a task."""
+    """Row of a running task's stage table: the report of one stage."""
 
     name: str
     planner: str = ""
@@ -100,7 +100,7 @@ class Holding:
 
 
 class TaskContext:
-    """Runtime state of a task; `scene()` is always built from the driver's measurements."""
+    """Context (runtime state) of a task; `scene()` is always built from the driver's measurements."""
 
     def __init__(
         self,
@@ -129,14 +129,14 @@ class TaskContext:
 
     # --- measured state ---
     def scene(self) -> PlanningScene:
-        """Return the current planning scene: measured joints and object poses, objects attached.
+        """Return a running task's planning scene: measured joints and object poses, objects attached.
 
         Safe to call from any thread, like `whole_scene` and `change_scene`.
         """
         return self.whole_scene()
 
     def belief(self, name: str) -> str:
-        """Return a description of an object's assumed pose; for real arms, also how to correct it."""
+        """Return a running task's belief of an object's pose as text; for real arms, also how to correct it."""
         x, y, z = self.scene().object(name).T_world_object.translation
         text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
         if self.driver.is_simulated:
@@ -148,7 +148,7 @@ class TaskContext:
         )
 
     def whole_scene(self) -> PlanningScene:
-        """Return the current scene with all arms; with two arms, `scene` contains only one arm."""
+        """Return a running task's scene with all arms; with two arms, `scene` contains only one arm."""
         return self._measured(self.base)
 
     def _measured(self, scene: PlanningScene) -> PlanningScene:
@@ -165,17 +165,17 @@ class TaskContext:
         return scene
 
     def hands(self) -> Iterable[Holding]:
-        """Return the objects that all hands hold."""
+        """Return the objects that all hands hold in a running task."""
         contexts = self.at_work or (self,)
         return [held for ctx in contexts for held in list(ctx.holding.values())]
 
     @property
     def base(self) -> PlanningScene:
-        """Return the planning scene without measurements."""
+        """Return a running task's planning scene without measurements."""
         return self.world.scene
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change the planning scene atomically: add, change, move or remove objects.
+        """Change a running task's planning scene atomically: add, change, move or remove objects.
 
         Safe to call at any time from any thread, also during a motion. Later plans respect the change, and a
         running motion is stopped if an object blocks its remaining part (`MotionGate`). Joints, held objects
@@ -202,7 +202,7 @@ class TaskContext:
         return self.scene()
 
     def _tell_changes(self) -> None:
-        """Report scene changes to observers in order, from one thread at a time."""
+        """Report a running task's scene changes to observers in order, from one thread at a time."""
         while self.world.news and self.world.telling.acquire(blocking=False):
             try:
                 while self.world.news:
@@ -219,31 +219,33 @@ class TaskContext:
                 self.world.telling.release()
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Allow contacts of a body with others, for physics and the motion gate, or forbid them."""
+        """Let a running task allow a body's contacts with others, for physics and motion gate, or forbid
+        them.
+        """
         others = tuple(others)
         pairs = {frozenset((body, other)) for other in others}
         self.expected = self.expected | pairs if expected else self.expected - pairs
         self.driver.expect_contact(body, others, expected)
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object of the objects that the driver measures."""
+        """Return T_world_object of the objects that a running task's driver measures."""
         return self.driver.object_poses()
 
     def expected_contacts(self) -> Set[frozenset[str]]:
-        """Return the pairs of bodies whose contact is currently part of the task."""
+        """Return the pairs of bodies whose contact currently belongs to the running task."""
         return self.expected
 
     def clock(self) -> float:
-        """Return the driver's time [s]."""
+        """Return the time [s] of a running task's driver."""
         return self.driver.now
 
     @property
     def keeps_time(self) -> bool:
-        """Return whether motions follow their timing exactly; real arms may be slowed down."""
+        """Return whether a task's motions follow their timing exactly; real arms may be slowed down."""
         return self.driver.is_simulated
 
     def slip_of(self, held: Holding) -> float:
-        """Return the displacement [m] of a held object in the gripper since it was grasped."""
+        """Return the displacement [m] of a task's held object in the gripper since it was grasped."""
         return held.T_tcp_object.distance_to(self.T_tcp_object(held.object, held.gripper))[0]
 
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:
@@ -252,7 +254,7 @@ class TaskContext:
 
     # --- coordination with the other arm ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:
-        """Return a motion's trajectory if the motion may start, else the reason why not.
+        """Return a motion's trajectory if the running task may start it, else the reason why not.
 
         A single arm may always start.
 
@@ -262,28 +264,28 @@ class TaskContext:
         return motion.trajectory
 
     def rested(self) -> None:
-        """Record that the arm has come to rest after a motion."""
+        """Record in a task's context that the arm has come to rest after a motion."""
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """Reserve a zone that one arm at a time may hold; a single arm gets the zone at once."""
+        """Reserve a zone in a task's context, one arm at a time; a single arm gets the zone at once."""
         return nullcontext()
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the next item whose zone the other arm does not use.
+        """Return a task's next item whose zone the other arm does not use.
 
         For a single arm, this is the first item.
         """
         return items[0]
 
     def rendezvous(self, name: str) -> None:
-        """Wait until the other arm's program reaches the rendezvous point with the same name.
+        """Wait in a task until the other arm's program reaches the rendezvous point of the same name.
 
         A single arm does not wait.
         """
 
     # --- time ---
     def advance(self, duration: float) -> None:
-        """Let time [s] pass while observers are updated; return early if the task is canceled."""
+        """Let time [s] pass in a running task, with observer updates; return early if it is canceled."""
         driver, end = self.driver, self.driver.now + duration
         alone = driver.is_simulated and not self.observers
         at_once = max(round(UNWATCHED / driver.period), 1) * driver.period if alone else driver.period
@@ -293,11 +295,11 @@ class TaskContext:
 
     @property
     def progress(self) -> Callable[[float], None] | None:
-        """Return the callback that `execute` calls after each command, or None without observers."""
+        """Return a task's progress callback, called after each command of a motion; None without observers."""
         return (lambda _: self.observe()) if self.observers else None
 
     def observe(self) -> None:
-        """Send a sample to the observers if one is due, and report new events of physics."""
+        """Send a sample to the running task's observers if one is due, and report new physics events."""
         if not self.observers or self.driver.now < self._next_sample:
             return
         self.report_news()
@@ -316,7 +318,7 @@ class TaskContext:
             observer.on_state(sample)
 
     def report_news(self) -> None:
-        """Emit events for new welds, unwanted contacts and safety stops of real arms."""
+        """Emit a running task's events for new welds, unwanted contacts and safety stops of real arms."""
         welds, contacts = self.driver.welds(), self.driver.unwanted_contacts()
         for weld in welds[self._told[0] :]:
             self.emit("weld", f"{weld.object} is welded to {weld.gripper}: {weld.reason}")
@@ -330,12 +332,12 @@ class TaskContext:
 
     # --- held objects ---
     def take(self, held: Holding) -> None:
-        """Record that a hand holds an object."""
+        """Record in a task's context that a hand holds an object."""
         self.holding[held.object] = held
         self.lost.pop(held.object, None)
 
     def lose(self, item: str, text: str) -> None:
-        """Record that an object has fallen out of a hand."""
+        """Record in a task's context that an object has fallen out of a hand."""
         self.holding.pop(item, None)
         self.lost[item] = text
         self.emit("lost", text, object=item)
@@ -348,7 +350,7 @@ class TaskContext:
             observer.on_event(event)
 
     def announce(self, trajectory: JointTrajectory, plan: str = "", **evidence: Any) -> None:
-        """Notify the observers that a motion begins.
+        """Notify a running task's observers that a motion begins.
 
         Args:
             plan: name of the plan; if given, a "plan" event with the evidence is emitted.
@@ -362,7 +364,7 @@ class TaskContext:
 
 @dataclass
 class Rejections:
-    """Reasons for rejected candidates: counts by stage and reason, and first full texts."""
+    """A task's reasons for rejected candidates: counts by stage and reason, and first full texts."""
 
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     details: list[tuple[str, str, str]] = field(default_factory=list)  # stage, candidate, reason

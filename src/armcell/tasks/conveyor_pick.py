@@ -58,7 +58,7 @@ class MovingSettings:
 def pick_moving(
     ctx: TaskContext, item: str, gripper: Gripper, settings: MovingSettings = MovingSettings()
 ) -> Outcome:
-    """Grasp an object that moves at constant speed, and lift it.
+    """Grasp an object that moves at constant speed, e.g. on a conveyor belt, and lift it.
 
     Args:
         settings: times; the distances come from `ctx.settings`.
@@ -74,7 +74,7 @@ def pick_moving(
 
 
 class _MovingPick(Pick):
-    """Pick of a moving object; each attempt meets the object farther along its path."""
+    """Conveyor pick of a moving object; each attempt meets the object farther along its path."""
 
     retry = "trying again farther on"
 
@@ -122,7 +122,7 @@ class _MovingPick(Pick):
 
 
 def _measured_velocity(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float, SE3]:
-    """Measure an object's velocity (3,) [m/s].
+    """Measure the velocity (3,) [m/s] of an object on a conveyor belt.
 
     Also returns the last time [s] and T_world_object.
     """
@@ -138,7 +138,7 @@ def _measured_velocity(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[
 
 @dataclass(frozen=True, eq=False)
 class _WaitUntil:
-    """Step that waits until a time [s] of the driver's clock."""
+    """Step of a conveyor pick that waits until a time [s] of the driver's clock."""
 
     time: float
 
@@ -149,7 +149,7 @@ class _WaitUntil:
 
 @dataclass(frozen=True, eq=False)
 class _Along:
-    """Step that moves the hand along with a moving object: descend, close and lift."""
+    """Step of a conveyor pick that moves the hand along with the object: descend, close and lift."""
 
     item: str
     gripper: Gripper
@@ -191,7 +191,7 @@ class _Along:
 @stage_types.register("move_along")
 @dataclass(frozen=True, eq=False)
 class MoveAlong:
-    """Stage that plans how the hand descends to a moving object, moves with it and lifts it."""
+    """Stage of a conveyor pick: the hand descends to a moving object, moves with it and lifts it."""
 
     item: str
     gripper: Gripper
@@ -248,13 +248,13 @@ JUMP = 0.15  # [rad] maximum joint step between these points
 
 
 def _smooth(u: Array) -> Array:
-    """Return a quintic polynomial from 0 to 1 with zero velocity and acceleration at both ends."""
+    """Blend the hand into belt motion by a quintic 0 to 1 with zero velocity and acceleration at its ends."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _carried(times: Array, blend: float, end: float) -> Array:
-    """Return the hand's traveled distance at given times, in seconds of belt motion.
+    """Return the hand's traveled distance with a conveyor belt at given times, in seconds of belt motion.
 
     The hand accelerates to the belt speed within `blend` [s] and decelerates in the last `blend` [s].
     """
@@ -269,7 +269,7 @@ def _carried(times: Array, blend: float, end: float) -> Array:
 
 
 def _touches(scene: PlanningScene, trajectory: JointTrajectory) -> str:
-    """Return a motion's contact as text, or an empty text if the motion is collision-free."""
+    """Return the contact of a conveyor pick's motion as text; empty if the motion is collision-free."""
     _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
     proof = KernelChecker(scene, trajectory.joint_names).certify(points, room)
     return "" if proof.free else "it cannot be proven" if proof.contact is None else proof.contact.describe()

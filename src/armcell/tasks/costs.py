@@ -24,7 +24,7 @@ NEAR = 1e-3  # [m] smaller clearances cost the same
 
 
 def motions(solution: PartialSolution) -> Iterator[Motion]:
-    """Yield the arm motions of a solution."""
+    """Yield the arm motions of a task's solution, to compute its cost."""
     for step in solution.steps:
         motion = step.motion if isinstance(step, Together) else step
         if isinstance(motion, Motion):
@@ -33,7 +33,7 @@ def motions(solution: PartialSolution) -> Iterator[Motion]:
 
 @costs.register("duration")
 def duration(solution: PartialSolution) -> float:
-    """Return the estimated execution time [s] of a solution."""
+    """Cost term: the estimated execution time [s] of a task's solution."""
     seconds = 0.0
     for step in solution.steps:
         if isinstance(step, Motion | Together):
@@ -47,7 +47,7 @@ def duration(solution: PartialSolution) -> float:
 
 @costs.register("path_length")
 def path_length(solution: PartialSolution) -> float:
-    """Return the total length [rad] of a solution's joint-space paths."""
+    """Cost term: the total length [rad] of the joint-space paths of a task's solution."""
     return float(
         sum(
             np.linalg.norm(np.diff(motion.trajectory.positions, axis=0), axis=1).sum()
@@ -58,7 +58,7 @@ def path_length(solution: PartialSolution) -> float:
 
 @costs.register("clearance")
 def clearance(solution: PartialSolution) -> float:
-    """Return the inverse of the smallest clearance [1/m] of a solution's motions.
+    """Cost term: the inverse of the smallest clearance [1/m] of a task solution's motions.
 
     Without near bodies, the cost is 0.
     """
@@ -68,12 +68,12 @@ def clearance(solution: PartialSolution) -> float:
 
 @costs.register("planning_time")
 def planning_time(solution: PartialSolution) -> float:
-    """Return the total planning time [s, wall clock] of a solution's motions."""
+    """Cost term: the total planning time [s, wall clock] of a task solution's motions."""
     return sum(motion.planning_time for motion in motions(solution))
 
 
 def weighted(*terms: tuple[float, Cost]) -> Cost:
-    """Return a weighted sum of cost terms.
+    """Cost term of a task's solutions: a weighted sum of other cost terms.
 
     Example: `weighted((1.0, duration), (0.1, clearance))`
     """

@@ -18,12 +18,12 @@ from armcell.tasks.search import PartialSolution, Stage
 
 
 def holding(item: str) -> str:
-    """Return the name that stages use for the condition "a hand holds the object"."""
+    """Return the name that stage interfaces use for the condition "a hand holds the object"."""
     return f"{item} in a hand"
 
 
 class TaskError(InputError):
-    """Error for stages that do not fit together; `problems` lists all faults."""
+    """Error for task stages whose interfaces do not fit together; `problems` lists all faults."""
 
     def __init__(self, problems: Sequence[str], task: str = ""):
         self.problems = tuple(problems)
@@ -31,7 +31,7 @@ class TaskError(InputError):
 
 
 class Container(Stage, Protocol):
-    """Stage that contains other stages and checks their interfaces."""
+    """Stage that contains other stages and checks the interfaces between them."""
 
     stages: tuple[Stage, ...]
 
@@ -40,7 +40,7 @@ class Container(Stage, Protocol):
 
 @dataclass(frozen=True)
 class InterfaceCheck:
-    """Interface names that are available after a stage, and the problems found by the check."""
+    """Interface names available after a task's stage, and the problems that the check found."""
 
     have: frozenset[str]
     problems: tuple[str, ...] = ()
@@ -58,12 +58,12 @@ def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") 
 
 
 def available(start: PartialSolution) -> frozenset[str]:
-    """Return the names of the data that are available before the first stage of a task."""
+    """Return the names of the data that are available to the first stage of a task."""
     return frozenset(start.data) | {holding(item) for item in start.scene.attached}
 
 
 def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Check the inputs and outputs of stages in sequence."""
+    """Check the interfaces (inputs and outputs) of stages in sequence."""
     problems: list[str] = []
     for i, stage in enumerate(stages):
         later = {name: s.name for s in stages[:i:-1] for name in getattr(s, "provides", ())}
@@ -76,7 +76,7 @@ def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene |
 def single(
     stage: Stage, have: frozenset[str], scene: PlanningScene | None, later: Mapping[str, str] = {}
 ) -> InterfaceCheck:
-    """Check the inputs and outputs of one stage, or of a container with its stages.
+    """Check the interface (inputs and outputs) of one stage, or of a container with its stages.
 
     Args:
         later: names of later stages, by the names that they provide.
@@ -99,7 +99,7 @@ def single(
 
 
 def _unknown(stage: Stage, scene: PlanningScene | None) -> Iterator[str]:
-    """Yield a message for each name in a stage's fields that does not exist in the scene."""
+    """Yield a message for each name in a stage's fields that does not exist in the scene, before planning."""
     if scene is None:
         return
     model, objects = scene.model, {*scene.objects, *scene.attached}

@@ -134,7 +134,7 @@ class PickAndPlace:
 
 @dataclass(frozen=True, eq=False)
 class _AddRecord:
-    """Stage that adds the record of an intermediate placement to the solution's data."""
+    """Stage that adds an intermediate placement's record to the partial solution's data."""
 
     pose: RestingPose
     name: str = "placement record"

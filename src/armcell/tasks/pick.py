@@ -43,7 +43,7 @@ WIDER = 4  # factor on the number of grasps if later stages reject many
 
 
 class Pick(ABC):
-    """Sequence of every pick: plan and perform an attempt; after a failure, try the next grasp.
+    """Pick recipe's sequence: plan and perform an attempt; after a failure, try the next grasp.
 
     Args:
         label: names the pick in notes and messages, for example "pick cube".
@@ -60,7 +60,7 @@ class Pick(ABC):
         self.label, self.note, self.attempts, self.excluded = label, note, attempts, excluded
 
     def run(self) -> Outcome:
-        """Pick the object, with as many attempts as allowed.
+        """Run the pick recipe: pick the object, with as many attempts as allowed.
 
         Returns:
             SUCCESS, or the last failure. After a scene change the object stays in the hand if it is grasped.
@@ -87,21 +87,21 @@ class Pick(ABC):
 
     @abstractmethod
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
-        """Plan one attempt from the measured state, or return None with the reason.
+        """Plan one attempt of a pick from the measured state, or return None with the reason.
 
         Excluded grasps are not used.
         """
 
     @abstractmethod
     def perform(self, solution: PartialSolution) -> Outcome:
-        """Perform a planned attempt and verify that the hand holds the object."""
+        """Perform a planned pick attempt and verify that the hand holds the object."""
 
     def keeps_object(self) -> bool:
-        """Return whether the hand holds the object and keeps it if a scene change stops the lift."""
+        """Return whether a pick holds the object and keeps it if a scene change stops the lift."""
         return False
 
     def recover(self, outcome: Outcome) -> None:
-        """Bring the arm to where the next attempt can start: open the hand, leave the object.
+        """Recover from a failed pick attempt so that the next can start: open the hand, leave the object.
 
         After a scene change the hand has not closed yet, so it only leaves the object.
         """
@@ -111,15 +111,15 @@ class Pick(ABC):
             self.back_off()
 
     def open_hand(self) -> bool:
-        """Open the hand fully and return whether it held the object."""
+        """Open the hand fully during a pick and return whether it held the object."""
         return False
 
     def is_around_object(self) -> bool:
-        """Return whether the open hand may surround the object."""
+        """Return whether a pick's open hand may surround the object."""
         return False
 
     def back_off(self) -> None:
-        """Retreat straight from the object that the open hand surrounds."""
+        """Retreat straight from the object that a pick's open hand surrounds."""
         return
 
 
@@ -127,7 +127,7 @@ def grasp_stages(
     choose: Stage, gripper: Gripper, s: TaskSettings, *rest: Stage, name: str = "move to pre-grasp",
     approach: Stage = AppendPlannedMotion("approach", "after_approach", "approach"),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of one attempt: choose a grasp, go to its pre-grasp, approach, finish.
+    """Return the stages of one pick attempt: choose a grasp, go to its pre-grasp, approach, finish.
 
     Args:
         choose: proposes grasps, each with `pre_grasp` and the data that `approach` requires.
@@ -138,7 +138,7 @@ def grasp_stages(
 
 
 def check_hand_is_free(ctx: TaskContext, gripper: Gripper) -> None:
-    """Check that a gripper holds no object.
+    """Check that a gripper holds no object before a pick.
 
     Raises:
         InputError: it does; the message names the object.
@@ -149,7 +149,7 @@ def check_hand_is_free(ctx: TaskContext, gripper: Gripper) -> None:
 
 
 def check_pickable(ctx: TaskContext, item: str, gripper: Gripper) -> None:
-    """Check that a gripper is free and that an object is movable.
+    """Check before a pick that a gripper is free and that an object is movable.
 
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
@@ -163,7 +163,7 @@ def check_pickable(ctx: TaskContext, item: str, gripper: Gripper) -> None:
 def pick(
     ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...] = (), ahead: Sequence[Stage] = ()
 ) -> Outcome:
-    """Grasp an object and lift it; if a grasp fails, try the next one.
+    """Pick an object: grasp it and lift it; if a grasp fails, try the next one.
 
     Args:
         excluded: names of grasps that must not be used.
@@ -220,7 +220,7 @@ def pick_stages(
     scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings, excluded: tuple[str, ...] = (),
     ahead: Sequence[Stage] = (), among: tuple[str, ...] = (),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of `pick`, to start in a given (predicted) scene.
+    """Return the stages of the pick recipe, to start in a given (predicted) scene.
 
     Args:
         among: names of the allowed grasps; empty for all.
@@ -244,7 +244,7 @@ def pick_stages(
 
 
 def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
-    """Return a fast filter that rejects grasps from which no placement is possible.
+    """Return a pick's fast filter that rejects grasps from which no placement is possible.
 
     The filter does not use the arm.
     """
@@ -255,7 +255,7 @@ def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
 
 
 def _grasped(item: str, gripper: Gripper, solution: PartialSolution) -> PartialSolution:
-    """Return a solution in which the object is attached to the hand by the chosen grasp."""
+    """Return a pick's solution in which the object is attached to the hand by the chosen grasp."""
     scene = solution.data["after_approach"].with_attached(item, gripper.tcp_link, gripper.hand_links)
     return solution.then(scene=scene)
 
@@ -284,7 +284,7 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
 
 # --- leaving an object ---
 def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Straight:
-    """Return the stage that retreats straight [m] against the hand's approach direction.
+    """Return a pick's stage that retreats straight [m] against the hand's approach direction.
 
     Contact of the hand with the object is allowed during the retreat.
     """
@@ -295,7 +295,7 @@ def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> St
 
 
 def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) -> bool:
-    """Return whether the open hand may surround the object."""
+    """Return whether an open hand may surround an object that it failed to pick."""
     tcp, T = scene.frame_pose(gripper.tcp_link), scene.object(item).T_world_object
     return bool(np.linalg.norm(tcp.translation - T.translation) <= s.approach_distance)
 
@@ -303,7 +303,7 @@ def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) 
 def retreats(
     scene: PlanningScene, item: str, gripper: Gripper, planning: Planning
 ) -> Iterator[PartialSolution]:
-    """Yield the farthest possible retreat of an open hand from the object that it surrounds.
+    """Yield the farthest possible retreat of an open hand from the object of a failed pick that it surrounds.
 
     Planners find no path from the start of this retreat; the next plan starts at its end.
     """
@@ -312,6 +312,6 @@ def retreats(
 
 
 def back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
-    """Retreat straight from an object that the open hand surrounds (see `retreats`)."""
+    """Retreat straight from a failed pick's object that the open hand surrounds."""
     for solution in retreats(ctx.scene(), item, gripper, Planning(ctx.settings, ctx.seed, ctx.cancel)):
         perform_all(ctx, solution.steps)

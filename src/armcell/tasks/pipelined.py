@@ -24,7 +24,7 @@ from armcell.tasks.task import Task, TaskPlan, emit_rejections
 
 @dataclass(frozen=True, eq=False)
 class PipelinedTask:
-    """Named list of stages, created from the scene in which they start."""
+    """Pipelined task: a named list of stages, created from the scene in which they start."""
 
     name: str
     stages: Callable[[TaskContext, PlanningScene], Sequence[Stage]]
@@ -33,7 +33,7 @@ class PipelinedTask:
 @dataclass(frozen=True)
 @checked()
 class PipelineSettings:
-    """Tolerances within which a plan made in advance remains valid."""
+    """Tolerances within which a pipelined task's plan made in advance remains valid."""
 
     joints: float = 0.02  # [rad or m] between predicted and measured joint position
     distance: float = 0.003  # [m] of any object
@@ -61,7 +61,7 @@ def placing(
 def perform_pipelined(
     ctx: TaskContext, tasks: Sequence[PipelinedTask], settings: PipelineSettings = PipelineSettings()
 ) -> Outcome:
-    """Perform tasks in sequence; while one runs, plan the next from its predicted scene.
+    """Perform pipelined tasks in sequence: while one runs, plan the next from its predicted scene.
 
     If the measured scene differs from the prediction, the task is planned again. The run does not depend on
     the planning time.
@@ -106,7 +106,7 @@ def _with_evidence(outcome: Outcome, done: list[str], again: dict[str, str]) -> 
 
 
 class _BackgroundPlan:
-    """Task that a separate thread plans."""
+    """Pipelined task that a background thread plans while another task runs."""
 
     def __init__(self, ctx: TaskContext, task_spec: PipelinedTask, scene: PlanningScene):
         self.scene = scene
@@ -144,7 +144,7 @@ class _BackgroundPlan:
 def scene_difference(
     expected: PlanningScene, now: PlanningScene, settings: PipelineSettings = PipelineSettings()
 ) -> str:
-    """Return how a scene differs from the predicted scene; empty within the tolerances."""
+    """Return how a scene differs from a pipelined task's predicted scene; empty within the tolerances."""
     s, model = settings, now.model
     fingers = {gripper.joint_name for gripper in model.grippers.values()}
     for i, name in enumerate(model.joint_names):

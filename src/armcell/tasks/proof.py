@@ -30,7 +30,7 @@ NOISE = Noise(position=0.001, rotation=0.02)
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """Result of the simulated trials of one grasp."""
+    """Proof of one grasp: the result of its simulated trials."""
 
     grasp: Grasp
     successes: int
@@ -40,7 +40,7 @@ class Proof:
 
     @property
     def probability(self) -> float:
-        """Return the estimated probability of grasp success, strictly between 0 and 1.
+        """Return a simulated grasp proof's estimated success probability, strictly between 0 and 1.
 
         The estimate is a mean with a prior that counts as `PRIOR_TRIALS` trials.
         """
@@ -48,7 +48,7 @@ class Proof:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Return Wilson's 95 % interval of the success rate."""
+        """Return Wilson's 95 % interval of the success rate of a grasp's simulated trials."""
         return wilson(self.successes, self.trials)
 
 
@@ -63,7 +63,7 @@ def prove(
     seed: int = 0,
     threads: int | None = None,
 ) -> list[Proof]:
-    """Lift and shake an object with each grasp in noisy physics trials.
+    """Prove grasps: lift and shake an object with each grasp in noisy physics trials.
 
     The first of the `trials` trials has no noise. The object rests on its support: its pose is uncertain
     along the surface and about the vertical.
@@ -116,7 +116,7 @@ def _noisy(item: CollisionObject, grasp: Grasp, count: int, noise: Noise, seed: 
 def as_it_may_be(
     item: CollisionObject, count: int, rng: np.random.Generator, noise: Noise = NOISE
 ) -> list[CollisionObject]:
-    """Sample variants of an object on its support, with varied pose, friction and mass.
+    """Sample variants of an object for a grasp's physics trials: varied pose, friction and mass.
 
     The pose varies along the support and about the vertical. The first variant is the nominal object.
     """
@@ -130,7 +130,7 @@ def as_it_may_be(
 
 
 def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """Return the best distinct grasps; fill up with the next best ones if there are too few."""
+    """Return the best distinct grasps for physics trials; fill up with the next best if too few."""
     chosen: list[Grasp] = []
     rest: list[Grasp] = []
     for grasp in grasps:
@@ -141,7 +141,7 @@ def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
 
 
 def _alike(a: Grasp, b: Grasp) -> bool:
-    """Return whether two grasps are almost equal, up to a half turn of the hand."""
+    """Return whether two grasps to prove are almost equal, up to a half turn of the hand."""
     if np.linalg.norm(a.T_object_tcp.translation - b.T_object_tcp.translation) > SAME_PLACE:
         return False
     A, B = a.T_object_tcp.rotation.matrix, b.T_object_tcp.rotation.matrix

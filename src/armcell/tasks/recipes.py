@@ -34,7 +34,7 @@ Vector = tuple[float, float, float]
 
 
 def let_go(ctx: TaskContext, item: str) -> Outcome:
-    """Open the hand that holds an object and retreat straight back.
+    """Recipe: open the hand that holds an object and retreat straight back.
 
     Raises:
         InputError: the object is not held.
@@ -60,7 +60,7 @@ def place(
     up: Vector | None = None,
     lean: float | None = None,
 ) -> Outcome:
-    """Place a held object on a support; the evidence "placement" has the target pose.
+    """Recipe: place a held object on a support; the evidence "placement" has the target pose.
 
     If the placement fails while the object is still held, it is planned again from the arm's position.
 
@@ -112,7 +112,7 @@ def place_stages(
 
 
 def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> Outcome:
-    """Move a planning group to a goal or to a named state."""
+    """Recipe: move a planning group to a goal or to a named state."""
     goal = NamedGoal(goal) if isinstance(goal, str) else goal
     label = name or (f"move to {goal.name}" if isinstance(goal, NamedGoal) else "move")
     speed = ctx.settings.carry if ctx.holding else ctx.settings.free
@@ -120,7 +120,7 @@ def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> O
 
 
 def perform_stages(ctx: TaskContext, stages: Sequence[Stage], name: str) -> Outcome:
-    """Plan stages from the measured state, and execute the cheapest solution.
+    """Plan a recipe's stages from the measured state, and execute the cheapest solution.
 
     Raises:
         TaskError: the stages do not fit together.
@@ -130,7 +130,7 @@ def perform_stages(ctx: TaskContext, stages: Sequence[Stage], name: str) -> Outc
 
 
 def hold(ctx: TaskContext, duration: float) -> Outcome:
-    """Keep the arm still for a duration [s]; the stage table reports a held object's slip.
+    """Recipe: keep the arm still for a duration [s]; the stage table reports a held object's slip.
 
     Raises:
         InputError: the duration is negative or not finite.
@@ -140,7 +140,7 @@ def hold(ctx: TaskContext, duration: float) -> Outcome:
 
 
 def release(ctx: TaskContext, gripper: Gripper) -> Outcome:
-    """Open a gripper fully at its present pose and detach the held object."""
+    """Recipe: open a gripper fully at its present pose and detach the held object."""
     for held in [h for h in ctx.holding.values() if h.gripper.name == gripper.name]:
         ctx.holding.pop(held.object)
         ctx.driver.unwatch_object(held.object)

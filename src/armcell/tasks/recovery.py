@@ -34,7 +34,7 @@ Look = Callable[[], Outcome]
 @dataclass(frozen=True)
 @checked()
 class RecoverySettings:
-    """Limits of recovery, and tolerances within which a transfer counts as a success."""
+    """Limits of a transfer's recovery, and tolerances within which it counts as a success."""
 
     tries: int = 5  # picks of one object
     seconds: float = 300.0  # time limit [s] on the driver's clock
@@ -55,7 +55,7 @@ class RecoverySettings:
 
 @dataclass
 class Trouble:
-    """Failures during a transfer, in their order."""
+    """Failures during an object's transfer with recovery, in their order."""
 
     texts: list[str] = field(default_factory=list)
     laid: list[str] = field(default_factory=list)  # supports of the intermediate placements
@@ -79,7 +79,7 @@ def transfer(
     look: Look | None = None,
     settings: RecoverySettings = RecoverySettings(),
 ) -> Outcome:
-    """Pick an object and place it; recover from failures until the object is at its goal.
+    """Transfer an object by pick and place; recover from failures until it is at its goal.
 
     A dropped object is picked up again from its measured pose, or from the pose that `look` finds; so is an
     object placed inaccurately. A blocked motion is planned again around the obstacle. Only grasps that reach
@@ -127,7 +127,7 @@ def _once(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None,
     up: Vector | None, look: Look | None, s: RecoverySettings, trouble: Trouble,
 ) -> Outcome:  # fmt: skip
-    """Make one attempt to move the object to its goal, with intermediate placements if needed."""
+    """Attempt a transfer of an object to its goal once, with intermediate placements if needed."""
     for left in reversed(range(AGAIN * s.intermediate_placements + 1)):
         if item not in ctx.holding and look is not None:
             seen = look()
@@ -156,7 +156,7 @@ def _once(
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Return whether some grasp leads to the goal and only the motion to this grasp is missing."""
+    """Return whether some grasp leads to the goal and a transfer only lacks the motion to this grasp."""
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 
 
@@ -187,7 +187,7 @@ def _goal(
 
 
 def _landed(ctx: TaskContext, item: str, outcome: Outcome, s: RecoverySettings) -> Outcome:
-    """Check that the placed object is within tolerance of its target pose."""
+    """Check that a transferred object is within tolerance of its target pose."""
     wanted = outcome.evidence.get("placement")
     if not isinstance(wanted, Placement):
         return outcome

@@ -37,14 +37,14 @@ STEP = 0.10  # [m] grid around the present position
 
 @dataclass(frozen=True, eq=False)
 class RestingPose:
-    """Pose in which an object rests on a support; `on` is empty for its present pose."""
+    """Resting pose of an object on a support, for regrasping; `on` is empty for the present pose."""
 
     on: str
     placement: Placement
 
     @property
     def up(self) -> Vector:
-        """Return the upward direction at this resting pose (unit vector in the object's frame)."""
+        """Return the upward direction at a regrasp's resting pose (unit vector in the object's frame)."""
         x, y, z = self.placement.T_world_object.rotation.matrix.T @ self.placement.normal
         return float(x), float(y), float(z)
 
@@ -59,7 +59,7 @@ class RegraspStep:
 
 @dataclass(frozen=True, eq=False)
 class PlacementGoal:
-    """Goal of an object: its support, a point on the support, and the upward direction."""
+    """Goal of a regrasped object: its support, a point on the support, and the upward direction."""
 
     object: str
     on: str
@@ -92,7 +92,7 @@ def _breadth_first(
     hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
     goals: tuple[RestingPose, ...], planning: Planning, most: int, seen: set[int],
 ) -> Iterator[tuple[RegraspStep, ...]]:  # fmt: skip
-    """Yield regrasp sequences; those over sides with a grasp to a goal come first.
+    """Yield regrasp sequences; breadth first; those over sides with a grasp to a goal come first.
 
     Adds the ids of reachable poses to `seen`.
     """
@@ -124,7 +124,7 @@ def _breadth_first(
 
 
 def _goals(scene: PlanningScene, goal: PlacementGoal, planning: Planning) -> tuple[RestingPose, ...]:
-    """Return the collision-free goal poses of the object, best first."""
+    """Return the collision-free goal poses of a regrasped object, best first."""
     item, on = scene.object(goal.object), goal.on
     try:
         found = [RestingPose(on, p) for p in place_candidates(item, scene.object(on), goal.at, up=goal.up)]
@@ -147,14 +147,14 @@ def _goals(scene: PlanningScene, goal: PlacementGoal, planning: Planning) -> tup
 
 
 def _touched(scene: PlanningScene, item: str, pose: RestingPose) -> str:
-    """Return which bodies an object would touch at a pose besides its support, as text."""
+    """Return which bodies a regrasped object would touch at a pose besides its support, as text."""
     put = scene.with_detached(item) if item in scene.attached else scene
     put = put.with_object_pose(item, pose.placement.above(RELEASE_GAP))
     return ", ".join(neighbors(put, item, 0.0))
 
 
 def _sides(scene: PlanningScene, goal: PlacementGoal) -> dict[Vector, list[RestingPose]]:
-    """Return the collision-free resting poses of the object by upward direction, nearest first."""
+    """Return a regrasped object's free resting poses by upward direction, nearest first."""
     name = goal.object
     item = scene.object(name)
     now = item.T_world_object.translation
@@ -175,7 +175,7 @@ def _sides(scene: PlanningScene, goal: PlacementGoal) -> dict[Vector, list[Resti
 
 
 def _all_over(scene: PlanningScene, name: str, on: str, now: np.ndarray) -> Iterator[Placement]:
-    """Yield placements on all stable sides, near the object's position and all over a support."""
+    """Yield intermediate placements for regrasping: all stable sides, near the object, all over a support."""
     item, support = scene.object(name), scene.object(on)
     try:
         x, y, _ = surface_for(item, support)[0].inv().apply(now)
@@ -194,7 +194,7 @@ def _rounded(up: Vector) -> Vector:
 
 
 class _Hands:
-    """Cache of the grasps that are feasible at each resting pose of an object."""
+    """Regrasp planning's cache of the grasps that are feasible at each resting pose of an object."""
 
     def __init__(self, scene: PlanningScene, name: str, gripper: Gripper, planning: Planning):
         self.rejections: dict[Vector, Rejections] = {}  # rejections by the upward direction
@@ -216,7 +216,7 @@ class _Hands:
             self._as_held = Grasp("current grasp", T_object_tcp, width, width, 0.0)
 
     def grasps(self, pose: RestingPose) -> list[Grasp]:
-        """Return the grasp candidates for the object at a resting pose."""
+        """Return the grasp candidates of a regrasped object at a resting pose."""
         if pose is self.start and self._as_held is not None:
             return [self._as_held]
         side = _rounded(pose.up)
@@ -229,11 +229,11 @@ class _Hands:
         return self._grasps[side]
 
     def leads_on(self, pose: RestingPose, goals: Sequence[RestingPose]) -> bool:
-        """Return whether any grasp at a resting side is also feasible at a goal pose."""
+        """Return whether a grasp of the object's resting side is also feasible at a regrasp goal pose."""
         return any(self.can(grasp, goal) for grasp in self.grasps(pose) for goal in goals)
 
     def shared(self, here: RestingPose, there: Sequence[RestingPose]) -> tuple[str, ...]:
-        """Return the names of grasps feasible at one resting pose and at one of several others."""
+        """Return the names of the regrasp grasps feasible at one resting pose and at one of several others."""
         found: list[str] = []
         for grasp in self.grasps(here):
             if self._fits(grasp, here) and any(self.can(grasp, t) for t in there) and self.can(grasp, here):
@@ -243,7 +243,7 @@ class _Hands:
         return tuple(found)
 
     def can(self, grasp: Grasp, pose: RestingPose) -> bool:
-        """Return whether a grasp at a resting pose is reachable without collision.
+        """Return whether a regrasp's grasp at a resting pose is reachable without collision.
 
         A straight retreat must be possible as well.
         """
@@ -290,7 +290,7 @@ class _Hands:
         self.rejections.setdefault(side, Rejections()).add("", candidate, reason)
 
     def why(self, side: Vector, most: int = 2) -> str:
-        """Return the most frequent reasons why grasps fail on a side, with counts.
+        """Return the most frequent reasons why a regrasp's grasps fail on a side, with counts.
 
         Also returns the first reason in full.
         """

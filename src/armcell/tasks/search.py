@@ -40,13 +40,13 @@ class PartialSolution:
         return replace(self, steps=self.steps + steps, scene=scene or self.scene, data={**self.data, **data})
 
     def since(self, start: PartialSolution) -> PartialSolution:
-        """Return this solution with only the steps that were added after an earlier solution."""
+        """Return a partial solution with only the steps added after an earlier solution."""
         return replace(self, steps=self.steps[len(start.steps) :])
 
 
 @dataclass
 class Planning:
-    """State that all stages share while planning: settings, seed, cancellation, rejections."""
+    """Planning state that a task search's stages share: settings, seed, cancellation, rejections."""
 
     settings: TaskSettings
     seed: int = 0
@@ -62,7 +62,7 @@ class Planning:
     within: list[str] = field(default_factory=list)  # names of the running stages, outermost first
 
     def propose(self, stage: Stage, solution: PartialSolution) -> Iterator[PartialSolution]:
-        """Yield the proposals of a stage and count them for the stage table."""
+        """Yield a stage's proposals to the search and count them for the stage table."""
         path = (*self.within, stage.name)
         self.tallies.setdefault(path, Tally(path)).asked += 1
         found = iter(stage.propose(solution, self))
@@ -88,7 +88,7 @@ class Planning:
 
     @property
     def time_left(self) -> float:
-        """Return the rest of the planning budget [s of this thread's CPU time].
+        """Return the rest of a task search's planning budget [s of this thread's CPU time].
 
         CPU time makes plans independent of the load of the machine.
         """
@@ -96,7 +96,7 @@ class Planning:
 
     @property
     def hopeless(self) -> bool:
-        """Return whether no candidate can succeed: canceled, out of time, or start in collision."""
+        """Return whether a task's search is hopeless: canceled, out of time, or start in collision."""
         return (
             self.cancel.is_set()
             or self.time_left <= 0
@@ -105,18 +105,18 @@ class Planning:
 
     @property
     def parallel(self) -> int:
-        """Return the number of candidates that threads evaluate in parallel."""
+        """Return the number of candidates that a task's search evaluates in parallel threads."""
         return self.settings.planning_threads if self.threads is None else self.threads
 
     def fork(self) -> Planning:
-        """Create the planning state of another thread, which can be canceled separately."""
+        """Fork a task search's planning state for another thread, which can be canceled separately."""
         return replace(
             self, cancel=threading.Event(), rejections=Rejections(), failure=None, tallies={},
             within=list(self.within), threads=1,
         )  # fmt: skip
 
     def join(self, fork: Planning, seconds: float) -> None:
-        """Merge the reports and the CPU time [s] of a forked planning state into this one.
+        """Merge a forked planning state's reports and CPU time [s] into the task search's own.
 
         Later reports of the fork go directly to this state.
         """
@@ -131,7 +131,7 @@ class Planning:
 
 
 class Stage(Protocol):
-    """Interface of stages: extend a partial solution by alternatives, best first.
+    """Interface of a task's stages: extend a partial solution by alternatives, best first.
 
     A stage rejects unusable candidates with a reason. `requires`, `provides` and `consumes` (optional tuples
     of names) declare which data of the solution it reads, adds and removes; `interfaces.py` checks them
@@ -172,7 +172,7 @@ def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
 def solutions(
     stages: Sequence[Stage], start: PartialSolution, planning: Planning
 ) -> Iterator[PartialSolution]:
-    """Yield complete solutions lazily; stages evaluate only as many candidates as needed."""
+    """Yield complete solutions of a task's search lazily, with only as many candidates as needed."""
     if planning.hopeless:
         return
     if not stages:
@@ -184,7 +184,7 @@ def solutions(
 
 @dataclass(frozen=True, eq=False)
 class _Continuation:
-    """Search of the remaining stages after one proposal of the first stage."""
+    """Task search over the remaining stages after one proposal of the first stage."""
 
     stages: Sequence[Stage]
     solution: PartialSolution
@@ -198,7 +198,7 @@ Branch = Callable[[Planning], Iterator[PartialSolution]]
 
 
 def in_order(branches: Iterable[Branch], planning: Planning) -> Iterator[PartialSolution]:
-    """Yield the solutions of one search branch after the other, until planning is hopeless.
+    """Yield solutions of one search branch after the other, until planning a task is hopeless.
 
     If `planning` has threads, they search the next branches in parallel.
     """
@@ -236,7 +236,7 @@ def _in_parallel(branches: Iterator[Branch], planning: Planning) -> Iterator[Par
 
 
 class _ThreadedBranch:
-    """Search branch whose first solution a separate thread computes."""
+    """Task search branch whose first solution a separate thread computes."""
 
     def __init__(self, branch: Branch, planning: Planning, threads: ThreadPoolExecutor):
         self.planning = planning.fork()
@@ -252,7 +252,7 @@ class _ThreadedBranch:
         return solution, time.thread_time() - own.began
 
     def first_for(self, planning: Planning) -> PartialSolution | None:
-        """Wait for the branch's first solution; then the caller's thread owns the branch."""
+        """Wait for a search branch's first solution; then the caller's thread owns the branch."""
         while not wait((self._found,), CANCEL_PERIOD).done:
             if planning.cancel.is_set():
                 self.planning.cancel.set()
@@ -262,7 +262,7 @@ class _ThreadedBranch:
 
 
 def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) -> PartialSolution | None:
-    """Return the first complete solution, or None, with the reasons in `planning.rejections`."""
+    """Search a task's stages for the first complete solution; `planning.rejections` has the reasons."""
     return next(solutions(stages, start, planning), None)
 
 
@@ -270,7 +270,7 @@ def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) 
 @dataclass(frozen=True, eq=False)
 @checked()
 class Lookahead:
-    """Stage that passes only those solutions from which later stages can continue.
+    """Lookahead stage that passes only those solutions from which later stages can continue.
 
     The continuation is discarded. Put this stage as early as possible, so that the search does not plan dead
     ends completely.

@@ -25,7 +25,7 @@ _POSITIVE = (
 @dataclass(frozen=True)
 @checked()
 class Speed:
-    """Velocity and acceleration scaling relative to the joint limits, (0, 1]."""
+    """Speed setting of a task: velocity and acceleration scaling relative to joint limits, (0, 1]."""
 
     velocity: float
     acceleration: float

@@ -23,14 +23,14 @@ class Tally:
         return sum(self.reasons.values())
 
     def rejected(self, part: str, candidate: str, reason: str) -> None:
-        """Count a rejected candidate; `part` is the stage, or a motion planned for the candidate."""
+        """Count a stage's rejected candidate; `part` is the stage, or a motion planned for the candidate."""
         short = reason_in_short(reason)
         key = short if part == self.path[-1] else f"{part}: {short}"
         self.reasons[key] = self.reasons.get(key, 0) + 1
         self.near_miss = self.near_miss or (candidate, reason)
 
     def add(self, other: Tally) -> None:
-        """Add the statistics of later candidates to this tally."""
+        """Add the statistics of later candidates to a stage's tally."""
         self.asked += other.asked
         self.passed += other.passed
         self.seconds += other.seconds
@@ -39,7 +39,7 @@ class Tally:
         self.near_miss = self.near_miss or other.near_miss
 
     def why(self, most: int = 2) -> str:
-        """Return the most frequent reasons for rejection with their counts."""
+        """Return a stage's most frequent rejection reasons with their counts."""
         order = sorted(self.reasons.items(), key=lambda kv: -kv[1])
         more = f", {len(order) - most} others" if len(order) > most else ""
         return ", ".join(f"{n} x {reason}" for reason, n in order[:most]) + more
@@ -53,7 +53,7 @@ class Tally:
 
 
 def reason_in_short(reason: str) -> str:
-    """Return a rejection reason without its details, for counting."""
+    """Return a stage's rejection reason without its details, for counting."""
     return reason.split(":")[0].split(" (")[0]
 
 

@@ -19,7 +19,7 @@ LOOK_AT_HANDS = 0.019  # [s] between two checks of the grippers
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Step that executes a planned arm motion."""
+    """Step of a planned task that executes an arm motion."""
 
     name: str
     trajectory: JointTrajectory
@@ -31,11 +31,11 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Return the duration [s] of the planned motion."""
+        """Return the duration [s] of a step's planned motion."""
         return self.trajectory.duration
 
     def announced(self) -> dict[str, Any]:
-        """Return the planning metadata that a record stores with the motion."""
+        """Return the planning metadata that a record stores with a task step's motion."""
         return {
             "planner": self.planner, "planning_time_s": self.planning_time, "clearance_m": self.clearance,
             "evidence": dict(self.evidence),
@@ -61,7 +61,7 @@ class Motion:
 
 
 class _Watch(GuardedMotion):
-    """Guarded motion that also stops as soon as a hand has lost its object."""
+    """Guarded motion of a task step that also stops as soon as a hand has lost its object."""
 
     def __init__(self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None):
         super().__init__(ctx.gate, trajectory, planned_in, ctx.cancel)
@@ -84,7 +84,7 @@ class _Watch(GuardedMotion):
                 self.lost = held
 
     def dropped(self, where: str) -> Outcome:
-        """Mark the object as not held, and return the outcome of the motion that lost it."""
+        """Mark a task step's object as not held; return the outcome of the motion that lost it."""
         assert self.lost is not None
         item = self.lost.object
         text = f"lost {item} on the way ({where}): nothing is between the fingers any more"
@@ -93,7 +93,7 @@ class _Watch(GuardedMotion):
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """Step that moves a gripper to a width [m].
+    """Step of a planned task that moves a gripper to a width [m].
 
     With `force` and width 0, the gripper closes until it reaches the grip force.
     """
@@ -109,11 +109,11 @@ class Grip:
         return self.finish(ctx)
 
     def start(self, ctx: TaskContext) -> None:
-        """Command the gripper to the step's width without waiting."""
+        """Command the gripper to a task step's width without waiting."""
         ctx.driver.command_gripper(self.gripper.name, self.width, self.force)
 
     def finish(self, ctx: TaskContext) -> Outcome:
-        """Wait for the end of the gripper motion."""
+        """Wait for the end of a task step's gripper motion."""
         return staged(ctx, StageReport(self.name), lambda: self._wait(ctx))
 
     def _wait(self, ctx: TaskContext) -> Outcome:
@@ -140,7 +140,7 @@ class Grip:
 
 @dataclass(frozen=True, eq=False)
 class Together:
-    """Step that executes an arm motion and gripper motions at the same time.
+    """Step of a task that executes an arm motion and gripper motions at the same time.
 
     The arm motion may be a merged motion of two arms.
     """
@@ -150,7 +150,7 @@ class Together:
 
     @property
     def duration(self) -> float:
-        """Return the duration of the arm motion [s]."""
+        """Return the duration [s] of the arm motion in a combined arm and gripper step."""
         return self.motion.duration if self.motion else 0.0
 
     def perform(self, ctx: TaskContext) -> Outcome:
@@ -166,7 +166,7 @@ class Together:
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """Step that checks, after closing, that the hand holds the object.
+    """Step of a task that checks, after closing, that the hand holds the object.
 
     From then on the object counts as held.
     """
@@ -189,7 +189,7 @@ class Hold:
 
 @dataclass(frozen=True, eq=False)
 class Release:
-    """Step that detaches the object after the gripper has opened."""
+    """Step of a task that detaches the object after the gripper has opened."""
 
     object: str
 
@@ -201,7 +201,7 @@ class Release:
 
 @dataclass(frozen=True, eq=False)
 class Expect:
-    """Step that allows contacts of a body with other bodies, or forbids them again."""
+    """Step of a task that allows contacts of a body with other bodies, or forbids them again."""
 
     body: str
     others: tuple[str, ...]
@@ -215,7 +215,7 @@ class Expect:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """Step that starts or stops the watch of a held object for unexpected contacts.
+    """Step of a task that starts or stops the watch of a held object for unexpected contacts.
 
     The object may touch nothing but its supports.
     """
@@ -234,7 +234,7 @@ class Watch:
 
 @dataclass(frozen=True, eq=False)
 class CheckGrasp:
-    """Step that checks after the lift that the object has moved along and is still held."""
+    """Step of a task that checks after the lift that the object moved along and is still held."""
 
     object: str
     gripper: Gripper
@@ -254,7 +254,7 @@ class CheckGrasp:
 
 @dataclass(frozen=True, eq=False)
 class StillHeld:
-    """Step that checks that a held object is still between the fingers."""
+    """Step of a task that checks that a held object is still between the fingers."""
 
     object: str
     gripper: Gripper
@@ -270,7 +270,7 @@ class StillHeld:
 
 @dataclass(frozen=True, eq=False)
 class Dwell:
-    """Step that keeps the arm still for a duration [s] and reports a held object's slip."""
+    """Step of a task that keeps the arm still for a duration [s] and reports a held object's slip."""
 
     name: str
     duration: float
@@ -290,13 +290,13 @@ class Dwell:
 
 
 def not_held(ctx: TaskContext, text: str) -> Outcome:
-    """Return the outcome of a step whose hand does not hold the expected object."""
+    """Return the outcome of a task step whose hand does not hold the expected object."""
     ctx.emit("grasp", text)
     return Outcome(ErrorCode.CONTROL_FAILED, text, {EMPTY: True})
 
 
 def lost(ctx: TaskContext, item: str, text: str) -> Outcome:
-    """Mark a held object as lost, and return the outcome of the step."""
+    """Mark a held object as lost, and return the outcome of the task's step."""
     ctx.lose(item, text)
     ctx.driver.unwatch_object(item)
     return not_held(ctx, text)
@@ -309,7 +309,7 @@ class Step(Protocol):
 
 
 def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
-    """Execute a step and add an entry for it to the stage table."""
+    """Execute a task's step and add an entry for it to the stage table."""
     report.started_s = ctx.driver.now
     ctx.emit("stage", report.name, phase="begin")
     outcome = act()
@@ -321,7 +321,7 @@ def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) ->
 
 
 def perform_all(ctx: TaskContext, steps: Iterable[Step]) -> Outcome:
-    """Execute steps in sequence until one fails."""
+    """Execute a planned task's steps in sequence until one fails."""
     for step in steps:
         if ctx.cancel.is_set():
             return Outcome(ErrorCode.PREEMPTED, "cancelled")

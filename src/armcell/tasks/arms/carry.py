@@ -23,7 +23,7 @@ SLIP_EVERY = 10  # cycles between two measurements of the slip
 
 @dataclass
 class CarryRecord:
-    """Largest deviations of a carried object over all control cycles since the grasp."""
+    """Largest deviations of an object that two arms carry over all control cycles since the grasp."""
 
     off_m: float = 0.0
     turn_rad: float = 0.0
@@ -39,7 +39,7 @@ class CarryRecord:
 
 
 class Carrying:
-    """Task in which two arms carry one object.
+    """Two-arm carry task: grasp both ends of an object, move it, put it down, release.
 
     Every method returns an `Outcome`; the first failure stops both arms.
 
@@ -62,7 +62,7 @@ class Carrying:
         return self.hands.hold
 
     def grasp(self, route: Sequence[SE3] = ()) -> Outcome:
-        """Move both arms to the object's ends simultaneously and close the grippers.
+        """Move both arms of a carry task to the object's ends simultaneously and close the grippers.
 
         Args:
             route: later poses of the object; grasps that cannot reach them are rejected. Grasps with
@@ -75,7 +75,7 @@ class Carrying:
         return outcome if outcome.ok else self._with_record(outcome)
 
     def move(self, *poses: SE3, name: str = "carry") -> Outcome:
-        """Carry the object through given poses (T_world_object) and stop at each pose.
+        """Carry an object with two arms through given poses (T_world_object) and stop at each pose.
 
         The path is straight if possible, else it avoids obstacles.
         """
@@ -99,12 +99,12 @@ class Carrying:
     def shift(
         self, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0, name: str = "carry"
     ):
-        """Carry the object by an offset [m] in world axes, and rotate it about the vertical."""
+        """Carry an object with two arms by an offset [m] in world axes, and rotate it about the vertical."""
         here = self._object_pose(self._known())
         return self.move(shifted(here, x, y, z, turn_deg), name=name)
 
     def release(self) -> Outcome:
-        """Open both grippers and retreat straight from the object."""
+        """Open both grippers of a two-arm carry and retreat straight from the object."""
         self._known()
         widths = {}
         for group, gripper in self.hands.grippers.items():
@@ -137,7 +137,7 @@ class Carrying:
         return self._with_record(outcome)
 
     def _object_pose(self, held: PairHold) -> SE3:
-        """Return T_world_object at the commanded joint positions, from the first hand's grasp."""
+        """Return a two-arm carry's T_world_object at the commanded joints, from the first hand's grasp."""
         first = self.hands.first
         return self.hands.tcp_poses_at(held.q)[first] @ held.carried.grasps[first].inv()
 
@@ -147,7 +147,7 @@ class Carrying:
         return self._held
 
     def squeeze(self) -> Array:
-        """Return the object's internal force (3,) [N], half the difference of the hands' forces."""
+        """Return a carried object's internal force (3,) [N]: half the difference of both hands' forces."""
         first, second = (self.ctx.driver.wrench(self.hands.grippers[g].name)[:3] for g in self.hands.groups)
         return (second - first) / 2
 
@@ -156,7 +156,7 @@ class Carrying:
         return self._corrected(q, offset), v
 
     def _corrected(self, q: Array, offset: Array) -> Array:
-        """Return setpoints in which an offset (3,) [m] moves the second hand, by its Jacobian."""
+        """Return a two-arm carry's setpoints in which an offset (3,) [m] moves the second hand."""
         if not offset.any():
             return q
         group = self.hands.second
@@ -178,7 +178,7 @@ class Carrying:
         return held.T_first_object.distance_to(here)[0]
 
     def _watch(self) -> Outcome | None:
-        """Check the hands' relative pose, the internal force, and that the object is held.
+        """Watch a two-arm carry: the hands' relative pose, the internal force, and that the object is held.
 
         The check runs in every control cycle.
         """
@@ -202,6 +202,6 @@ class Carrying:
 
 
 def shifted(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
-    """Return a pose moved in world axes and rotated about the vertical through its origin."""
+    """Return a carried object's pose moved in world axes and rotated about the vertical at its origin."""
     turn = SO3.exp((0.0, 0.0, np.deg2rad(turn_deg)))
     return SE3(turn @ T.rotation, T.translation + np.array([x, y, z]))

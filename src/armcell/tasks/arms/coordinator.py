@@ -40,7 +40,7 @@ MOTION = "motion"
 
 
 class MotionCoordinator:
-    """Shared state of two arms that work side by side.
+    """Motion coordinator of two arms that work side by side: motions, reserved zones, yielding.
 
     Only one of the two programs runs at a time, so the state needs no locks.
     """
@@ -65,7 +65,9 @@ class MotionCoordinator:
 
     # --- motions ---
     def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
-        """Wait until a motion, or a detour to the same goal, may start, and return the motion."""
+        """Coordinate two arms: wait until a motion, or a detour to the same goal, may start, and return the
+        motion.
+        """
         me, straight = ctx.group, motion.planner == "cartesian"
         began = ctx.driver.now
         while not ctx.cancel.is_set():
@@ -113,7 +115,7 @@ class MotionCoordinator:
         return found
 
     def _free(self, ctx, arms: Arms, scene: PlanningScene, wanted, other: RunningMotion, now: float) -> bool:
-        """Return whether a motion of one arm may start beside the other arm.
+        """Return whether the coordinator may start a motion of one arm beside the other arm.
 
         Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
         pause and move during this check, so they are certified for any timing.
@@ -127,7 +129,7 @@ class MotionCoordinator:
         ).free  # fmt: skip
 
     def _clearance_now(self, arms: Arms, scene: PlanningScene, wanted: JointTrajectory) -> float:
-        """Return the required clearance, or slightly less than the present distance if smaller."""
+        """Return the coordinator's required clearance between arms, or slightly less than the present one."""
         q = scene.state.reindexed(arms.joint_names).positions
         if arms.find_too_close(q[None], None, self.clearance) < 0:
             return self.clearance
@@ -153,7 +155,7 @@ class MotionCoordinator:
         return found if self._free(ctx, arms, scene, found, running, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
-        """Execute a motion of the coordinator itself (to yield or return)."""
+        """Execute a motion of the motion coordinator itself, with which an arm yields or returns."""
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
         motion = ctx.gate.motion(trajectory, cancel=ctx.cancel)
@@ -162,7 +164,7 @@ class MotionCoordinator:
         return done.ok
 
     def rest(self, ctx: ArmContext) -> None:
-        """Record that an arm has come to rest."""
+        """Record in the motion coordinator that an arm has come to rest."""
         self.running[ctx.group] = RunningMotion.standing(ctx.whole_scene(), ctx.group, ctx.driver.now)
 
     # --- waiting for each other ---
@@ -173,14 +175,14 @@ class MotionCoordinator:
         return running.trajectory.duration == 0.0  # a real arm rests when its driver reports it
 
     def _has_lower_priority(self, me: str) -> bool:
-        """Return whether the other arm also waits to move and started to wait earlier."""
+        """Return whether the coordinator's other arm also waits to move and started to wait earlier."""
         mine, theirs = self.waits.get(me), self.waits.get(self.other(me))
         if mine is None or theirs is None or theirs[1] != MOTION:
             return False
         return (theirs[0], self.groups.index(self.other(me))) < (mine[0], self.groups.index(me))
 
     def _resolve_wait(self, ctx: ArmContext) -> None:
-        """Yield to an arm with priority, or ask an idle arm to yield."""
+        """Resolve a coordinator's deadlock: yield to an arm with priority, or ask an idle arm to yield."""
         me, other = ctx.group, self.other(ctx.group)
         if self._has_lower_priority(me) or me in self.asked:
             self.yield_to_other(ctx)
@@ -188,7 +190,7 @@ class MotionCoordinator:
             self.asked.add(other)
 
     def yield_to_other(self, ctx: ArmContext) -> None:
-        """Yield to the other arm by moving to the home state, if possible.
+        """Let a coordinated arm yield to the other by moving to the home state, if possible.
 
         An arm that is already there does not move.
         """
@@ -218,7 +220,8 @@ class MotionCoordinator:
 
     # --- zones and rendezvous ---
     def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the first item whose zone the other arm neither holds, requests nor approaches.
+        """Choose for a coordinated arm the first item whose zone the other arm neither holds, requests nor
+        approaches.
 
         If there is none, return the first item.
 
@@ -234,7 +237,7 @@ class MotionCoordinator:
 
     @contextmanager
     def reserved(self, ctx: ArmContext, zone: str) -> Iterator[None]:
-        """Reserve a zone exclusively; arms receive the zone in the order of their requests.
+        """Reserve a zone for one coordinated arm; arms receive the zone in the order of their requests.
 
         Raises:
             InputError: the arm already holds a zone (two arms with a zone each could wait forever).
@@ -258,7 +261,7 @@ class MotionCoordinator:
             self._heading.pop(ctx.group, None)
 
     def rendezvous(self, ctx: ArmContext, name: str) -> None:
-        """Wait until the other arm's program reaches the same rendezvous point or ends."""
+        """Wait in a coordinated arm's program until the other one reaches the same rendezvous point or ends."""
         here = self._arrived.setdefault(name, set())
         here.add(ctx.group)
         other = self.other(ctx.group)
@@ -268,7 +271,7 @@ class MotionCoordinator:
         self.waits.pop(ctx.group, None)
 
     def park(self, ctx: ArmContext) -> None:
-        """Keep an arm at rest after its program, but let it yield until the other program ends."""
+        """Keep a coordinated arm at rest after its program, but let it yield until the other program ends."""
         ctx.ended = True
         while not self.contexts[self.other(ctx.group)].ended and not ctx.cancel.is_set():
             self.waits.setdefault(ctx.group, (ctx.driver.now, "the end"))

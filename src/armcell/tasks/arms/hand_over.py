@@ -25,7 +25,7 @@ RISES = (0.15, 0.3, 0.0)  # [m] above the object's present height
 
 
 def hand_over(ctx: TaskContext, item: str, receiver: Gripper, at: Sequence[SE3] = ()) -> Outcome:
-    """Hand an object from one hand to another; all motions are planned before the first starts.
+    """Hand an object from one arm's hand to another's; all motions are planned before the first starts.
 
     Args:
         at: candidate poses T_world_object, best first; default: half-way between the arms' bases.
@@ -83,7 +83,7 @@ def _half_way(scene: PlanningScene, item: str, giver: Gripper, receiver: Gripper
 @stage_types.register("choose_meeting_pose")
 @dataclass(frozen=True, eq=False)
 class ChooseMeetingPose:
-    """Stage that proposes states of the giving arm with the object at a meeting pose."""
+    """Handover stage that proposes states of the giving arm with the object at a meeting pose."""
 
     object: str
     giver: Gripper
@@ -110,7 +110,7 @@ class ChooseMeetingPose:
 @stage_types.register("offer_object")
 @dataclass(frozen=True, eq=False)
 class OfferObject:
-    """Stage that detaches the object, which then rests between the giver's fingers."""
+    """Handover stage that detaches the object, which then rests between the giver's fingers."""
 
     object: str
     giver: Gripper
@@ -128,7 +128,7 @@ class OfferObject:
 @stage_types.register("open_giver")
 @dataclass(frozen=True, eq=False)
 class OpenGiver:
-    """Stage that opens the giver wide enough to retreat once the receiver holds the object."""
+    """Handover stage that opens the giver to retreat once the receiver holds the object."""
 
     object: str
     giver: Gripper

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class CarrySettings:
-    """Settings for carrying one object with two arms."""
+    """Settings for a pair of hands that carries one object with two arms."""
 
     velocity: float = 0.3  # scaling of the joint limits
     acceleration: float = 0.15
@@ -48,7 +48,7 @@ class CarrySettings:
 
 @dataclass
 class PairHold:
-    """State of two hands since their grippers closed on the object."""
+    """State of a pair of hands since their grippers closed on the object."""
 
     carried: CarriedObject  # grasps at the set points
     T_hands: SE3  # measured pose of the second hand in the first
@@ -91,28 +91,28 @@ class HandPair:
         self.hold: PairHold | None = None
 
     def other(self, group: str) -> str:
-        """Return the planning group of the other arm."""
+        """Return the planning group of the other arm in a pair of hands."""
         return next(g for g in self.groups if g != group)
 
     def tcp_poses_at(self, q: Array) -> dict[str, SE3]:
-        """Return T_world_tcp of both arms by arm group, at joint positions (n,) of both arms."""
+        """Return T_world_tcp of both arms of a hand pair, by group, at both arms' joint positions (n,)."""
         full = self.ctx.driver.joint_state().positions.copy()
         full[self.columns] = q
         return self._tcp_poses(full)
 
     def measured_tcp_poses(self) -> dict[str, SE3]:
-        """Return the measured T_world_tcp of both arms, by arm group."""
+        """Return the measured T_world_tcp of both arms of a hand pair, by arm group."""
         return self._tcp_poses(self.ctx.driver.joint_state().positions)
 
     def _tcp_poses(self, q: Array) -> dict[str, SE3]:
         return dict(zip(self.groups, self.tree.link_poses(q, tuple(self.tips.values())), strict=True))
 
     def supports(self, scene: PlanningScene) -> tuple[str, ...]:
-        """Return the supports of the object, now or at the time of the grasp."""
+        """Return the supports of the object between a hand pair, now or at the time of the grasp."""
         return self.hold.supports if self.hold is not None else tuple(neighbors(scene, self.item))
 
     def attached(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene in which the object is attached to the first hand.
+        """Return the scene in which a hand pair's object is attached to the first hand.
 
         Contacts of both hands and of the supports with the object are allowed.
         """
@@ -124,7 +124,7 @@ class HandPair:
     def plan(
         self, scene: PlanningScene, carried: CarriedObject, start: SE3, poses: Sequence[SE3], seconds: float
     ) -> PlanResult:
-        """Plan a motion that carries the object from a pose through other poses.
+        """Plan a hand pair's motion that carries the object from a pose through other poses.
 
         With a planning time of 0 s, only straight paths are tried.
         """
@@ -137,7 +137,7 @@ class HandPair:
     def move_fingers(
         self, name: str, widths: Mapping[str, float], settle: float, force: Mapping[str, float] | None = None
     ) -> Outcome:
-        """Command both grippers at the same time and wait until both have finished.
+        """Command both grippers of a hand pair at the same time and wait until both have finished.
 
         Args:
             widths: [m] by arm group.
@@ -172,7 +172,7 @@ class HandPair:
         correct: Callable | None = None, watch: Callable | None = None,
         evidence: Mapping[str, Any] = MappingProxyType({}), planned_in: PlanningScene | None = None,
     ) -> Outcome:  # fmt: skip
-        """Execute a trajectory of both arms as a stage (see `coupled.play`)."""
+        """Execute a trajectory of both arms of a hand pair as a stage, with `coupled.play`."""
         report = report or StageReport(name, "cartesian")
         return play(
             self.ctx, trajectory.reindexed(self.names), report, correct, watch, evidence, self._touching,
@@ -180,7 +180,7 @@ class HandPair:
         )  # fmt: skip
 
     def _touching(self) -> PlanningScene:
-        """Return the measured scene with the hands' contacts allowed and the held object attached."""
+        """Return the measured scene with a hand pair's contacts allowed and the held object attached."""
         scene = self.ctx.scene()
         if self.hold is not None:
             return self.attached(scene)

@@ -35,7 +35,7 @@ def orders(
     settings: TaskSettings = TaskSettings(),
     cycle_times: CycleTimes = CycleTimes(),
 ) -> dict[str, list[str]]:
-    """Estimate the orders of objects with which two arms finish and return earliest.
+    """Estimate the object orders per arm with which two arms finish, and return the earliest.
 
     With up to four objects per arm, all orders are compared; otherwise a local search exchanges two objects
     or reverses an order. The given order wins ties.
@@ -70,7 +70,7 @@ def earliest(
     tours: tuple[Callable[[Order], Tour], Callable[[Order], Tour]],
     conflicts: ConflictCache | None = None,
 ) -> tuple[Order, Order]:
-    """Return the object orders of two arms with which both arms finish earliest.
+    """Return the order of objects for each of two arms with which both finish earliest.
 
     Args:
         tours: computes an arm's tour for an order.
@@ -117,7 +117,7 @@ def _changed(order: Order) -> Iterator[Order]:
 
 
 def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
-    """Schedule each arm's tour segments [s]; a zone serves one arm at a time.
+    """Schedule a given order of objects: each arm's tour segments [s]; a zone serves one arm at a time.
 
     Arms get a zone in the order of their arrival.
     """
@@ -140,7 +140,7 @@ def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
 def detours(
     arms: tuple[Tour, Tour], tables: Sequence[Sequence[Span]], conflicts: ConflictCache
 ) -> list[float]:
-    """Return the total time [s] of each arm's detours around the other arm at work."""
+    """Return each arm's detour time [s] around the other arm at work, for an order of objects."""
     lost = [0.0, 0.0]
     for k in (0, 1):
         for segment, (begin, there, _) in zip(arms[k], tables[k], strict=True):
@@ -165,14 +165,17 @@ DECIMALS = 3  # [rad] positions that agree to these decimals share a cache entry
 
 
 class ConflictCache:
-    """Cache of conflicts between a motion of one arm and a working pose of the other arm."""
+    """Cache, for the search of object orders, of conflicts between a motion of one arm and a working pose of
+    the other arm.
+    """
 
     def __init__(self, scene: PlanningScene, groups: tuple[str, str]):
         self._arms = Arms(scene, groups)
         self._known: dict[tuple[int, bytes], tuple[float, float] | None] = {}
 
     def share(self, arm: int, segment: TourSegment, other: TourSegment) -> tuple[float, float] | None:
-        """Return the part (from, to in 0..1) of an arm's motion that is close to the other arm.
+        """Return the part (from, to in 0..1) of an arm's motion in an object order that is close to the other
+        arm.
 
         The other arm is at its working pose.
 

@@ -89,7 +89,7 @@ def screw(
 
 
 def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> JointTrajectory:
-    """Return a trajectory that waits for `press_time`, then rotates the last joint smoothly.
+    """Return a screw trajectory that waits `press_time`, then rotates the last joint smoothly.
 
     The rotation is a quintic polynomial of time.
     """
@@ -107,7 +107,7 @@ def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> J
 
 
 class _Turning:
-    """Control of the pressing force along the tool axis, with measurements of every cycle."""
+    """Admittance control of a screw's pressing force along the tool axis, measured every cycle."""
 
     def __init__(self, ctx, item, force, settings, names, gripper, tip):
         self.ctx, self.item, self.force, self.settings = ctx, item, force, settings
@@ -122,7 +122,7 @@ class _Turning:
         self.angle, self._last = 0.0, self.began
 
     def _pose(self) -> SE3:
-        """Return the screwed object's pose, relative to the part with the thread if it is known."""
+        """Return the screw's pose, relative to the part with the thread if it is known."""
         poses = self.ctx.driver.object_poses()
         return poses[self.item] if self.into not in poses else poses[self.into].inv() @ poses[self.item]
 

@@ -21,7 +21,7 @@ from armcell.tasks.steps import Motion
 
 
 class ArmContext(TaskContext):
-    """Task context (see `TaskContext`) of one of two arms that work side by side."""
+    """Task context of one of two arms that work side by side."""
 
     def __init__(self, parent: TaskContext, group: str, driver: Driver, coordinator: MotionCoordinator):
         super().__init__(driver, parent.base, parent.settings, parent.observers, parent.seed, parent.cancel)
@@ -68,7 +68,7 @@ Program = Callable[[ArmContext], Outcome | None]
 
 @dataclass(frozen=True)
 class SideBySide(Outcome):
-    """Result of two arms' programs: code and message of the first failure, statistics per arm."""
+    """Result of two arms' side-by-side programs: code, message of the first failure, statistics per arm."""
 
     makespan: float = 0.0  # [s] of the driver's clock
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
@@ -83,7 +83,7 @@ def side_by_side(
     clearance: float = CLEARANCE,
     patience: float = PATIENCE,
 ) -> SideBySide:
-    """Run one program per arm; if one program fails, the other ends after its running stage.
+    """Run two arms side by side, one program per arm; if one fails, the other ends after its stage.
 
     Raises:
         InputError: not exactly two groups without common joints.

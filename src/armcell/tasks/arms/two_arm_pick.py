@@ -41,7 +41,7 @@ OPEN_SETTLE = 0.3  # [s] pause after opening both hands
 
 
 class PickWithTwoArms(Pick):
-    """Pick of one object by both ends; `Carrying.move` then lifts the object.
+    """Two-arm pick of one object by both ends; `Carrying.move` then lifts the object.
 
     Args:
         route: later poses of the object; grasps that cannot reach them are rejected.
@@ -74,7 +74,7 @@ class PickWithTwoArms(Pick):
 
 @dataclass(frozen=True, eq=False)
 class GraspPair:
-    """Pair of grasps at both ends of an object, with simultaneous straight approaches."""
+    """Pair of grasps for two arms at both ends of an object, with simultaneous straight approaches."""
 
     approaches: tuple[JointTrajectory, ...]  # by arm, of equal duration
     at_grasp: JointState  # of both arms
@@ -84,7 +84,7 @@ class GraspPair:
 @stage_types.register("choose_grasp_pair")
 @dataclass(frozen=True, eq=False)
 class ChooseGraspPair:
-    """Stage that proposes grasps of an object's ends with which a route is feasible.
+    """Two-arm pick's stage that proposes grasps of an object's ends from which a route is feasible.
 
     Grasps with straight paths along the route come first, then grasps with detours around obstacles.
     """
@@ -126,7 +126,7 @@ class ChooseGraspPair:
         )  # fmt: skip
 
     def _along_route(self, scene: PlanningScene, pair: GraspPair, seconds: float) -> PlanResult:
-        """Plan the carrying motion along the route with one pair of grasps."""
+        """Plan a two-arm pick's carrying motion along the route with one pair of grasps."""
         hands = self.hands
         trial = hands.attached(scene.with_state(pair.at_grasp))
         carried = CarriedObject(hands.item, dict(pair.Ts_object_tcp), hands.tips)
@@ -134,7 +134,7 @@ class ChooseGraspPair:
         return hands.plan(trial, carried, start, self.route, seconds)
 
     def _pairs(self, scene: PlanningScene, planning: Planning) -> Iterator[GraspPair]:
-        """Yield simultaneous approaches of both arms, nearest to the present state first."""
+        """Yield simultaneous approaches of both picking arms, nearest to the present state first."""
         hands, item = self.hands, scene.object(self.hands.item)
         options = {}
         for group in hands.groups:
@@ -163,7 +163,7 @@ class ChooseGraspPair:
     def _approaches(
         self, scene: PlanningScene, group: str, T_world_object: SE3
     ) -> Iterator[tuple[JointTrajectory, SE3]]:
-        """Yield straight approaches of one arm to its end of the object, with T_object_tcp."""
+        """Yield straight approaches of one of two picking arms to its object end, with T_object_tcp."""
         hands, gripper, s = self.hands, self.hands.grippers[group], self.hands.settings
         alone = without_arm(_with_open_hands(hands, scene), hands.other(group))
         alone = alone.with_allowed(hands.item, gripper.hand_links)
@@ -188,7 +188,7 @@ class ChooseGraspPair:
 @stage_types.register("connect_pair")
 @dataclass(frozen=True, eq=False)
 class ConnectPair:
-    """Stage that moves both arms to their pre-grasps, planned after the hands have opened."""
+    """Two-arm pick's stage that moves both arms to their pre-grasps, planned after the hands opened."""
 
     hands: HandPair
     name: str = "both to the ends"
@@ -207,7 +207,7 @@ class ConnectPair:
 @stage_types.register("close_pair")
 @dataclass(frozen=True, eq=False)
 class ClosePair:
-    """Stage that closes both hands and checks that they hold the object."""
+    """Two-arm pick's stage that closes both hands and checks that they hold the object."""
 
     hands: HandPair
     name: str = "close"
@@ -227,7 +227,7 @@ class ClosePair:
 # --- steps ---
 @dataclass(frozen=True, eq=False)
 class _MoveFingers:
-    """Step that moves both grippers at the same time (see `HandPair.move_fingers`)."""
+    """Step of a two-arm pick that moves both grippers at the same time."""
 
     hands: HandPair
     name: str
@@ -241,7 +241,7 @@ class _MoveFingers:
 
 @dataclass(frozen=True, eq=False)
 class _MoveTogether:
-    """Step that plans and executes a synchronized motion of both arms."""
+    """Step of a two-arm pick that plans and executes a synchronized motion of both arms."""
 
     hands: HandPair
     goals: Mapping[str, JointGoal]
@@ -253,7 +253,7 @@ class _MoveTogether:
 
 @dataclass(frozen=True, eq=False)
 class _Approach:
-    """Step that moves both hands straight to their grasps."""
+    """Step of a two-arm pick that moves both hands straight to their grasps."""
 
     hands: HandPair
     trajectory: JointTrajectory
@@ -265,7 +265,7 @@ class _Approach:
 
 @dataclass(frozen=True, eq=False)
 class _HoldWithBoth:
-    """Step that checks and measures that both hands hold the object."""
+    """Step of a two-arm pick that checks and measures that both hands hold the object."""
 
     hands: HandPair
     pair: GraspPair
@@ -303,7 +303,7 @@ def _with_open_hands(hands: HandPair, scene: PlanningScene) -> PlanningScene:
 
 
 def _opening(hands: HandPair, group: str) -> float:
-    """Return the width [m] to which a gripper opens before it closes on its end of the object."""
+    """Return the width [m] to which a two-arm pick opens a gripper before it closes on its end."""
     item, gripper = hands.ctx.scene().object(hands.item), hands.grippers[group]
     width = item.extent(item.subframes[hands.ends[group]].rotation.matrix[:, 1])
     return pre_opening(width, gripper)

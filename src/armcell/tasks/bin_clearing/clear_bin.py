@@ -98,7 +98,7 @@ def clear_bin(
 
 
 class _BinClearing:
-    """State of one bin clearing run."""
+    """State of one bin clearing run: look, pick a piece, release it over the tray."""
 
     def __init__(self, ctx: TaskContext, gripper: Gripper, bin: str, settings: ClearSettings):
         self.ctx, self.gripper, self.bin, self.settings = ctx, gripper, bin, settings
@@ -107,7 +107,7 @@ class _BinClearing:
     def run(
         self, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look, tray: WorkRegion
     ) -> Outcome:
-        """Clear the given work regions in order into the tray."""
+        """Clear a bin's work regions in order into the tray."""
         ctx, s, counts = self.ctx, self.settings, self.counts
         while True:
             if ctx.cancel.is_set():
@@ -140,7 +140,7 @@ class _BinClearing:
         return Outcome(code, message, self.counts.as_dict())
 
     def retreat(self, opening: float) -> None:
-        """Open the fingers, retreat straight up as far as possible, and leave the camera's view.
+        """Bin clearing's retreat: open the fingers, move straight up as far as possible, leave the view.
 
         The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
         the hand or the neighboring pieces may have moved since.
@@ -156,7 +156,7 @@ class _BinClearing:
         self._leave_view()
 
     def _try_straight(self, name: str, rise: float, allow: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
-        """Move the hand straight up by `rise` [m]; stay if no motion is found."""
+        """Move the hand straight up by `rise` [m] in bin clearing; stay if no motion is found."""
         gripper = self.gripper
         stage = Straight(
             name, gripper.arm_group, gripper.tcp_link, self.ctx.settings.near, (0.0, 0.0, rise), allow=allow
@@ -166,7 +166,7 @@ class _BinClearing:
             perform_all(self.ctx, solution.steps)
 
     def _leave_view(self) -> None:
-        """Move the arm out of the camera's view, to its first reachable named state."""
+        """Move the bin clearing arm out of the camera's view, to its first reachable named state."""
         ctx, group = self.ctx, self.gripper.arm_group
         for name in ctx.base.model.named_states.get(group, {}):
             stage = Connect(f"move to {name}", group, ctx.settings.free, goal=NamedGoal(name))
@@ -176,7 +176,7 @@ class _BinClearing:
                 return
 
     def _put(self, grasp: HeapGrasp, source: WorkRegion, tray: WorkRegion, look: Look) -> Outcome:
-        """Release the held object at the tray's lowest point; return FAILURE if the tray is full."""
+        """Release a bin's picked object at the tray's lowest point; return FAILURE if the tray is full."""
         ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
         seen = look_at(ctx, look, tray, s)
         if isinstance(seen, Outcome):
@@ -210,14 +210,14 @@ class _BinClearing:
         return outcome
 
     def _put_back(self, grasp: HeapGrasp) -> None:
-        """Lower the held object along the path of its lift, and release it."""
+        """Put an object back into the bin: lower it along the path of its lift, and release it."""
         touching = ((HELD, (HEAP, self.bin)), (HEAP, self.gripper.hand_links))
         self._try_straight("lay back", self.settings.gap - self.settings.lift, touching)
         self.retreat(grasp.opening)
 
 
 class _PickFromHeap(Pick):
-    """Pick of one unknown piece from a heap that a camera sees.
+    """Bin clearing's pick of one unknown piece from a heap that a camera sees.
 
     After a failure, `clear_bin` takes a new image.
     """
@@ -252,7 +252,7 @@ class _PickFromHeap(Pick):
         return solution, outcome
 
     def _candidates(self) -> list[HeapGrasp]:
-        """Return candidate grasps of the visible pieces.
+        """Return candidate grasps of the visible pieces in a bin.
 
         If there are none, the candidates near walls with a smaller margin around the hand are returned.
         """
@@ -279,7 +279,7 @@ class _PickFromHeap(Pick):
 
 
 def _closer(settings: AboveSettings, times: int) -> AboveSettings:
-    """Return grasp settings for pieces near a wall: less margin, more orientations, corners."""
+    """Return bin clearing's grasp settings for pieces near a wall: less margin, more orientations, corners."""
     return replace(
         settings,
         room=settings.room / times,

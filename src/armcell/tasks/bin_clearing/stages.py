@@ -35,7 +35,7 @@ WIDEST = 0.06  # [m] largest assumed half length of a held object
 @stage_types.register("choose_from_heap")
 @dataclass(frozen=True, eq=False)
 class ChooseFromHeap:
-    """Stage that proposes reachable grasps of heap pieces with straight descents.
+    """Bin clearing stage that proposes reachable grasps of heap pieces with straight descents.
 
     The order of the given grasps is kept.
     """
@@ -59,7 +59,7 @@ class ChooseFromHeap:
 @stage_types.register("close_on_heap")
 @dataclass(frozen=True, eq=False)
 class CloseOnHeap:
-    """Stage that closes the hand on a heap and attaches the assumed object between the fingers."""
+    """Bin clearing stage that closes the hand on a heap and attaches the assumed object between the fingers."""
 
     gripper: Gripper
     floor: float  # [m, world z] of the bin, lower bound of the object
@@ -86,14 +86,14 @@ class CloseOnHeap:
 
 
 def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return how far a height [m, world] is below the TCP of a hand that points down."""
+    """Return how far a height [m, world] of the heap is below the TCP of a hand that points down."""
     return float(grasp.T_object_tcp.translation[2]) - z
 
 
 @stage_types.register("choose_release_point")
 @dataclass(frozen=True, eq=False)
 class ChooseReleasePoint:
-    """Stage that proposes release points over the tray, in the given order.
+    """Bin clearing stage that proposes release points over the tray, in the given order.
 
     A release point is x, y and the height of the content below.
     """
@@ -126,7 +126,7 @@ class ChooseReleasePoint:
 @stage_types.register("open_above")
 @dataclass(frozen=True, eq=False)
 class OpenAbove:
-    """Stage that opens the hand above the tray and releases the held object."""
+    """Bin clearing stage that opens the hand above the tray and releases the held object."""
 
     gripper: Gripper
     margin: float  # [m] wider than now
@@ -152,7 +152,7 @@ class OpenAbove:
 # --- steps ---
 @dataclass(frozen=True, eq=False)
 class GripUntilForce:
-    """Step that closes the fingers until they press with a force [N] or meet.
+    """Bin clearing step that closes the fingers until they press with a force [N] or meet.
 
     The step adds the gripped object to the planning scene.
     """
@@ -196,7 +196,7 @@ class GripUntilForce:
 
 @dataclass(frozen=True, eq=False)
 class StillThere:
-    """Step that checks whether an object is still between the fingers."""
+    """Bin clearing step that checks whether an object is still between the fingers."""
 
     gripper: Gripper
     thinnest: float  # [m]
@@ -210,7 +210,7 @@ class StillThere:
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """Step that opens the fingers to a width [m] and removes the held object from the scene."""
+    """Bin clearing step that opens the fingers to a width [m] and removes the held object from the scene."""
 
     gripper: Gripper
     width: float
@@ -223,12 +223,12 @@ class Drop:
 
 
 def holds(reading: GripperReading, thinnest: float) -> bool:
-    """Return whether an object between the fingers keeps a closing gripper open."""
+    """Return whether an object between the fingers keeps a gripper that closes in the heap open."""
     return reading.width > thinnest and reading.force_per_finger > 1.0
 
 
 def detach_held(ctx: TaskContext) -> None:
-    """Remove the held object from the planning scene."""
+    """Remove a bin clearing hand's held object from the planning scene."""
 
     def without_held(scene: PlanningScene) -> PlanningScene:
         scene = scene.with_detached(HELD) if HELD in scene.attached else scene

@@ -24,7 +24,7 @@ Rectangle = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True)
 class WorkRegion:
-    """Level region on which objects may lie."""
+    """Work region of bin clearing: a level area on which objects may lie."""
 
     name: str
     rectangle: Rectangle
@@ -34,7 +34,7 @@ class WorkRegion:
 
 @dataclass(frozen=True, eq=False)
 class RegionView:
-    """Result of one depth image of a work region."""
+    """Result of one depth image of a bin clearing work region."""
 
     region: WorkRegion
     map: HeightMap
@@ -42,7 +42,7 @@ class RegionView:
 
     @property
     def count(self) -> int:
-        """Return the number of visible pieces in the region.
+        """Return the number of visible pieces in a work region.
 
         Touching objects may count as one piece, and one object as several pieces.
         """
@@ -84,7 +84,7 @@ def table_around(
 
 
 def _outline(item: CollisionObject, room: float) -> Rectangle:
-    """Return the rectangle around an object in the world frame, enlarged by a margin [m]."""
+    """Return a bin's or tray's world-frame rectangle for a work region, enlarged by a margin [m]."""
     low, high = item.bounds()
     corners = np.array(
         [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
@@ -130,7 +130,7 @@ def look_at(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) 
 
 
 def add_heap(ctx: TaskContext, seen: RegionView) -> None:
-    """Add the visible pieces to the planning scene as a point cloud."""
+    """Add the visible pieces of a work region to the planning scene as a point cloud."""
     points = seen.map.at(np.argwhere(seen.labels >= 0)[::3])
     cloud = CollisionObject.single(HEAP, PointCloud(points, 2 * seen.map.resolution))
 

@@ -28,13 +28,13 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class GripperTranslation:
-    """Straight motion of the tip in the world frame, as in moveit_msgs/GripperTranslation."""
+    """Straight tip motion of an explicit grasp, as in moveit_msgs/GripperTranslation (world frame)."""
 
     desired: Vector  # [m] translation
     minimum: float = 0.0  # [m] shorter motions fail; 0: only the full translation succeeds
 
     def accepted(self, result: PlanResult) -> PlanResult:
-        """Return a planned motion as a success if it covers at least the minimum distance."""
+        """Accept an explicit grasp's straight motion if it covers at least the minimum distance."""
         done = result.fraction * float(np.linalg.norm(self.desired))
         if result.trajectory is not None and 0 < self.minimum <= done + 1e-6:
             return replace(result, code=ErrorCode.SUCCESS)
@@ -43,7 +43,7 @@ class GripperTranslation:
 
 @dataclass(frozen=True, eq=False)
 class ExplicitGrasp(Grasp):
-    """Grasp with its own approach and retreat (lift), both in the world frame."""
+    """Explicit grasp that the caller specifies, with its own approach and retreat in the world frame."""
 
     pre_grasp_approach: GripperTranslation = GripperTranslation((0.0, 0.0, -0.1))
     post_grasp_retreat: GripperTranslation = GripperTranslation((0.0, 0.0, 0.1))
@@ -52,7 +52,7 @@ class ExplicitGrasp(Grasp):
 @stage_types.register("use_grasps")
 @dataclass(frozen=True, eq=False)
 class UseGrasps:
-    """Stage that proposes reachable grasps of a list in list order, with free approaches."""
+    """Stage that proposes the caller's reachable explicit grasps in list order, with free approaches."""
 
     object: str
     gripper: Gripper
@@ -78,7 +78,7 @@ class UseGrasps:
 @stage_types.register("lift")
 @dataclass(frozen=True, eq=False)
 class Lift:
-    """Stage that moves along the chosen grasp's retreat, away from the object's support."""
+    """Stage that lifts along the explicit grasp's retreat, away from the object's support."""
 
     object: str
     gripper: Gripper
@@ -100,7 +100,7 @@ class Lift:
 
 @dataclass(frozen=True, eq=False)
 class ExplicitPlacement:
-    """Target pose of an object, with straight motions before and after the release.
+    """Explicit placement that the caller specifies: target pose, motions before and after the release.
 
     Pose and motions are in the world frame.
     """
@@ -114,7 +114,7 @@ class ExplicitPlacement:
 @stage_types.register("use_placements")
 @dataclass(frozen=True, eq=False)
 class UsePlacements:
-    """Stage that proposes placements of a list, in list order, that a straight descent reaches."""
+    """Stage that proposes the caller's explicit placements in list order, if a straight descent is free."""
 
     object: str
     gripper: Gripper
@@ -157,7 +157,7 @@ class UsePlacements:
 @stage_types.register("retreat")
 @dataclass(frozen=True, eq=False)
 class Retreat:
-    """Stage that retreats from the released object.
+    """Stage that retreats from the object released at an explicit placement.
 
     The retreat is that of the placement, otherwise straight along the hand's axis.
     """
@@ -184,7 +184,7 @@ class Retreat:
 
 
 def standing_on(scene: PlanningScene, item: str, T_world_object: SE3) -> tuple[str, ...]:
-    """Return the bodies that a held object will touch at its target pose."""
+    """Return the bodies that a held object will touch at its explicit target pose."""
     put = scene.with_detached(item).with_object_pose(item, T_world_object)
     return tuple(neighbors(put, item, UNDER))
 

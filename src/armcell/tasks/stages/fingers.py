@@ -48,7 +48,7 @@ class MoveGripper:
 def finger_collision(
     scene: PlanningScene, grips: Sequence[Grip], trajectory: JointTrajectory | None = None
 ) -> str:
-    """Return a possible contact of fingers that move to their widths, as text.
+    """Return a possible contact of gripper fingers that move to their widths, as text.
 
     The check holds for any finger speed and during an arm motion.
 

@@ -84,7 +84,7 @@ class ChooseGrasp:
     def _proven(
         self, solution: PartialSolution, planning: Planning, item: CollisionObject, grasps: list[Grasp]
     ) -> tuple[list[Grasp], dict[str, Proof]]:
-        """Return reachable grasps with their proofs of success, best first.
+        """Return a pick's reachable grasps with their physics proofs of success, best first.
 
         The order is by P(success) x reachability / time.
         """
@@ -128,7 +128,7 @@ def approaches(
     solution: PartialSolution, planning: Planning, stage: str, item: str, gripper: Gripper, grasp: Grasp,
     back: Callable[[PlanningScene, SE3], PlanResult],
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield solutions with an approach to a grasp, one per arm state.
+    """Yield pick solutions with a straight approach to a grasp, one per arm state.
 
     Arm states without an approach are rejected with a reason.
 
@@ -175,7 +175,7 @@ def approaches(
 @stage_types.register("append_planned_motion")
 @dataclass(frozen=True, eq=False)
 class AppendPlannedMotion:
-    """Stage that appends a motion planned by an earlier stage.
+    """Stage that appends a motion planned by an earlier stage, such as a grasp's approach.
 
     The motion is `data[motion]`; it leads to the scene `data[scene]`.
     """
@@ -195,7 +195,7 @@ class AppendPlannedMotion:
 @stage_types.register("close")
 @dataclass(frozen=True, eq=False)
 class Close:
-    """Stage that closes the hand on the object and attaches the object.
+    """Stage of a pick that closes the hand on the object and attaches the object.
 
     The object may then leave its supports.
     """
@@ -232,7 +232,7 @@ def _turned(proof: Proof) -> Iterator[Grasp]:
 
 
 def _seconds(scene: PlanningScene, arm: JointState) -> float:
-    """Return the least time [s] in which the arm reaches a state, ignoring obstacles."""
+    """Return the least time [s] in which the arm reaches a grasp's state, ignoring obstacles."""
     columns = scene.model.columns(arm.joint_names)
     distance = np.abs(arm.positions - scene.positions[columns])
     return float(np.max(distance / scene.model.limits(arm.joint_names, "velocity")))
@@ -245,7 +245,7 @@ def finger_state(gripper: Gripper, width: float) -> JointState:
 def reachable(
     scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, planning: Planning, stage: str, candidate: str
 ) -> Iterator[JointState]:
-    """Yield collision-free arm states with the TCP at a pose; reject others with a reason."""
+    """Yield collision-free arm states with the TCP at a grasp pose; reject others with a reason."""
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     checker = ExactChecker(scene, ik.joint_names)
     rng = np.random.default_rng(planning.seed)

@@ -67,7 +67,7 @@ class ChoosePlacement:
         return self.among or place_candidates(item, support, self.at, up=self.up)
 
     def why_not(self, scene: PlanningScene, most: int) -> Callable[[Grasp], str]:
-        """Return a test that rejects grasps with which the hand would intersect the support.
+        """Return a placing test that rejects grasps whose hand would intersect the support.
 
         Args:
             scene: the scene before the grasp, with the object's present orientation.
@@ -130,12 +130,12 @@ Surface = tuple[SE3, float, float]
 
 
 def surface_of_place(support: CollisionObject, placement: Placement) -> Surface:
-    """Return the support surface of a placement."""
+    """Return the support surface of a place stage's placement."""
     return support_surface(support, float(np.arccos(min(placement.normal[2], 1.0))) + 1e-6)
 
 
 def hand_in_support(hand: Hand, T_world_tcp: SE3, surface: Surface) -> float:
-    """Return the depth [m] of a hand's lowest corner below a surface; <= 0 if it is above."""
+    """Return how deep [m] the hand's lowest corner is below a placement's surface; <= 0 if above."""
     low, high = hand.boxes[:, :3], hand.boxes[:, 3:]
     corners = np.concatenate([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])
     frame, size_x, size_y = surface
@@ -148,7 +148,7 @@ def descents(
     solution: PartialSolution, planning: Planning, scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3,
     stage: str, candidate: str, up: Callable[[PlanningScene], PlanResult], *steps: Step, **data: Any,
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield solutions with a descent to a placement, one per arm state.
+    """Yield solutions with a straight descent to a placement, one per arm state.
 
     Arm states without a descent are rejected with a reason.
 
@@ -184,7 +184,7 @@ def descents(
 @stage_types.register("open")
 @dataclass(frozen=True, eq=False)
 class Open:
-    """Stage that opens the hand wide enough to retreat, and detaches the held object."""
+    """Place stage that opens the hand wide enough to retreat, and detaches the held object."""
 
     object: str
     support: str
@@ -218,7 +218,7 @@ class Open:
 @stage_types.register("expect_support")
 @dataclass(frozen=True, eq=False)
 class ExpectSupport:
-    """Stage that checks that the hand holds the object, and allows contact with its support."""
+    """Place stage that checks that the hand holds the object, and allows contact with its support."""
 
     object: str
     support: str

@@ -23,7 +23,7 @@ ALIKE = 0.02  # score difference below which grasps count as equally good
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Grasp with the arm's positions (n,) before the approach, and the travel time to them.
+    """Reach of a grasp: the arm's positions (n,) before the approach, and the travel time to them.
 
     The time ignores obstacles.
     """
@@ -49,7 +49,7 @@ class ReachEstimator:
     def nearest_first(
         self, T_world_object: SE3, grasps: Sequence[Grasp], q: Array, speed: Speed
     ) -> list[Reach]:
-        """Return the grasps that are about as good as the best grasp, sorted by travel time.
+        """Sort about equally good grasps by the arm's travel time to reach them, nearest first.
 
         On a cube, for example, the grasps on its four sides are equally good.
 
@@ -66,7 +66,7 @@ class ReachEstimator:
         return sorted(found, key=lambda reach: reach.seconds)
 
     def to(self, T_world_tcp: SE3, q: Array) -> Array | None:
-        """Return joint positions (n,) near q (n,) that place the TCP at a pose, or None.
+        """Return joint positions (n,) near q (n,) that reach a grasp's TCP pose, or None.
 
         The result is None if the pose is unreachable.
         """
@@ -76,7 +76,7 @@ class ReachEstimator:
         return next(self.ik.solutions(T_world_tcp, reference, rng), None)
 
     def seconds(self, q: Array, to: Array, speed: Speed) -> float:
-        """Return the least time [s] of a straight joint-space motion at given speed fractions."""
+        """Return the least time [s] to reach a grasp straight in joint space at given speed fractions."""
         if not np.any(to != q):
             return 0.0
         model, names = self.scene.model, self.ik.joint_names

@@ -22,7 +22,7 @@ _at_work: WeakKeyDictionary[TaskContext, Behaviour] = WeakKeyDictionary()
 
 
 class Act(Behaviour):
-    """Behavior that runs a recipe: RUNNING, then SUCCESS, or FAILURE with the reason.
+    """Behavior tree node that runs a recipe: RUNNING, then SUCCESS, or FAILURE with the reason.
 
     A tick ends after `tick` seconds of the driver's clock or when the recipe ends; planning takes no time of
     that clock. The recipe has its own thread, which runs only during ticks, so equal seeds give equal runs.
@@ -65,7 +65,7 @@ class Act(Behaviour):
         return Status.SUCCESS if outcome.ok else Status.FAILURE
 
     def terminate(self, new_status: Status) -> None:
-        """Clean up after the recipe has ended; stop the recipe if the tree has left this branch."""
+        """Clean up a behavior tree node's recipe at its end; stop it if the tree has left this branch."""
         if self._turn is not None:
             self._turn.stop()
             self._turn = None
@@ -74,7 +74,7 @@ class Act(Behaviour):
 
 
 class Check(Behaviour):
-    """Behavior with an immediate result: a query of the scene, or a camera look."""
+    """Behavior tree node with an immediate result: a query of the scene, or a camera look."""
 
     def __init__(self, name: str, ask: Callable[[], Outcome]):
         super().__init__(name)
@@ -88,7 +88,7 @@ class Check(Behaviour):
 
 
 class _Turn:
-    """Recipe in a thread that runs only during `step`.
+    """Recipe of a behavior tree node in a thread that runs only during `step`.
 
     It observes its cell to follow the driver's clock.
     """
@@ -105,7 +105,7 @@ class _Turn:
         ctx.observers.append(self)
 
     def step(self, duration: float) -> Outcome | None:
-        """Run the recipe for a duration [s of the driver's clock].
+        """Run a behavior tree node's recipe for a duration [s of the driver's clock].
 
         Returns:
             The recipe's outcome if it has ended, else None.
@@ -121,7 +121,7 @@ class _Turn:
         return self._outcome
 
     def stop(self) -> None:
-        """Cancel the recipe and wait for its end."""
+        """Cancel a behavior tree node's recipe and wait for its end."""
         if not self._thread.is_alive():
             return
         cancelled = self._ctx.cancel.is_set()
@@ -159,7 +159,7 @@ class _Turn:
 
 
 def run(root: Behaviour, most_ticks: int = 100_000) -> Outcome:
-    """Tick a behavior tree until it succeeds or fails.
+    """Tick the nodes of a behavior tree until it succeeds or fails.
 
     Returns:
         SUCCESS, FAILURE with the reasons of the failed nodes, or TIMED_OUT. Evidence: `ticks`.
@@ -190,7 +190,7 @@ def as_dot(root: Behaviour) -> str:
 
 
 def reasons(root: Behaviour) -> list[str]:
-    """Return the feedback messages of all leaves that failed in the last run of a tree."""
+    """Return the feedback messages of all behavior tree leaves that failed in the last run."""
     return [
         f"{node.name}: {node.feedback_message}"
         for node in root.iterate()

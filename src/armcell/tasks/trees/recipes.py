@@ -27,25 +27,25 @@ Vector = tuple[float, float, float]
 
 
 def picking(ctx: TaskContext, item: str, gripper: Gripper, ahead: Sequence[Stage] = ()) -> Act:
-    """Return a behavior that runs the recipe `pick`."""
+    """Return a behavior tree node that runs the recipe `pick`."""
     return Act(f"pick {item}", ctx, lambda c: pick(c, item, gripper, ahead=ahead))
 
 
 def placing(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, up: Vector | None = None
 ) -> Act:
-    """Return a behavior that runs the recipe `place`."""
+    """Return a behavior tree node that runs the recipe `place`."""
     return Act(f"place {item} on {on}", ctx, lambda c: place(c, item, on, at, up))
 
 
 def moving_to(ctx: TaskContext, group: str, goal: Goal | str) -> Act:
-    """Return a behavior that runs the recipe `move_to`."""
+    """Return a behavior tree node that runs the recipe `move_to`."""
     name = goal if isinstance(goal, str) else type(goal).__name__
     return Act(f"move to {name}", ctx, lambda c: move_to(c, group, goal))
 
 
 def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequence[Stage]]) -> Act:
-    """Return a behavior that creates, plans and executes stages when the tree reaches it."""
+    """Return a behavior tree node that creates, plans and executes stages when it is reached."""
 
     def act(c: TaskContext) -> Outcome:
         solution, outcome = plan_stages(c, stages(c), name)
@@ -55,7 +55,7 @@ def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequ
 
 
 def looking(name: str, look: Look) -> Check:
-    """Return a check that looks with a camera.
+    """Return a behavior tree check that looks with a camera.
 
     Example: `looking("look", lambda: cell.look("above"))`.
     """
@@ -63,7 +63,7 @@ def looking(name: str, look: Look) -> Check:
 
 
 def held(ctx: TaskContext, item: str) -> Check:
-    """Return a check that an object is held, according to the task and the gripper's sensors."""
+    """Return a behavior tree check that an object is held, by the task and the gripper's sensors."""
 
     def ask() -> Outcome:
         holding = ctx.holding.get(item)
@@ -77,7 +77,7 @@ def held(ctx: TaskContext, item: str) -> Check:
 def rests_on(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, tolerance: float = 0.015
 ) -> Check:
-    """Return a check that an object rests on another object, near a surface point [m]."""
+    """Return a behavior tree check that an object rests on another one, near a surface point [m]."""
 
     def ask() -> Outcome:
         scene = ctx.scene()
@@ -100,7 +100,7 @@ def transferring(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None = None,
     up: Vector | None = None, look: Look | None = None, settings: RecoverySettings = RecoverySettings(),
 ) -> Behaviour:  # fmt: skip
-    """Return a behavior tree that moves an object to its goal, like `transfer` with recovery.
+    """Return a behavior tree that moves an object to its goal by recipes, like `transfer` with recovery.
 
     The tree makes up to `settings.tries` attempts. Between attempts objects come to rest and the open hand
     retreats.
