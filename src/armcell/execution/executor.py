@@ -43,7 +43,7 @@ def execute(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionResult:
-    """Play a trajectory to its end and wait until the arm rests at the goal.
+    """Execute a trajectory to its end and wait until the arm rests at the goal.
 
     Args:
         motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops the arm.
@@ -68,7 +68,7 @@ def execute_coupled(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionResult:
-    """Play one trajectory of several arms on one clock and wait until all arms rest at its end.
+    """Execute one trajectory of several arms on one clock; wait until all arms rest at its end.
 
     Args:
         motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops all arms.
@@ -102,7 +102,7 @@ def execution_steps(
 
 
 def _source(driver: Driver, may_play: bool = False) -> Source:
-    """Return the source of setpoints for a driver.
+    """Return the source of setpoints with which the executor drives a driver.
 
     Args:
         may_play: True if the driver may advance the clock itself.
@@ -113,7 +113,7 @@ def _source(driver: Driver, may_play: bool = False) -> Source:
 
 
 def _advanced(driver: Driver, steps: ExecutionSteps) -> ExecutionResult:
-    """Run the steps of a motion to the end and advance the driver's clock between the steps."""
+    """Run an executed motion's steps to the end and advance the driver's clock between the steps."""
     while True:
         try:
             next(steps)
@@ -139,7 +139,7 @@ def _steps(
 
 
 class _Execution:
-    """Execution state of one motion, from the start check to the result."""
+    """Executor's state of one motion, from the start check to the result."""
 
     def __init__(
         self, driver: Driver, motion: Executable, settings: ExecutionSettings, progress: Progress | None
@@ -150,7 +150,7 @@ class _Execution:
         self.tracking = 0.0  # [rad or m] largest tracking error so far
 
     def run(self, make_source: Source) -> ExecutionSteps:
-        """Execute the motion step by step, as a generator (see `ExecutionSteps`)."""
+        """Execute the motion step by step, as a generator of type `ExecutionSteps`."""
         measured = self.driver.joint_state().reindexed(self.names)
         if len(self.trajectory.times) == 0:
             self.driver.stop()  # ROS: an empty trajectory means stop
@@ -172,7 +172,7 @@ class _Execution:
 
     # --- before the motion ---
     def _check_start(self, measured: JointState) -> ExecutionResult | None:
-        """Return a failure if the arm is not at the trajectory's start, else None."""
+        """Check in the executor that the arm is at the trajectory's start; return a failure or None."""
         error, column = largest(np.abs(measured.positions - self.trajectory.positions[0]))
         tolerance, code = self.settings.start_tolerance, ErrorCode.CONTROL_FAILED
         if error <= tolerance:
@@ -187,14 +187,14 @@ class _Execution:
         )  # fmt: skip
 
     def _dry_run(self) -> ExecutionResult | None:
-        """Return a failure if the dry run in simulation refuses the motion, else None."""
+        """Return a failure if the dry run in simulation refuses the executor's motion, else None."""
         dry_runs = Capability.DRY_RUN in self.driver.capabilities
         refused = self.driver.rehearse(self.trajectory) if dry_runs else None
         return None if refused is None else self._result(refused.code, refused.message, refused.evidence)
 
     # --- the motion ---
     def _move(self, source: SetpointSource) -> Generator[None, None, Outcome]:
-        """Send setpoints until the arm rests at the goal, and return the outcome."""
+        """Send the executor's setpoints until the arm rests at the goal, and return the outcome."""
         while True:
             if source.complete and (outcome := self._settle(source)) is not None:
                 return outcome
@@ -211,7 +211,7 @@ class _Execution:
                 return outcome
 
     def _check(self, source: SetpointSource) -> Outcome | None:
-        """Compare the arm with the setpoints; return the reason to stop the arm, or None."""
+        """Compare the arm with the executor's setpoints; return the reason to stop the arm, or None."""
         found = source.tracking_error()
         if found is not None:
             self.tracking = max(self.tracking, found[0])
@@ -224,7 +224,7 @@ class _Execution:
         return None
 
     def _settle(self, source: SetpointSource) -> Outcome | None:
-        """Return SUCCESS if the arm rests at the goal, a failure if settling took too long, or None."""
+        """Return the executor's SUCCESS if the arm rests at the goal, failure after a timeout, or None."""
         state = self.driver.joint_state()
         found = largest(np.abs(state.positions[source.columns] - source.goal))
         v = state.velocities
@@ -236,7 +236,7 @@ class _Execution:
         return None
 
     def _halt(self, source: SetpointSource) -> Generator[None, None, None]:
-        """Cancel the motion and wait until the arm rests."""
+        """Cancel the motion in the executor and wait until the arm rests."""
         source.cancel()
         deadline = self.driver.now + CANCEL_TIME
         while not source.halted() and self.driver.now < deadline:
@@ -244,7 +244,7 @@ class _Execution:
 
     # --- results ---
     def _fault(self) -> Outcome | None:
-        """Return a failure if a fault of the robot stops the motion, else None."""
+        """Return a failure if a fault of the robot stops the executed motion, else None."""
         fault = self.driver.fault()
         if fault is None:
             return None
@@ -274,7 +274,7 @@ class _Execution:
 def blend_from(
     measured: JointState, trajectory: JointTrajectory, settings: ExecutionSettings
 ) -> JointTrajectory | None:
-    """Return the quintic blend from an arm's current motion into a trajectory; None if at rest.
+    """Return the executor's quintic blend from an arm's current motion into a trajectory; None if at rest.
 
     The blend is an offset from the trajectory that ends at zero position and velocity.
     """

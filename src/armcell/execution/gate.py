@@ -40,35 +40,37 @@ class World(Protocol):
 
     @property
     def base(self) -> PlanningScene:
-        """Planning scene without measured values; every change of the scene yields a new object."""
+        """The motion gate's planning scene without measured values; every change of the scene yields a new
+        object.
+        """
         ...
 
     def scene(self) -> PlanningScene:
-        """Return the scene with the measured state of every arm and of the held objects."""
+        """Return the motion gate's scene with the measured state of every arm and of held objects."""
         ...
 
     def object_poses(self) -> Mapping[str, SE3]:
-        """Return T_world_object of the measured objects, including held ones."""
+        """Return T_world_object of the measured objects, including held ones, for the motion gate."""
         ...
 
     def expected_contacts(self) -> Iterable[frozenset[str]]:
-        """Return the pairs of bodies whose contact is currently part of the task."""
+        """Return the body pairs whose contact the motion gate allows, because the task expects it."""
         ...
 
     def clock(self) -> float:
-        """Return the current time on the cell's clock [s]."""
+        """Return the time [s] on the clock of the motion gate's cell."""
         ...
 
     @property
     def keeps_time(self) -> bool:
-        """Whether the progress of a running motion always matches the cell's clock."""
+        """Whether a gated motion's progress always matches the cell's clock."""
         ...
 
     def emit(self, kind: str, text: str, **data: Any) -> None: ...
 
 
 class MotionGate:
-    """Gate that certifies motions in one world as collision-free and tracks running motions.
+    """Motion gate that certifies motions in one world as collision-free and tracks running motions.
 
     Motions are certified in the thread that moves the arms. Any thread may call `conflict`.
 
@@ -90,7 +92,7 @@ class MotionGate:
         cancel: threading.Event | None = None,
         scene: Callable[[], PlanningScene] | None = None,
     ) -> GuardedMotion:
-        """Return a guarded motion that the executor can play.
+        """Return a motion guarded by the motion gate, which the executor can play.
 
         Args:
             planned_in: scene in which the trajectory was planned; its allowed contacts apply to the motion.
@@ -106,7 +108,7 @@ class MotionGate:
         ignore: GuardedMotion | None = None,
         planned: PlanningScene | None = None,
     ) -> Conflict | None:
-        """Return a motion's first collision from now on, also with running motions, or None.
+        """Return a gated motion's first collision from now on, also with running motions, or None.
 
         Args:
             ignore: a running motion to ignore, usually the motion under test.
@@ -133,7 +135,7 @@ class MotionGate:
 
 
 class Executable(threading.Event, ABC):
-    """A trajectory that the executor accepts, and an event that stops the motion when set."""
+    """A gated trajectory that the executor accepts, and an event that stops the motion when set."""
 
     def __init__(self, trajectory: JointTrajectory, cancel: threading.Event | None = None):
         super().__init__()
@@ -144,7 +146,7 @@ class Executable(threading.Event, ABC):
 
     @abstractmethod
     def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
-        """Check the motion for collisions; return the result that refuses it, or None.
+        """Check an executable motion for collisions in the gate; return the result that refuses it, or None.
 
         Args:
             blend: offset added to the start of the trajectory: the remaining motion of an arm that is not at
@@ -153,11 +155,11 @@ class Executable(threading.Event, ABC):
 
     @abstractmethod
     def end(self, result: Result) -> Result:
-        """Mark the motion as ended; return `result`, with the gate's reason if the gate stopped it."""
+        """Mark a gated motion as ended; return `result`, with the gate's reason if it stopped the motion."""
 
 
 def executable(motion: object) -> Executable:
-    """Return `motion` unchanged if the executor may play it, else raise an error.
+    """Return `motion` if the executor may play it (gated or declared ungated), else raise an error.
 
     Raises:
         InputError: `motion` is a bare trajectory that no gate has checked.
@@ -171,7 +173,7 @@ def executable(motion: object) -> Executable:
 
 
 class UngatedMotion(Executable):
-    """A motion without a collision check, for isolated simulations (dry run, test, benchmark).
+    """Ungated motion without collision checks, for isolated simulations (dry run, test, benchmark).
 
     Contacts in such a simulation are findings.
     """
@@ -184,7 +186,7 @@ class UngatedMotion(Executable):
 
 
 class GuardedMotion(Executable):
-    """A motion that is checked for collisions at its start and again when the world changes."""
+    """Motion that the gate checks for collisions at its start and again when the world changes."""
 
     def __init__(
         self,
@@ -256,7 +258,7 @@ class GuardedMotion(Executable):
 
     # --- collision check ---
     def moving(self, scene: PlanningScene) -> Moving:
-        """Return the part of the motion that the arm has not executed yet.
+        """Return the part of a guarded motion that the arm has not executed yet.
 
         Args:
             scene: measured scene; its joint state gives the progress if motions do not follow the clock.
@@ -270,7 +272,7 @@ class GuardedMotion(Executable):
         return Moving(self.trajectory, min(passed, self.trajectory.duration), self._blend)
 
     def _moved(self) -> list[str]:
-        """Return the measured objects that have moved since the motion was last checked."""
+        """Return the measured objects that have moved since the gate last checked the motion."""
         now = self._world.clock()
         if now < self._next_object_check:
             return []
@@ -282,7 +284,7 @@ class GuardedMotion(Executable):
         ]  # fmt: skip
 
     def _prove(self, names: Iterable[str] = ()) -> None:
-        """Check the remaining motion for collisions, only with the objects `names` if given."""
+        """Check a guarded motion's rest for collisions, only with the objects `names` if given."""
         self._proven_for = (self._world.base, self._gate.version)
         scene = self._scene()
         self._objects = frozenset(scene.objects)
@@ -317,7 +319,7 @@ class GuardedMotion(Executable):
 
 
 def describe(found: Conflict, passed: float, began: bool) -> str:
-    """Return a sentence about a conflict: the pair, the position, the time and the remedy.
+    """Return a sentence about a gated motion's conflict: the pair, the position, the time and the remedy.
 
     Args:
         passed: completed part of the motion [s].
@@ -340,7 +342,7 @@ def describe(found: Conflict, passed: float, began: bool) -> str:
 
 @dataclass(frozen=True)
 class DriverWorld:
-    """World of a driver without a cell: the driver's scene with measured joints and objects."""
+    """Motion gate's world for a driver without a cell: its scene with measured joints and objects."""
 
     driver: Any
     base: PlanningScene

@@ -17,7 +17,7 @@ EPSILON = 1e-9  # [s]
 
 
 class _Ended(BaseException):
-    """Exception that ends a waiting program after another program has failed.
+    """Exception that ends a scheduled program's wait after another program has failed.
 
     It is a BaseException, so that no handler in the program stops it.
     """
@@ -46,13 +46,13 @@ class CooperativeScheduler:
             raise _Ended
 
     def sleep(self, name: str, duration: float) -> None:
-        """Suspend one program for `duration` [s] of driver time and let the others run."""
+        """Suspend one scheduled program for `duration` [s] of driver time and let the others run."""
         self._wake[name] = self.driver.now + duration
         self._pass_on(name)
         self.wait_until_scheduled(name)
 
     def finish(self, name: str, error: BaseException | None = None) -> None:
-        """Remove a finished program from the schedule; an error ends all other programs as well."""
+        """Remove a finished program from the cooperative schedule; an error ends all other programs."""
         if error is not None and not isinstance(error, _Ended) and self.failed is None:
             self.failed = error
         del self._wake[name]
@@ -81,7 +81,7 @@ class CooperativeScheduler:
 
 
 class ArmDriver(DriverProxy):
-    """Driver of one program on a robot that several programs share.
+    """Driver of one scheduled program on a robot that several programs share.
 
     A sleep lets time pass for all programs; `stop` acts on the program's own joints.
     """
@@ -106,7 +106,7 @@ class ArmDriver(DriverProxy):
 def run_cooperatively(
     driver: Driver, joints: Mapping[str, tuple[str, ...]], programs: Mapping[str, Callable[[ArmDriver], None]]
 ) -> None:
-    """Run several programs concurrently on one driver and return when all have ended.
+    """Schedule several programs cooperatively on one driver; return when all have ended.
 
     Args:
         joints: program name to the joints that its `stop` holds.

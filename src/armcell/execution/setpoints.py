@@ -50,7 +50,7 @@ class SetpointSource(ABC):
         self._completed_at: float | None = None  # [s]
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
-        """Start the motion; return a result if the motion ends at once, else None.
+        """Start to send a motion's setpoints; return a result if the motion ends at once, else None.
 
         Args:
             blend: offset to add to the setpoints, for a source that `blends`; None for an arm at rest.
@@ -59,37 +59,37 @@ class SetpointSource(ABC):
 
     @abstractmethod
     def send(self) -> bool:
-        """Command the next setpoint; return False if the driver has advanced its clock itself."""
+        """Send the motion's next setpoint; return False if the driver has advanced its clock itself."""
 
     @abstractmethod
     def tracking_error(self) -> tuple[float, int] | None:
-        """Return the largest tracking error [rad or m] and its column; None if only the goal counts."""
+        """Return the setpoints' largest tracking error [rad or m], its column; None if only the goal counts."""
 
     def failure(self) -> Outcome | None:
-        """Return the reason to stop the motion, other than a violated tolerance, or None."""
+        """Return a setpoint source's reason to stop, other than a violated tolerance, or None."""
         return None
 
     def settling_time(self) -> float:
-        """Return the time [s] since the last setpoint was sent (`complete`)."""
+        """Return the time [s] since a motion's last setpoint was sent (`complete`)."""
         if self._completed_at is None:
             self._completed_at = self.driver.now
         return self.driver.now - self._completed_at
 
     def cancel(self) -> None:
-        """Begin to stop the motion early: discard the setpoints that the robot already has."""
+        """Cancel a setpoint source's motion: discard the setpoints that the robot already has."""
         return None
 
     def halted(self) -> bool:
-        """Return whether the arm has come to rest after `cancel`; if not, the executor waits."""
+        """Return whether the arm rests after `cancel` of its setpoints; if not, the executor waits."""
         return True
 
     def end(self, outcome: Outcome) -> None:
-        """Finish the source's work after the motion has ended with an outcome."""
+        """Finish a setpoint source's work after the motion has ended with an outcome."""
         return None
 
 
 class StreamedSetpoints(SetpointSource):
-    """Source that sends one setpoint per driver period, by the driver's clock.
+    """Setpoint source that streams one setpoint per driver period, by the driver's clock.
 
     Args:
         plays: True if the driver plays parts of the trajectory itself, which advances its clock; False to
@@ -159,7 +159,7 @@ class StreamedSetpoints(SetpointSource):
 
 
 class RobotPlayback(SetpointSource):
-    """Source for a trajectory that the robot plays itself, by its own clock.
+    """Setpoint source for a trajectory that the robot plays itself, by its own clock.
 
     The executor monitors the robot's progress.
     """
@@ -220,7 +220,7 @@ class RobotPlayback(SetpointSource):
 
 
 class CoupledSetpoints(SetpointSource):
-    """Source that sends setpoints to several arms by one clock, which the slowest arm scales.
+    """Setpoint source for several coupled arms by one clock, which the slowest arm scales.
 
     Args:
         correct: maps the trajectory time [s] and the setpoints q, v, each (n,), to the setpoints to send.
@@ -280,7 +280,7 @@ class CoupledSetpoints(SetpointSource):
             self._monitor.end("done" if outcome.ok else outcome.message)
 
     def _advance_clock(self) -> float:
-        """Advance the common clock by one driver period and return its speed scaling."""
+        """Advance the coupled arms' common setpoint clock by one period and return its speed scaling."""
         period = self.driver.period
         scale = min(
             max(self._allowed_speed(), self._scale - SCALING_RATE * period),
@@ -294,7 +294,7 @@ class CoupledSetpoints(SetpointSource):
         return scale
 
     def _allowed_speed(self) -> float:
-        """Return the speed fraction, 0..1, that sliders, pauses and the caller allow."""
+        """Return the speed fraction, 0..1, of coupled setpoints that sliders, pauses and caller allow."""
         if self._scalings is not None:
             fraction = min(self._scalings())
         elif self._has_clock:
@@ -328,7 +328,7 @@ class _RecentSetpoints:
 
 
 def largest(errors: Array) -> tuple[float, int]:
-    """Return the largest of the errors (n,) and its index; (0, 0) without joints."""
+    """Return the largest of the setpoint errors (n,) and its index; (0, 0) without joints."""
     if len(errors) == 0:
         return 0.0, 0
     i = int(errors.argmax())
@@ -336,6 +336,6 @@ def largest(errors: Array) -> tuple[float, int]:
 
 
 def max_speed(driver: Driver, columns: NDArray[np.int64]) -> float:
-    """Return the largest measured speed [rad/s or m/s] of some joints; 0 if none is measured."""
+    """Return the largest measured speed [rad/s or m/s] of setpoint joints; 0 if none is measured."""
     v = driver.joint_state().velocities
     return 0.0 if v is None else float(np.max(np.abs(v[columns]), initial=0.0))

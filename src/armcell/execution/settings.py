@@ -10,7 +10,7 @@ from armcell.core.checks import checked, require
 @dataclass(frozen=True)
 @checked()
 class ExecutionSettings:
-    """Tolerances and time limits for the execution of a trajectory.
+    """Settings of execution: tolerances and time limits for the execution of a trajectory.
 
     The start tolerance of 0.01 rad is MoveIt's default.
     """
