@@ -12,7 +12,7 @@ POINT = 1e9  # slant of a side with only one point
 
 @njit(cache=True)
 def _height(heights, x0, y0, resolution, x, y):
-    """Return the height of a height map's cell at a point (x, y), or -1e9 outside the map."""
+    """Return a height map cell's height at (x, y), for top-down grasps; -1e9 outside the map."""
     i = int(np.floor((x - x0) / resolution + 0.5))
     j = int(np.floor((y - y0) / resolution + 0.5))
     if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
@@ -22,7 +22,7 @@ def _height(heights, x0, y0, resolution, x, y):
 
 @njit(cache=True)
 def _slope(x, y):
-    """Return the absolute slope of a line through points: the median slope of all pairs.
+    """Return the absolute slope of a height map line through points: median slope of all pairs.
 
     The estimator (Theil and Sen) is robust against a few outliers, which cameras produce at edges.
     """

@@ -55,7 +55,7 @@ class Grasp:
 
 @dataclass(frozen=True)
 class Rejection:
-    """A rejected grasp candidate with the reason for the rejection."""
+    """A rejected grasp candidate with the reason for its rejection."""
 
     name: str
     reason: str
@@ -65,14 +65,14 @@ class Rejection:
 
 @dataclass
 class Proposals:
-    """The proposals of a grasp generator: unique names and tcp poses in the object's frame."""
+    """A grasp generator's candidates: unique names and tcp poses in the object's frame."""
 
     names: list[str] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)  # (4, 4)
     taken: dict[str, int] = field(default_factory=dict)  # number of uses by name
 
     def add(self, name: str, T_object_tcp: Array) -> None:
-        """Add a grasp proposal with a tcp pose (4, 4); a repeated name gets a number."""
+        """Add a grasp candidate with a tcp pose (4, 4); a repeated name gets a number."""
         count = self.taken[name] = self.taken.get(name, 0) + 1
         self.names.append(name if count == 1 else f"{name} ({count})")
         self.poses.append(T_object_tcp)
@@ -251,5 +251,5 @@ def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
 
 
 def how_near(rejection: Rejection) -> tuple[int, float]:
-    """Return a sort key that orders rejected grasp candidates by passed checks and excess."""
+    """Return a sort key of rejected grasp candidates: passed checks, then excess."""
     return -rejection.passed, rejection.excess

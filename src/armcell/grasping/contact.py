@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PadContact:
-    """A contact patch of a soft finger, with friction along the surface and torsional friction."""
+    """Contact patch of a gripper's soft finger pad, with friction along the surface and torsional friction."""
 
     point: Array  # (3,) [m] center of the patch
     normal: Array  # (3,) unit vector, points out of the object
@@ -22,6 +22,6 @@ class PadContact:
 
     @staticmethod
     def of(row: Array) -> PadContact:
-        """Create a gripper pad's contact from a row (8,) of the result of `kernel.fit`."""
+        """Create a gripper pad's contact with the object from a row (8,) of `kernel.fit`'s result."""
         row = float_array(row, (8,), "a row", finite=False)
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))

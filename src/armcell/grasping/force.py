@@ -31,7 +31,7 @@ def holding_factor(friction: float, torsional_friction: float, lever: Array, pat
 
 
 def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
-    """Return the sliding friction coefficient between an object and its support, as in MuJoCo.
+    """Return, for the grip force, the friction coefficient between an object and its support, as in MuJoCo.
 
     MuJoCo takes the material of the geom with the higher priority, and the larger coefficient if priorities
     are equal ("Contact parameters" in its XML reference). Movable objects have the higher priority.
@@ -41,7 +41,7 @@ def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
 
 
 def needed_force(item: CollisionObject) -> float:
-    """Return the minimum force per finger [N] that holds an object at its center of mass.
+    """Return the minimum grip force per finger [N] that holds an object at its center of mass.
 
     Coulomb friction: m (g + a) / (2 mu).
     """

@@ -137,7 +137,7 @@ def grasps_from_above(
 def _only_pieces(
     seen: HeightMap, labels: NDArray[np.int64], T: SE3, width: float, half: float, tip: float
 ) -> bool:
-    """Return whether only pieces of the heap, and no wall of the bin, are between the fingers."""
+    """Return whether only pieces of the heap, and no bin wall, are between the fingers of a top-down grasp."""
     r = seen.resolution
     x, y = np.meshgrid(np.arange(-half, half + r, r), np.arange(r - width / 2, width / 2, r))
     at = T.apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]
@@ -161,7 +161,7 @@ def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _down(at: Array, z: float, turn: float) -> SE3:
-    """Return the pose T_world_tcp of a hand that points down and closes at an angle about z."""
+    """Return T_world_tcp of a top-down grasp: a hand that points down and closes at an angle about z."""
     y = np.array([np.cos(turn), np.sin(turn), 0.0])
     approach = np.array([0.0, 0.0, -1.0])
     return SE3(SO3(np.column_stack([np.cross(y, approach), y, approach])), np.array([at[0], at[1], z]))

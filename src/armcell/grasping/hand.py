@@ -22,7 +22,8 @@ AT_THE_PAD = 0.001  # [m] maximum distance of a finger box from the closing plan
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """Boxes (n, 6) [m] that enclose a gripper's hand in the tcp frame, with closed fingers.
+    """Hand geometry for grasps: boxes (n, 6) [m] that enclose a gripper's hand in the tcp frame, with closed
+    fingers.
 
     A box is its lowest and highest corner.
 
@@ -41,7 +42,7 @@ class Hand:
 
 
 def pre_opening(width: float, gripper: Gripper) -> float:
-    """Return the finger opening [m] for the approach to an object of a given width [m]."""
+    """Return the pre-grasp finger opening [m] of a hand for an object of a given width [m]."""
     return min(max(width * WIDER, width + MARGIN), gripper.max_width)
 
 
@@ -84,7 +85,7 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
 
 
 def _pad(left: Array, right: Array) -> Array:
-    """Return the x and z range of the finger pads, where both closed fingers meet."""
+    """Return the x and z range of a hand's finger pads, where both closed fingers meet."""
     inner = (
         left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],
         right[right[:, 4] > right[:, 4].max() - AT_THE_PAD],

@@ -20,7 +20,8 @@ WIDER, MARGIN = 1.125, 0.010  # opening before the approach: factor on the width
 
 @njit(cache=True)
 def cast(origins, directions, triangles):
-    """Find the points where rays that start on a solid's surface and point inwards leave it.
+    """Cast rays through a mesh for grasps: find where rays that start on a solid's surface and point inwards
+    leave it.
 
     Several solids may touch or overlap: a ray has left the solids when it is in none of them.
 
@@ -87,7 +88,7 @@ def cast(origins, directions, triangles):
 
 @njit(cache=True)
 def _lowest(R, p, box, up, shift):
-    """Return the lowest coordinate of a box of the hand along `up`.
+    """Return the lowest coordinate along `up` of a box of the hand, in the grasp kernel.
 
     The box is moved by `shift` along the hand's y axis.
     """
@@ -106,7 +107,7 @@ def _lowest(R, p, box, up, shift):
 
 @njit(cache=True)
 def fit(poses, points, normals, palm, left, right, pad, max_width, up, floor, approach):
-    """Fit a hand around an object's surface points at each grasp pose.
+    """Fit a hand around an object's surface points at each grasp pose, in a compiled kernel.
 
     The function centers the hand between the surfaces that the pads touch, moves it back until palm and
     support are clear, opens it for the object, and checks its straight approach.

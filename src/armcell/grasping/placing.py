@@ -41,13 +41,13 @@ class Placement:
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def above(self, distance: float) -> SE3:
-        """Return the object's pose at a distance [m] above the support surface, along its normal."""
+        """Return a placement's object pose at a distance [m] above the support surface, along its normal."""
         x, y, z = (distance * n for n in self.normal)
         return self.T_world_object.shifted(x, y, z)
 
 
 def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
-    """Return the surface of a support on which friction holds an object, with a safety margin.
+    """Return the surface of a support for placing, on which friction holds an object, with a safety margin.
 
     The result is that of `support_surface`.
 
@@ -136,14 +136,16 @@ def place_candidates(
 
 
 def _highest(support: CollisionObject, normal: Array) -> float:
-    """Return the largest coordinate [m] of a support's points along a world direction (3,)."""
+    """Return the largest coordinate [m] of a support's points along a world direction (3,), for placing above
+    it.
+    """
     up = support.T_world_object.rotation.matrix.T @ normal
     tops = [extent(s, T.rotation.matrix.T @ up)[1] + float(T.translation @ up) for s, T in support.shapes]
     return max(tops) + float(support.T_world_object.translation @ normal)
 
 
 def _mass_height(item: CollisionObject, side: Rest) -> float:
-    """Return the height [m] of an object's center of mass above its base."""
+    """Return the height [m] of a placed object's center of mass above its base."""
     return float(surface_of(item).center_of_mass @ side.up) + side.height
 
 
@@ -165,12 +167,12 @@ def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, S
 
 
 def _slope(frame: SE3) -> Array:
-    """Return the offset (2,) of a plumb line per meter of height, in a tilted surface's frame."""
+    """Return a placed object's plumb line offset (2,) per meter of height in a tilted surface's frame."""
     return -frame.rotation.matrix[2, :2] / frame.rotation.matrix[2, 2]
 
 
 def _stands_to(item: CollisionObject, side: Rest, frame: SE3) -> float:
-    """Return the maximum tilt [rad] of a support surface at which an object is stable.
+    """Return the maximum tilt [rad] of a support surface at which a placed object is stable.
 
     The surface tilts in its present tilt direction.
     """
@@ -179,7 +181,7 @@ def _stands_to(item: CollisionObject, side: Rest, frame: SE3) -> float:
 
 
 def _tilt_held(item: CollisionObject, side: Rest, turned: Array, frame: SE3) -> float:
-    """Return the maximum tilt [rad] of a surface at which an object in one rotation is stable.
+    """Return the maximum tilt [rad] of a surface at which a placed object in one rotation is stable.
 
     Args:
         turned: (3, 3) rotation of the object in the surface's frame.
@@ -251,7 +253,7 @@ def _on_side(
 
 
 def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
-    """Return whether a center of mass (2,) is well inside the supported part of a base (n, 2).
+    """Return whether a placed object's center of mass (2,) is well inside its supported base (n, 2).
 
     Args:
         half: (2,) [m] half size of the support's rectangle.
@@ -268,7 +270,7 @@ def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
 
 
 def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
-    """Return the part of a convex polygon (n, 2) with sign * coordinate <= limit.
+    """Clip a placed object's base polygon (n, 2) to sign * coordinate <= limit.
 
     Sutherland and Hodgman's algorithm.
     """
@@ -283,7 +285,7 @@ def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
 
 
 def _yaw(R: SO3, upright: SO3) -> float:
-    """Return the yaw angle [rad] by which a rotation differs from an upright rotation."""
+    """Return a placement's yaw [rad], by which a rotation differs from an upright rotation."""
     return float((R @ upright.inv()).rpy[2])
 
 

@@ -30,7 +30,7 @@ CLOSED = 1e-6  # minimum epsilon for force closure
 
 @dataclass(frozen=True)
 class Quality:
-    """The quality measures of one grasp; epsilon and volume are 0 without force closure."""
+    """Grasp quality: the measures of one grasp; epsilon and volume are 0 without force closure."""
 
     force_closure: bool
     epsilon: float  # [N per N of grip]
@@ -40,7 +40,7 @@ class Quality:
 @dataclass(frozen=True)
 @checked()
 class Noise:
-    """Standard deviations of a grasp's uncertain quantities, to evaluate its robustness."""
+    """Standard deviations of a grasp's uncertain quantities, to evaluate the grasp quality's robustness."""
 
     position: float = 0.002  # [m] object position along each axis
     rotation: float = 0.035  # [rad] about each axis
@@ -48,13 +48,13 @@ class Noise:
     mass: float = 0.1  # relative
 
     def poses(self, count: int, rng: np.random.Generator) -> list[SE3]:
-        """Sample small displacements of an object in its own frame; the first is the identity."""
+        """Sample small object displacements in its own frame for grasp robustness; first the identity."""
         shifts = rng.normal(scale=self.position, size=(count, 3))
         turns = rng.normal(scale=self.rotation, size=(count, 3))
         return [SE3.identity(), *(SE3(SO3.exp(t), s) for s, t in zip(shifts[1:], turns[1:], strict=True))]
 
     def materials(self, item: CollisionObject, count: int, rng: np.random.Generator) -> list[CollisionObject]:
-        """Sample copies of an object with varied friction and mass; the first is unchanged."""
+        """Sample copies of an object with varied friction and mass for grasp robustness; first unchanged."""
         shares = np.exp(rng.normal(size=(count, 2)) * [self.friction, self.mass])
         shares[0] = 1.0
         m = item.material
@@ -95,7 +95,7 @@ def contact_wrenches(
 
 
 def hull_quality(wrenches: Array) -> Quality:
-    """Return the quality measures of a grasp from the convex hull of its wrenches (n, 6).
+    """Return a grasp's quality measures from the convex hull of its wrenches (n, 6).
 
     Force closure holds if the hull contains the origin; epsilon is the origin's depth inside the hull.
     """
@@ -126,7 +126,7 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
 def robustness(
     item: CollisionObject, hand: Hand, grasp: Grasp, noise: Noise = Noise(), trials: int = 40, seed: int = 0
 ) -> float:
-    """Return the fraction (0 to 1) of noisy trials in which a grasp holds, without physics.
+    """Return the fraction (0 to 1) of noisy quality evaluations in which a grasp holds.
 
     A trial counts if the hand fits, the pads oppose each other within friction, and the force holds the
     weight.

@@ -150,7 +150,7 @@ def _areas(triangles: Array) -> Array:
 
 
 def _sampled(triangles: Array, count: int) -> tuple[Array, Array]:
-    """Sample about `count` points with normals on triangles, evenly by area, with all corners."""
+    """Sample about `count` surface points with normals on triangles, evenly by area, with all corners."""
     areas = _areas(triangles)
     triangles, areas = triangles[areas > 0], areas[areas > 0]
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
@@ -169,7 +169,7 @@ def _sampled(triangles: Array, count: int) -> tuple[Array, Array]:
 
 
 def _inside(shape: Shape, points: Array) -> NDArray[np.bool_]:
-    """Return a mask of the points that are well inside a convex shape.
+    """Return a mask of the surface points that are well inside another convex shape of the object.
 
     The mask of a non-convex mesh is False.
     """
@@ -187,7 +187,7 @@ def _inside(shape: Shape, points: Array) -> NDArray[np.bool_]:
 
 
 def triangles_of(shape: Shape) -> Array:
-    """Return the triangles (t, 3, 3) [m] of a shape in its frame, counterclockwise from outside.
+    """Return the surface triangles (t, 3, 3) [m] of a shape in its frame, counterclockwise from outside.
 
     Raises:
         InputError: the shape is a plane or a cloud.

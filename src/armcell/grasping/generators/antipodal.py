@@ -72,7 +72,7 @@ def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _spread(pairs: list[tuple]) -> list[tuple]:
-    """Select at most `PAIRS` contact pairs that are well distributed over an object.
+    """Select at most `PAIRS` antipodal contact pairs that are well distributed over an object.
 
     The pair with the best-opposed normals comes first, then always the pair farthest from those chosen.
     """
@@ -91,7 +91,7 @@ def _spread(pairs: list[tuple]) -> list[tuple]:
 
 
 def _come_in(found: Proposals, n: int, middle: Array, closing: Array, hand: Hand, up: Array) -> None:
-    """Propose hand poses from all approach directions around a contact pair."""
+    """Propose antipodal grasp poses from all approach directions around a contact pair."""
     for k, approach in enumerate(around(closing, TURNS, -up)):
         for d, share in enumerate(DEPTHS):
             point = middle - approach * share * hand.pad[1, 1]

@@ -26,7 +26,7 @@ DEPTHS = (0.008, 0.02, 0.035)  # [m] depths of the TCP below the point
 
 @generators.register("cloud")
 def cloud_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Propose grasps from local frames on a surface that consists of points with normals."""
+    """Propose grasps of a point cloud from local frames at its points with normals."""
     found, rng = Proposals(), np.random.default_rng(0)
     points, normals = surface.points, surface.normals
     for n, i in enumerate(_far_apart(points, SAMPLES, rng)):
@@ -52,7 +52,7 @@ def cloud_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array)
 
 
 def _far_apart(points: Array, count: int, rng: np.random.Generator) -> list[int]:
-    """Return indices of points that are far from each other, by farthest point sampling.
+    """Return indices of cloud points far from each other for grasps, by farthest point sampling.
 
     The first point is random.
     """

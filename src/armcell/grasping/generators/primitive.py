@@ -46,7 +46,8 @@ def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _depth(half: float, hand: Hand) -> float:
-    """Return the depth [m] of the tcp below an object's near face, limited by the finger length.
+    """Return the depth [m] of the tcp below an object's near face, for a primitive's grasp, limited by the
+    finger length.
 
     Without the limit, the tcp is at the object's center.
     """
@@ -54,7 +55,7 @@ def _depth(half: float, hand: Hand) -> float:
 
 
 def _along(half: float) -> list[tuple[float, str]]:
-    """Return offsets [m] of grasps along an object's side, with suffixes for the grasps' names.
+    """Return offsets [m] of grasps along a primitive's side, with suffixes for the grasps' names.
 
     A long side has several offsets.
     """
@@ -127,7 +128,7 @@ def _sphere(found: Proposals, radius: float, hand: Hand, up: Array) -> None:
 
 
 def _where(approach: Array, up: Array) -> str:
-    """Describe a grasp's approach direction in words, for example "top" or "from below"."""
+    """Describe a primitive grasp's approach direction in words, e.g. "top" or "from below"."""
     down = float(-approach @ up)
     if down > 0.95:
         return "top"
