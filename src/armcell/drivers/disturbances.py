@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Push:
-    """External force on a link or a movable object, at its center of mass, in world axes.
+    """Disturbance of a simulated cell: external force on a link or object, at its center, world axes.
 
     Attributes:
         on: name of the link or object.
@@ -25,7 +25,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Move:
-    """Displacement of an object during a run that only cameras can observe.
+    """Disturbance of a simulated cell: displacement of an object in a run, which only cameras observe.
 
     Attributes:
         object: name of a fixed or movable object.

@@ -87,7 +87,7 @@ class DisturbedSim(SteppedSim):
         self.command(names, state.reindexed(names).positions, np.zeros(len(names)))
 
     def _act(self) -> None:
-        """Send joint commands to the simulation whose delay has passed."""
+        """Send joint commands to the disturbed simulation whose delay has passed."""
         while self._late and self._late[0][0] <= self._steps:
             _, names, q, v = self._late.popleft()
             self.world.set_arm_target(names, q, v)
@@ -106,7 +106,7 @@ class DisturbedSim(SteppedSim):
         self._pacer.wait_until(self.world.time)
 
     def _events(self) -> Iterator[int]:
-        """Yield the simulation steps at which a command, a push or a displacement takes effect."""
+        """Yield the disturbed simulation's steps at which a command, a push or a displacement takes effect."""
         if self._late:
             yield self._late[0][0]
         for first, last, _ in self._pushes:
@@ -123,7 +123,7 @@ class DisturbedSim(SteppedSim):
                 forces[self.world.built.body[push.on], :3] += push.force
 
     def _move(self) -> None:
-        """Displace objects of the simulation whose displacement time has come."""
+        """Displace objects of the disturbed simulation whose displacement time has come."""
         while self._moved < len(self._moves) and self._moves[self._moved][0] <= self._steps:
             move = self._moves[self._moved][1]
             T = self.world.object_pose(move.object)

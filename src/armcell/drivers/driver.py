@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class Capability(Enum):
-    """Optional abilities of a driver; each value completes the sentence "the driver can ..."."""
+    """Optional abilities of a robot driver; each value completes the sentence "the driver can ..."."""
 
     PLAY_TRAJECTORY = "play a whole trajectory itself"  # follow
     PLAY_PARTS = "play a part of a trajectory in one call"  # play
@@ -37,7 +37,7 @@ class Capability(Enum):
 
 @dataclass(frozen=True)
 class GripperReading:
-    """Reported state of a gripper: its opening, its force, and the object that it holds."""
+    """A driver's reading of a gripper: its opening, its force, and the object that it holds."""
 
     width: float  # [m]
     force_per_finger: float  # [N]
@@ -46,7 +46,7 @@ class GripperReading:
 
 @dataclass(frozen=True)
 class ContactRecord:
-    """Unexpected contact that a driver observed."""
+    """Unexpected contact that a robot driver observed."""
 
     body_a: str
     body_b: str
@@ -57,7 +57,7 @@ class ContactRecord:
 
 @dataclass(frozen=True)
 class WeldRecord:
-    """Object that a constraint other than friction attached to a gripper."""
+    """Driver's record of an object that a constraint other than friction attached to a gripper."""
 
     object: str
     gripper: str
@@ -80,7 +80,8 @@ class DriverOptions:
 
 
 class Driver(ABC):
-    """Connection to a robot, real or simulated; `with driver:` connects and disconnects.
+    """Base class of drivers: connection to a robot, real or simulated; `with driver:` connects and
+    disconnects.
 
     The constructor performs no I/O. Time is the driver's own clock [s]; only `advance` moves it forward, so
     callers never sleep. One thread drives the robot. Other threads may read the state while they hold `lock`.
@@ -118,44 +119,44 @@ class Driver(ABC):
     @property
     @abstractmethod
     def now(self) -> float:
-        """Return the time [s] of the driver's clock."""
+        """Return the time [s] of the robot driver's clock."""
 
     @abstractmethod
     def advance(self, duration: float) -> None:
-        """Advance the driver's clock by `duration` [s]."""
+        """Advance the clock of the robot driver by `duration` [s]."""
 
     # --- arms ---
     @abstractmethod
     def joint_state(self) -> JointState:
-        """Return the state of all actuated joints, in the model's order."""
+        """Return a robot driver's state of all actuated joints, in the model's order."""
 
     @abstractmethod
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Set the joint targets [rad, rad/s] and return the setpoints that were actually sent."""
+        """Command the robot driver's joint targets [rad, rad/s]; return the setpoints actually sent."""
 
     def targets(self) -> JointState | None:
-        """Return the last commanded arm joint positions, or None before the first command."""
+        """Return the arm joint positions last commanded to the driver, or None before the first command."""
         return None
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop the robot immediately and hold its measured joint positions."""
+        """Stop the driver's robot immediately and hold its measured joint positions."""
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the arms that own the given joints at their measured positions; other arms continue."""
+        """Stop the driver's arms that own the given joints at their measured positions; other arms continue."""
         names = tuple(joint_names)
         q = self.joint_state().reindexed(names).positions
         self.command(names, q, np.zeros(len(q)))
 
     # --- faults ---
     def fault(self) -> Fault | None:
-        """Return the fault that currently prevents motion of the robot, or None."""
+        """Return the fault that currently prevents motion of the driver's robot, or None."""
         return None
 
     def resume(self) -> None:
-        """Make a stopped robot ready for motions again, without moving it; old goals are discarded.
+        """Make a driver's stopped robot ready for motions again, without moving it; discard old goals.
 
         If nothing has stopped the robot, the call has no effect, even during a motion. Any thread may call
         this.
@@ -168,56 +169,58 @@ class Driver(ABC):
 
     @property
     def safety_events(self) -> Sequence[SafetyEvent]:
-        """Return all stops and resumes of real arms so far, with time and cause."""
+        """Return all stops and resumes that a driver's real arms had so far, with time and cause."""
         return ()
 
     # --- grippers and objects ---
     @abstractmethod
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
-        """Drive the gripper to a width [m] with a limited force per finger [N]; width 0 grasps."""
+        """Drive a driver's gripper to a width [m] with a limited force per finger [N]; width 0 grasps."""
 
     @abstractmethod
     def gripper(self, gripper: str) -> GripperReading: ...
 
     @abstractmethod
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object of the movable objects that the driver knows."""
+        """Return T_world_object of the movable objects that a driver knows."""
 
     def true_poses(self) -> dict[str, SE3]:
-        """Return T_world_object of the objects from physics, without camera errors.
+        """Return a simulated driver's T_world_object of objects from physics, without camera errors.
 
         Without physics, the poses are those that the driver reports.
         """
         return self.object_poses()
 
     def welds(self) -> list[WeldRecord]:
-        """Return the objects that a constraint other than friction has attached to a gripper."""
+        """Return the objects that a constraint other than friction has attached to a driver's gripper."""
         return []
 
     # --- contacts: Capability.KNOW_CONTACTS ---
     def contacts(self) -> list[Contact]:
-        """Return the current contacts of the robot; empty if the driver cannot detect contacts."""
+        """Return the contacts of a driver's robot now; empty if the driver cannot detect contacts."""
         return []
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare that contacts of a body with others are part of the task, or no longer are."""
+        """Declare to a driver that contacts of a body with others are part of the task, or no longer are."""
         return None
 
     def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
-        """Report every contact of a held object from now on, except contacts with its supports."""
+        """Let the driver report every contact of a held object from now on, except contacts with its
+        supports.
+        """
         return None
 
     def unwatch_object(self, name: str) -> None:
-        """Stop reporting the contacts of an object that was watched."""
+        """Stop the driver's reports of contacts of an object that was watched."""
         return None
 
     def unwanted_contacts(self) -> list[ContactRecord]:
-        """Return all contacts so far that the task did not declare as expected."""
+        """Return all contacts so far that the task did not declare to the driver as expected."""
         return []
 
     # --- forces: Capability.MEASURE_FORCE ---
     def wrench(self, gripper: str) -> Array:
-        """Return the external wrench on a gripper: force [N], then torque [Nm], as (6,).
+        """Return a driver's external wrench on a gripper: force [N], then torque [Nm], as (6,).
 
         The torque is about the TCP, the axes are the world's, and the hand's own weight is excluded. The
         wrench is zero for a robot without force sensing.
@@ -226,7 +229,7 @@ class Driver(ABC):
 
     # --- whole trajectories: Capability.PLAY_TRAJECTORY ---
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory that the robot plays itself, and return its handle.
+        """Start a trajectory that the driver's robot plays itself, and return its handle.
 
         Raises:
             InputError: the robot may not move, or the trajectory names joints that are not arm joints.
@@ -237,7 +240,7 @@ class Driver(ABC):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Play the trajectory until `until` [s] or until a tracking error exceeds the tolerance.
+        """Let a driver play a trajectory until `until` [s] or until a tracking error exceeds the tolerance.
 
         At least one driver period passes.
 
@@ -252,11 +255,11 @@ class Driver(ABC):
 
     # --- dry runs: Capability.DRY_RUN ---
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Dry-run a trajectory in simulation; return the reason not to execute it, or None."""
+        """Let a driver dry-run a trajectory in simulation; return the reason not to execute it, or None."""
         raise self._incapable(Capability.DRY_RUN)
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
-        """Return a monitor that compares a streamed motion with the most recent dry run.
+        """Return a driver's monitor that compares a streamed motion with the most recent dry run.
 
         Args:
             forced: True if measured forces modify the motion, so that currents and speeds are not compared.
@@ -266,27 +269,27 @@ class Driver(ABC):
     # --- streaming by the robot's clock: Capability.ROBOT_CLOCK ---
     @property
     def latency(self) -> float:
-        """Return the largest lag [s] of the measured state behind the streamed setpoints."""
+        """Return a driver's largest lag [s] of the measured state behind the streamed setpoints."""
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     @property
     def tick(self) -> float:
-        """Return the driver time [s] of the next command, the total duration passed to `advance`."""
+        """Return a driver's time [s] of the next command: the total duration passed to `advance`."""
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     @property
     def speed_fraction(self) -> float:
-        """Return the speed fraction, 0..1, of the slowest arm that sliders and pauses allow."""
+        """Return the speed fraction, 0..1, of a driver's slowest arm that sliders and pauses allow."""
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     # --- modes: Capability.REPORT_MODES ---
     def arm_modes(self) -> Mapping[str, tuple[int, int]]:
-        """Return robot mode and safety mode by arm, in the numbers of ROS's `ur_dashboard_msgs`."""
+        """Return a driver's robot mode and safety mode by arm, in the numbers of `ur_dashboard_msgs`."""
         raise self._incapable(Capability.REPORT_MODES)
 
     # --- twin ---
     def calibrations(self) -> Mapping[str, str]:
-        """Return the factory calibration checksum of each connected real arm; else an empty mapping."""
+        """Return a driver's factory calibration checksum of each connected real arm; else an empty mapping."""
         return {}
 
     def _incapable(self, capability: Capability) -> InputError:

@@ -13,14 +13,16 @@ RUNNING, DONE, CANCELLED = "running", "done", "cancelled"  # states of a traject
 
 
 class Following(Protocol):
-    """Handle of a trajectory that a robot is executing."""
+    """Handle to follow a trajectory that a robot is playing itself."""
 
     def clock(self) -> float:
-        """Return the robot's progress along the trajectory [s]; speed slider and pause slow it down."""
+        """Return the robot's progress along a trajectory it plays [s]; slider and pause slow it down."""
         ...
 
     def state(self) -> str:
-        """Return the trajectory's state: "running", "done", "cancelled", or the reason of an abort."""
+        """Return the state of a trajectory the robot plays: "running", "done", "cancelled", or why it
+        aborted.
+        """
         ...
 
     def paused(self) -> bool: ...

@@ -20,10 +20,10 @@ Array = NDArray[np.float64]
 
 
 class Watch(Protocol):
-    """Interface of a monitor for a motion that the caller streams point by point."""
+    """Interface of a motion guard's monitor for a motion that the caller streams point by point."""
 
     def sent(self, clock: float, off: Array) -> None:
-        """Record a streamed point for comparison with the dry run.
+        """Record a streamed point for the motion guard's comparison with the dry run.
 
         Args:
             clock: time of the point on the trajectory [s].
@@ -34,13 +34,13 @@ class Watch(Protocol):
     def look(self) -> None: ...
 
     def end(self, how: str) -> None:
-        """End the monitoring of a motion; `how` is "done" or the reason for the failure."""
+        """End the motion guard's monitoring of a motion; `how` is "done" or the reason for the failure."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ArmSample:
-    """One measurement of a real arm, which the guard compares with the dry run.
+    """One measurement of a real arm, which the motion guard compares with the dry run.
 
     Attributes:
         positions: (n,) [rad].
@@ -58,7 +58,7 @@ class ArmSample:
 
 
 class GuardedArm(Protocol):
-    """Interface of a real arm as the motion guard needs it; `real.RealArm` implements it."""
+    """Interface of a real arm as the motion guard (dry runs) needs it; `real.RealArm` implements it."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -75,7 +75,7 @@ class GuardedArm(Protocol):
 
 
 class DryRunStage(Protocol):
-    """Interface to declare contacts in the simulation of a guard's dry runs; see `Driver`."""
+    """Interface to declare contacts in the simulation of a motion guard's dry runs."""
 
     def expect_contact(self, body: str, others: tuple[str, ...], expected: bool) -> None: ...
 

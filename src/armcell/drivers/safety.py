@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Fault:
-    """Reason for which an arm must not move."""
+    """Safety fault: the reason for which an arm must not move."""
 
     arm: str
     kind: str  # "protective stop", "emergency stop", "stale state", ...
@@ -38,7 +38,7 @@ class Fault:
 
 
 def cannot_resume(reason: str, hint: str | None) -> InputError:
-    """Return the error for a failed `resume()`, with the reason and the remedy."""
+    """Return the error for a `resume()` that the safety supervisor refuses, with reason and remedy."""
     if hint and "start armcell" in hint:  # resuming cannot help
         return InputError(f"cannot resume: {reason}", hint=hint)
     return InputError(
@@ -61,11 +61,11 @@ class Supervised(Protocol):
     """Interface of an arm as the safety supervisor needs it."""
 
     def fault(self) -> Fault | None:
-        """Return the arm's current fault, or None."""
+        """Return the current fault of a supervised arm, or None."""
         ...
 
     def halt(self) -> None:
-        """Stop the arm, discard all goals, and hold the measured pose; must not raise or block."""
+        """Stop a supervised arm, discard all goals, hold the measured pose; must not raise or block."""
         ...
 
 
@@ -86,7 +86,9 @@ class Supervisor:
         log.info("safety: %s: %s: %s", arm, kind, text)
 
     def check(self) -> Fault | None:
-        """Stop all arms if any arm has a fault; return the latched fault, or None."""
+        """Check for the safety supervisor and stop all arms if any arm has a fault; return the latched fault,
+        or None.
+        """
         if self.tripped is None:
             for arm in self._arms.values():
                 found = arm.fault()
@@ -96,7 +98,7 @@ class Supervisor:
         return self.tripped
 
     def trip(self, fault: Fault) -> None:
-        """Latch a fault and stop every arm; further faults are ignored until `clear`."""
+        """Latch a fault in the safety supervisor and stop every arm; later faults are ignored until `clear`."""
         with self._lock:
             if self.tripped is not None:
                 return
@@ -110,7 +112,7 @@ class Supervisor:
             self._on_trip(fault)
 
     def clear(self) -> None:
-        """Clear the latched fault so that arms can move; call only after the operator confirms.
+        """Clear the safety supervisor's fault so that arms can move; call only after the operator confirms.
 
         Raises:
             InputError: an arm still has a fault; the message states the fault and the remedy.

@@ -27,7 +27,7 @@ PERIOD = 0.004  # [s] between commands, rounded to whole physics steps
 
 
 class SteppedSim(Driver):
-    """Simulation driver with one command per period, in lock-step or paced by wall time.
+    """MuJoCo simulation driver with one command per period, in lock-step or paced by wall time.
 
     Lock-step runs as fast as the computer allows.
     """
@@ -54,7 +54,7 @@ class SteppedSim(Driver):
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
-        """Return the lock for reading joints and objects outside the thread that advances time."""
+        """Return the simulation driver's lock for reads outside the thread that advances time."""
         return self.world.lock
 
     @property
@@ -96,7 +96,7 @@ class SteppedSim(Driver):
         self.world.set_arm_target(arm.joint_names, arm.positions)
 
     def resume(self) -> None:
-        """Check that the simulation can continue; only diverged physics stops it for good."""
+        """Check that the simulation driver can continue; only diverged physics stops it for good."""
         try:
             self._connected().check()
         except ArmcellError as error:
@@ -135,7 +135,7 @@ class SteppedSim(Driver):
 
 
 class SimDriver(SteppedSim):
-    """Simulation driver that can also play parts of a trajectory itself."""
+    """MuJoCo simulation driver that can also play parts of a trajectory itself."""
 
     capabilities = SteppedSim.capabilities | {Capability.PLAY_PARTS}
 
@@ -146,7 +146,7 @@ class SimDriver(SteppedSim):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Play a part of a trajectory in simulation; see `Driver.play`."""
+        """Play a part of a trajectory in simulation, until a time or a tracking error."""
         if self._played is None or self._played[:2] != (playback, began):
             self._played = playback, began, self._targets_of(playback, began)
         found = self.world.follow(joint_names, self._played[2], began + until - 1e-9, tolerance)

@@ -39,7 +39,7 @@ _MODES = {
 
 
 def time_stretch(trajectory: JointTrajectory, limits: FrankaLimits) -> float:
-    """Return the factor, at least 1, by which to slow a trajectory to keep Franka's limits.
+    """Return the factor, at least 1, by which to slow a real Franka arm's trajectory to keep its limits.
 
     Raises:
         InputError: a position is outside the joint limits.
@@ -93,7 +93,7 @@ class FrankaArm(RealArm):
         self.armed = True
 
     def _configure(self) -> None:
-        """Set the arm's collision thresholds, stiffness and load.
+        """Set a real Franka arm's collision thresholds, stiffness and load.
 
         Raises InputError if the robot rejects one of them.
         """
@@ -179,7 +179,7 @@ class FrankaArm(RealArm):
 
     @property
     def success_rate(self) -> float:
-        """Return the fraction of the last 100 commands that the robot received in time.
+        """Return the fraction of the last 100 commands that the real Franka arm received in time.
 
         The value is 0 without a motion.
         """
@@ -197,7 +197,7 @@ class FrankaArm(RealArm):
     # --- faults ---
     @property
     def moving(self) -> bool:
-        """Return whether the arm executes a motion or receives setpoints."""
+        """Return whether the real Franka arm executes a motion or receives setpoints."""
         streaming = time.monotonic() - self._streamed < 0.2
         return streaming or (self._number > 0 and self._link.result(self._number) == RUNNING)
 
@@ -282,7 +282,7 @@ class FrankaArm(RealArm):
         return Played(self, trajectory.reindexed(self.joint_names))
 
     def play(self, trajectory: JointTrajectory) -> tuple[int, float]:
-        """Play a trajectory, slowed if Franka's limits require it.
+        """Play a trajectory on the real Franka arm, slowed if Franka's limits require it.
 
         Returns its number and the slowing factor.
 
@@ -296,7 +296,7 @@ class FrankaArm(RealArm):
         return self._number, slower
 
     def clock(self, number: int) -> float:
-        """Return the robot's progress [s] in a played motion; 0 before the motion starts."""
+        """Return the Franka arm's progress [s] in a played motion; 0 before the motion starts."""
         current, clock = self._link.progress
         return clock if current == number else 0.0
 
@@ -316,7 +316,7 @@ REALTIME = "the robot missed 20 commands in a row: free this computer, or use ch
 
 
 class Played:
-    """Handle of a trajectory that the worker plays; the speed slider slows its clock."""
+    """Handle of a trajectory that a Franka arm's worker plays; the speed slider slows its clock."""
 
     def __init__(self, arm: FrankaArm, trajectory: JointTrajectory):
         self._arm, self._duration = arm, trajectory.duration

@@ -16,7 +16,7 @@ TIMEOUT = 2.0  # [s] for an answer
 
 
 class FciError(ArmcellError):
-    """Error of the Franka Control Interface: no answer, or a rejected connection or command.
+    """Error of a Franka Control Interface client: no answer, or a rejected connection or command.
 
     Attributes:
         kind: "refused", "unreachable", "closed", "version" or "protocol".
@@ -28,7 +28,7 @@ class FciError(ArmcellError):
 
 
 class FciClient:
-    """Connection to a Franka robot, which serves one client at a time.
+    """Client of the Franka Control Interface of one robot, which serves one client at a time.
 
     Raises:
         FciError: no robot answers, or it rejects the connection.
@@ -67,13 +67,13 @@ class FciClient:
             )  # fmt: skip
 
     def send(self, command: Command, payload: bytes = b"") -> int:
-        """Send a request to the robot and return its identifier."""
+        """Send a request to the Franka robot's control interface and return its identifier."""
         self._identifier += 1
         self.tcp.sendall(wire.message(command, self._identifier, payload))
         return self._identifier
 
     def answers(self) -> list[tuple[int, bytes]]:
-        """Read from the connection once and return the complete answers (identifier, payload).
+        """Read once from the Franka Control Interface; return the complete answers (identifier, payload).
 
         Raises:
             FciError: the robot closed the connection, or sends another protocol.
@@ -96,7 +96,7 @@ class FciClient:
         return found
 
     def ask(self, command: Command, payload: bytes = b"") -> bytes:
-        """Send a request to the robot and wait for its answer; only while no motion runs.
+        """Send a request to the Franka Control Interface and wait for its answer; only at standstill.
 
         Raises:
             FciError: no answer arrives.
@@ -113,7 +113,7 @@ class FciClient:
         raise FciError("unreachable", f"{self.host} does not answer")
 
     def states(self) -> list[bytes]:
-        """Return the state messages that have arrived, without waiting for more."""
+        """Return the Franka state messages that have arrived, without waiting for more."""
         found = []
         while True:
             try:
@@ -123,7 +123,7 @@ class FciClient:
             found.append(data)
 
     def first_state(self) -> bytes:
-        """Wait for the robot's first state message and return it.
+        """Wait for the Franka robot's first state message and return it.
 
         Raises:
             FciError: none arrives.
@@ -136,7 +136,7 @@ class FciClient:
         return data
 
     def command(self, data: bytes) -> None:
-        """Send a motion command message to the robot."""
+        """Send a motion command message to the Franka Control Interface over UDP."""
         if self._robot is not None:
             with contextlib.suppress(OSError):  # a full buffer: the robot misses one command
                 self.udp.sendto(data, self._robot)

@@ -122,7 +122,7 @@ class FrankaHand:
                 self._reconnect()
 
     def _reconnect(self) -> None:
-        """Reconnect to the hand after a lost connection; the hand does not move."""
+        """Reconnect to the Franka Hand after a lost connection; the hand does not move."""
         with self._lock:
             self._udp.close()
             self._tcp.close()
@@ -139,7 +139,7 @@ class FrankaHand:
             return self._identifier
 
     def home(self) -> None:
-        """Home the hand: its fingers move to measure the largest width.
+        """Home the Franka Hand: its fingers move to measure the largest width.
 
         Raises:
             InputError: homing failed.

@@ -55,7 +55,7 @@ class FrankaIdentity:
 
     @property
     def calibration(self) -> str:
-        """Return a checksum of the robot description that the robot sends."""
+        """Return a checksum of the robot description that a Franka robot sends, as its calibration."""
         return f"{crc32(self.description.encode()):08x}"
 
     def __str__(self) -> str:
@@ -125,7 +125,7 @@ def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> 
 
 
 def check_load(name: str, arm: FrankaArmSettings) -> None:
-    """Check that an arm can carry its configured payload together with its hand.
+    """Check that a Franka arm can carry its configured payload together with its hand.
 
     Raises:
         InputError: the arm cannot carry it.
@@ -156,7 +156,7 @@ def check_ready(name: str, found: FrankaIdentity) -> None:
 
 
 def check_position(name: str, model: str, q: Array) -> None:
-    """Check that measured positions (7,) [rad] are within the joint limits.
+    """Check that a Franka arm's measured positions (7,) [rad] are within the joint limits.
 
     Raises:
         InputError: a joint is outside its limits.

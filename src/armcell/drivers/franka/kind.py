@@ -31,7 +31,7 @@ OPERATOR_TIME = 60.0  # [s] in which the operator unlocks the brakes
 
 
 class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
-    """Franka arms over Franka's Control Interface (FCI), protocol 10."""
+    """Robot kind `franka`: arms over Franka's Control Interface (FCI), protocol 10."""
 
     arm_settings = FrankaArmSettings
     joints = 7
@@ -112,7 +112,7 @@ _DH = (  # a [m], d [m], alpha [rad] of the joints and the flange: Franka's docu
 
 
 def _flange(q: Array) -> Array:
-    """Return the flange position (3,) [m] at joints (7,) [rad], by Franka's nominal geometry."""
+    """Return the flange position (3,) [m] at joints (7,) [rad] for the robot kind Franka (nominal)."""
     T = np.eye(4)
     for (a, d, alpha), theta in zip(_DH, (*q, 0.0), strict=True):
         ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)

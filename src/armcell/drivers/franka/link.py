@@ -31,7 +31,7 @@ KEPT = 512  # states
 
 
 class WorkerLink:
-    """Link that starts the worker process of one arm and exchanges messages with it.
+    """Link that starts the worker process of one Franka arm and exchanges messages with it.
 
     Attributes:
         history: (receive time [s, monotonic], state) of recent states, oldest first.
@@ -52,7 +52,7 @@ class WorkerLink:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start the worker process, which connects to the robot, and wait for the first state.
+        """Start a Franka arm's worker process, which connects to the robot; wait for the first state.
 
         Raises:
             InputError: the connection failed.
@@ -79,7 +79,7 @@ class WorkerLink:
             )
 
     def close(self) -> None:
-        """End the worker process, which stops a moving arm."""
+        """End the Franka arm's worker process, which stops a moving arm."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -145,7 +145,7 @@ class WorkerLink:
         self._on_state()
 
     def ask(self, command: Command, payload: bytes = b"") -> int:
-        """Send a command to the robot and return the status of its answer.
+        """Send a command over the worker link to the Franka robot and return the status of its answer.
 
         Raises:
             InputError: no answer arrives.
@@ -170,7 +170,7 @@ class WorkerLink:
         self._order(do="pace", pace=pace)
 
     def play(self, rows: Array) -> int:
-        """Play joint positions (n, 7) [rad] in steps of 1 ms; return the number of the motion."""
+        """Let the Franka worker play positions (n, 7) [rad] in 1 ms steps; return the motion's number."""
         self._number += 1
         with self._news:
             self._results.clear()
@@ -186,10 +186,10 @@ class WorkerLink:
         self._order(do="cancel")
 
     def result(self, number: int) -> str:
-        """Return the state of a motion: running, done, cancelled, or the reason of its failure."""
+        """Return a motion's state from the Franka worker: running, done, cancelled, or its failure."""
         return self._results.get(number, self.error or "cancelled")
 
     @property
     def age(self) -> float:
-        """Return the age of the latest robot state [s]."""
+        """Return the age [s] of the latest robot state from the Franka worker."""
         return time.monotonic() - self.history[-1][0] if self.history else float("inf")

@@ -28,7 +28,7 @@ CATCH_UP = 0.4  # largest deviation of that rate from 1
 
 
 class Rows:
-    """A trajectory in steps of 1 ms, played at a pace.
+    """A Franka trajectory in setpoints of 1 ms, played at a pace.
 
     Args:
         rows: joint positions (n, 7) [rad].
@@ -46,7 +46,7 @@ class Rows:
         return self._rows[0]
 
     def next(self, pace: float, now: float) -> Array:
-        """Advance by 1 ms at a pace (0 to 1); return the positions (7,)."""
+        """Advance a Franka trajectory by 1 ms at a pace (0 to 1); return the setpoint positions (7,)."""
         self.clock = min(self.clock + pace * TICK, (len(self._rows) - 1) * TICK)
         at = self.clock / TICK
         i = min(int(at), len(self._rows) - 2)
@@ -54,7 +54,7 @@ class Rows:
 
 
 class Decay:
-    """A deviation from a plan that decays to zero, continuously up to the acceleration.
+    """A Franka setpoint's deviation from a plan that decays to zero, smooth up to the acceleration.
 
     Args:
         off, rate, change: deviation (7,) [rad] and its first two derivatives.
@@ -69,13 +69,13 @@ class Decay:
         self._coefficients = np.stack([off, rate * T, 0.5 * change * T**2, a, b, c])
 
     def at(self, t: float) -> Array | None:
-        """Return the deviation (7,) at time t [s] after the start; None: it has decayed."""
+        """Return a Franka setpoint's deviation (7,) at time t [s] after the start; None: it has decayed."""
         x = t / self._duration
         return None if x >= 1.0 else np.power(x, np.arange(6)) @ self._coefficients
 
 
 class Points:
-    """Setpoints with due times, interpolated by cubics.
+    """Streamed setpoints of a Franka arm with due times, interpolated by cubics.
 
     The setpoints' time follows the wall time, but at an even rate: states arrive with jitter, which would
     turn into steps of speed.
@@ -96,11 +96,11 @@ class Points:
         return self._points[0][1]
 
     def add(self, due: float, q: Array, v: Array) -> None:
-        """Add a setpoint: due time [s, monotonic], positions and velocities (7,)."""
+        """Add a streamed Franka setpoint: due time [s, monotonic], positions and velocities (7,)."""
         self._points.append((due, q, v))
 
     def next(self, pace: float, now: float) -> Array:
-        """Advance to a time [s, monotonic]; return the positions (7,): the first point's before it is due.
+        """Advance streamed Franka setpoints to a time [s, monotonic]; return the positions (7,).
 
         After the last point, the arm decelerates from the point's speed. A point that comes later is joined
         without a jump.
@@ -136,7 +136,7 @@ class Points:
         return position + self._off(now)
 
     def _off(self, now: float) -> Array:
-        """Return the decaying deviation (7,) from the points at a time."""
+        """Return the decaying deviation (7,) from streamed Franka setpoints at a time."""
         off = None if self._away is None else self._away[1].at(now - self._away[0])
         return np.zeros(7) if off is None else off
 
@@ -145,7 +145,7 @@ class Points:
 
 
 def _coasts_from(points: list[Point], now: float) -> Point | None:
-    """Return the point that the arm has passed, if no point follows it soon."""
+    """Return the streamed setpoint that a Franka arm has passed, if no other follows it soon."""
     passed = [point for point in points if point[0] <= now]
     coming = points[len(passed) :]
     if not passed or (coming and coming[0][0] - passed[-1][0] < GAP):
@@ -154,14 +154,14 @@ def _coasts_from(points: list[Point], now: float) -> Point | None:
 
 
 def _coasted(point: Point, now: float) -> tuple[Array, Array]:
-    """Return positions and velocities (7,) of an arm that has decelerated since a point."""
+    """Return positions and velocities (7,) of a Franka arm decelerated since a streamed setpoint."""
     last, q, v = point
     passed = np.minimum(now - last, np.abs(v) / COAST)
     return q + passed * (v - 0.5 * COAST * np.sign(v) * passed), v - COAST * np.sign(v) * passed
 
 
 def _between(points: list[Point], now: float) -> Array:
-    """Return the positions (7,) at a time between the points, or those of the nearest point."""
+    """Interpolate streamed Franka setpoints (7,) at a time, or return the nearest one."""
     if now <= points[0][0]:
         return points[0][1]
     for (t0, q0, v0), (t1, q1, v1) in pairwise(points):
@@ -173,7 +173,7 @@ def _between(points: list[Point], now: float) -> Array:
 
 
 class Setpoints:
-    """Turns a source of positions into setpoints that the robot accepts, one per millisecond.
+    """Converter of a source of positions into setpoints that a Franka arm accepts, one per millisecond.
 
     Args:
         source: positions over time.
@@ -192,17 +192,17 @@ class Setpoints:
 
     @property
     def finished(self) -> bool:
-        """Whether the source has ended and the setpoints are at rest there."""
+        """Whether the source of Franka setpoints has ended and the setpoints are at rest there."""
         return self._settled > WINDOW and self._away is None
 
     def start_error(self, q: Array) -> float:
-        """Return the distance [rad] of the source's start from positions q (7,)."""
+        """Return the distance [rad] of a Franka setpoint source's start from positions q (7,)."""
         return float(np.abs(self.source.start - q).max())
 
     def next(
         self, ticks: int, wanted_pace: float, now: float, q_d: Array, dq_d: Array, ddq_d: Array
     ) -> Array:
-        """Return the setpoint (7,) [rad] for the millisecond after a state.
+        """Return the Franka setpoint (7,) [rad] for the millisecond after a state.
 
         Args:
             ticks: milliseconds since the last state; above 1 if states were lost.
@@ -229,7 +229,7 @@ class Setpoints:
         self._settled = self._settled + 1 if self.source.ended else 0
 
     def _rejoin(self, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
-        """Start to decay the robot's deviation from the plan, continuously up to the acceleration."""
+        """Let Franka setpoints rejoin the plan: decay the robot's deviation, smooth up to the acceleration."""
         p0, p1, p2 = self._plan
         off = q_d - p2
         rate = dq_d - (p2 - p1) / TICK

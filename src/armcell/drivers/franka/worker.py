@@ -61,7 +61,7 @@ class Worker:
         link.setblocking(True)
 
     def run(self) -> None:
-        """Serve armcell's orders until armcell closes the link, then stop the arm."""
+        """Serve armcell's orders in the Franka worker until armcell closes the link, then stop the arm."""
         sockets = [self._client.udp, self._client.tcp, self._link]
         try:
             while self._open:
@@ -120,7 +120,7 @@ class Worker:
                 self._open = False
 
     def _ask(self, order: dict[str, Any]) -> None:
-        """Send a command to the robot and report the status of its answer."""
+        """Send a command from the worker to the Franka robot and report the status of its answer."""
 
         def report(content: bytes) -> None:
             self._event(answer=order["id"], status=STATUS.unpack_from(content)[0])
@@ -151,7 +151,7 @@ class Worker:
             self._points.add(*point)
 
     def _start(self, state: RobotState, since: float, source: Rows | Points) -> None:
-        """Start the queued motion (queued at `since` [s, monotonic]) once the robot is idle."""
+        """Start the Franka worker's motion queued at `since` [s, monotonic] once the robot is idle."""
         if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
             if time.monotonic() - since > START_TIME:
                 self._drop()
@@ -179,7 +179,7 @@ class Worker:
         self._send(Command.MOVE, request.pack(), answered)
 
     def _drop(self) -> None:
-        """Discard the queued motion; the next streamed point starts a new one."""
+        """Discard the Franka worker's queued motion; the next streamed point starts a new one."""
         if self._waiting is not None and self._waiting[1] is self._points:
             self._points = None
         self._waiting = None

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class RealGripper(Protocol):
-    """Interface of a connected gripper of a real arm.
+    """Interface of the gripper of a real arm, as mode `real` uses it.
 
     Attributes:
         hint: remedy for a gripper that no longer answers.
@@ -29,16 +29,16 @@ class RealGripper(Protocol):
     hint: str
 
     def drive(self, width: float, force: float) -> None:
-        """Move the gripper toward a width [m] with a limited force per finger [N]; width 0 grasps."""
+        """Move a real arm's gripper toward a width [m], force-limited per finger [N]; width 0 grasps."""
         ...
 
     def read(self) -> tuple[float, bool]:
-        """Return the gripper's width [m] and whether it holds an object."""
+        """Return the width [m] of a real arm's gripper and whether it holds an object."""
         ...
 
     @property
     def silent(self) -> float:
-        """Return the time since the gripper's last answer [s]."""
+        """Return the time [s] since the last answer of a real arm's gripper."""
         ...
 
     def close(self) -> None: ...
@@ -68,7 +68,7 @@ class RealArm(ABC):
     # --- connection ---
     @abstractmethod
     def connect(self) -> None:
-        """Connect to the robot and get it ready for commands; the arm does not move.
+        """Connect to a real arm's robot and prepare it for commands; the arm does not move.
 
         Raises:
             InputError: the connection failed; the message states the cause and the remedy.
@@ -76,7 +76,7 @@ class RealArm(ABC):
 
     @abstractmethod
     def connect_gripper(self, gripper: Gripper) -> RealGripper | None:
-        """Connect to the gripper that the arm's settings name, if any, else return None.
+        """Connect to the gripper that a real arm's settings name, if any, else return None.
 
         Raises:
             InputError: the gripper does not answer.
@@ -84,17 +84,17 @@ class RealArm(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Stop the arm if it moves, and close all its connections.
+        """Stop a real arm if it moves, and close all its connections.
 
         The method may also be called after a failed `connect`.
         """
 
     @abstractmethod
     def beat(self) -> None:
-        """Send the robot a keep-alive signal, without which it stops; must not raise or block."""
+        """Send a real arm's robot the keep-alive signal, without which it stops; must not raise or block."""
 
     def start_round_trips(self) -> Callable[[], float]:
-        """Start to measure the network; return a function for the shortest recent round trip [s].
+        """Start to measure a real arm's network; return a function for the shortest recent round trip [s].
 
         The function returns NaN while nothing has been measured. `close` ends the measurement.
         """
@@ -104,11 +104,11 @@ class RealArm(ABC):
     @property
     @abstractmethod
     def time_of_state(self) -> float:
-        """Return the time of the robot's latest state [s, this computer's monotonic clock]."""
+        """Return the time of a real arm's latest state [s, this computer's monotonic clock]."""
 
     @abstractmethod
     def measured_at(self, when: float) -> tuple[Array, Array]:
-        """Return measured positions [rad] and velocities [rad/s], each (n,), at a given time.
+        """Return a real arm's measured positions [rad] and velocities [rad/s], each (n,), at a given time.
 
         The time is monotonic [s]. Values are interpolated between two states and clamped at the ends of the
         history.
@@ -116,49 +116,49 @@ class RealArm(ABC):
 
     @abstractmethod
     def setpoint(self) -> tuple[Array, Array]:
-        """Return positions [rad] and velocities [rad/s], each (n,), that the robot currently tracks."""
+        """Return positions [rad] and velocities [rad/s], each (n,), that a real arm currently tracks."""
 
     @abstractmethod
     def sample(self) -> ArmSample:
-        """Return the arm's latest measurement, for comparison with its simulated twin."""
+        """Return a real arm's latest measurement, for comparison with its simulated twin."""
 
     @property
     @abstractmethod
     def scaling(self) -> float:
-        """Return the speed fraction, 0 to 1, that speed slider and pause allow."""
+        """Return the speed fraction, 0 to 1, that a real arm's slider and pause allow."""
 
     @abstractmethod
     def set_slider(self, fraction: float) -> None:
-        """Set the robot's speed slider, 0 to 1; must not raise while the connection is lost."""
+        """Set a real arm's speed slider, 0 to 1; must not raise while the connection is lost."""
 
     @property
     @abstractmethod
     def modes(self) -> tuple[int, int]:
-        """Return robot mode and safety mode, in the numbers of `ur_dashboard_msgs`."""
+        """Return a real arm's robot mode and safety mode, in the numbers of `ur_dashboard_msgs`."""
 
     @abstractmethod
     def force(self) -> tuple[Array, Array, Array]:
-        """Return force [N] and torque [Nm] on the tool, and the reference point [m], base frame.
+        """Return a real arm's tool force [N], torque [Nm] and their reference point [m], base frame.
 
         The base frame is the controller's.
         """
 
     @abstractmethod
     def zero_force(self) -> None:
-        """Zero the force measurement of the arm; call only while nothing touches the hand."""
+        """Zero a real arm's force measurement; call only while nothing touches the hand."""
 
     # --- faults ---
     @abstractmethod
     def fault(self) -> Fault | None:
-        """Return the arm's current fault, or None; several threads call this often."""
+        """Return a real arm's current fault, or None; several threads call this often."""
 
     @abstractmethod
     def halt(self) -> None:
-        """Stop the arm, discard all goals, and hold the measured pose; must not raise or block."""
+        """Stop a real arm, discard all goals, hold the measured pose; must not raise or block."""
 
     @abstractmethod
     def prepare_resume(self) -> None:
-        """Check before a resume that the same robot answers and may be driven.
+        """Check before a resume that a real arm's robot is the same and may be driven.
 
         Raises:
             InputError: the check failed; the message states the remedy.
@@ -166,7 +166,7 @@ class RealArm(ABC):
 
     @abstractmethod
     def restart(self) -> None:
-        """Reconnect a lost link, clear the stop, and accept commands again; the arm does not move.
+        """Restart a stopped real arm: reconnect, clear the stop, accept commands; the arm does not move.
 
         Raises:
             InputError: the arm stays stopped; the message states the remedy.
@@ -175,14 +175,14 @@ class RealArm(ABC):
     # --- motion ---
     @abstractmethod
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory of the arm's joints that the robot plays itself, and return its handle.
+        """Start a trajectory that a real arm plays itself, and return its handle.
 
         A robot without such a function streams the setpoints in a thread of its own: see `motion.Streamed`.
         """
 
     @abstractmethod
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Stream a setpoint that the arm passes at a given time.
+        """Stream a setpoint that a real arm passes at a given time.
 
         Setpoints with equal times keep several arms synchronized.
 
@@ -194,4 +194,4 @@ class RealArm(ABC):
 
     @abstractmethod
     def cancel(self) -> None:
-        """End the running motion and hold the position; the arm stays ready for new motions."""
+        """End a real arm's running motion and hold the position; the arm stays ready for new motions."""

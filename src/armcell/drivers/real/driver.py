@@ -43,7 +43,7 @@ UNGUARDED = frozenset(
 
 
 class RealDriver(Driver):
-    """Driver of real arms; if any arm stops, no arm moves until `resume()`.
+    """Driver of mode `real` for real arms; if any arm stops, no arm moves until `resume()`.
 
     Objects stay at their scene poses until a gripper carries them.
     """
@@ -119,7 +119,7 @@ class RealDriver(Driver):
         return self
 
     def _begin_guard(self, guard: MotionGuard, supervisor: Supervisor) -> None:
-        """Connect the twin guard to the arms' round-trip measurements and to the event log."""
+        """Connect the twin guard to the real driver's round-trip measurements and event log."""
         guard.check_calibration(self.calibrations())
         guard.trips = {name: arm.start_round_trips() for name, arm in self.arms.items()}
         guard.note = supervisor.record
@@ -140,7 +140,7 @@ class RealDriver(Driver):
         return {name: arm.identity.calibration for name, arm in self.arms.items()}
 
     def _connected(self) -> Supervisor:
-        """Return the safety supervisor of the connected arms.
+        """Return the safety supervisor of the real driver's connected arms.
 
         Raises:
             InputError: the driver is not connected.
@@ -153,7 +153,7 @@ class RealDriver(Driver):
         return self._supervisor
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Dry-run a trajectory in the twin; return the reason to refuse the trajectory, or None."""
+        """Dry-run a trajectory of real arms in the twin; return the reason to refuse it, or None."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
         held = {gripper: item for gripper, (item, _) in self._held.items()}
@@ -182,7 +182,7 @@ class RealDriver(Driver):
                 supervisor.trip(died)
 
     def _died(self) -> Fault | None:
-        """Return a fault if a thread of the driver has ended or a gripper no longer answers."""
+        """Return a fault if a thread of the real driver has ended or a gripper no longer answers."""
         arm = next(iter(self.arms), "")
         if not self._heartbeat.beats:
             return Fault(
@@ -204,7 +204,7 @@ class RealDriver(Driver):
         return time.monotonic() - self._began
 
     def joint_state(self) -> JointState:
-        """Return the state of all joints of all arms at one common time.
+        """Return the state of all joints of all real arms at one common time.
 
         The common time is that of the oldest of the arms' latest states, at most `LONGEST_SKEW` before the
         newest.
@@ -222,7 +222,7 @@ class RealDriver(Driver):
         return JointState(self._model.joint_names, q, v, time=self.now)
 
     def _due(self) -> float:
-        """Return the time at which the last `advance` ends on the monotonic clock [s].
+        """Return the monotonic time [s] at which the real driver's last `advance` ends.
 
         If it is more than `stream_lead` in the past, it is reset to now.
         """
@@ -233,7 +233,7 @@ class RealDriver(Driver):
 
     @property
     def tick(self) -> float:
-        """Return the driver time [s] of the next command, which grows by each `advance`.
+        """Return the real driver's time [s] of the next command, which grows by each `advance`.
 
         After a delay of more than `stream_lead`, it jumps to the current time.
         """
@@ -250,7 +250,7 @@ class RealDriver(Driver):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Stream a joint target to the arms that own the joints; after a stop, send no target.
+        """Stream a joint target to the real arms that own the joints; after a stop, send no target.
 
         The target is due `stream_lead` after `tick`, on one clock for all arms.
         """
@@ -264,7 +264,7 @@ class RealDriver(Driver):
         return sent
 
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory; a single arm plays it itself, several arms receive setpoints.
+        """Start a trajectory on real arms: one arm plays it itself, several arms receive setpoints.
 
         The setpoints of several arms follow one clock.
         """
@@ -278,7 +278,7 @@ class RealDriver(Driver):
         return self._guarded(supervisor, streamed, trajectory, arms, streamed.sent_for)
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
-        """Return a monitor that compares a streamed motion with its dry run; see `Driver.watch`."""
+        """Return the real driver's monitor that compares a streamed motion with its dry run."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
         arms = self._arms_of(trajectory.joint_names)
@@ -308,23 +308,23 @@ class RealDriver(Driver):
         return arms
 
     def stop(self) -> None:
-        """Stop every arm; each arm then holds its measured position."""
+        """Stop every real arm; each arm then holds its measured position."""
         for arm in self.arms.values():
             arm.cancel()
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the arms that own the given joints; other joints, such as fingers, are ignored."""
+        """Stop the real arms that own the given joints; ignore other joints, such as fingers."""
         for arm in self.arms.values():
             if set(joint_names) & set(arm.joint_names):
                 arm.cancel()
 
     def fault(self) -> Fault | None:
-        """Return the fault that stopped the arms and is not yet cleared by a resume, or None."""
+        """Return the fault that stopped the real arms and that no resume has cleared yet, or None."""
         self._look()
         return self._supervisor.tripped if self._supervisor is not None else None
 
     def arm_modes(self) -> dict[str, tuple[int, int]]:
-        """Return robot mode and safety mode by arm; DISCONNECTED if the arm's link is lost."""
+        """Return robot and safety mode by real arm; DISCONNECTED if the arm's link is lost."""
         return {name: arm.modes for name, arm in self.arms.items()}
 
     @property
@@ -333,7 +333,7 @@ class RealDriver(Driver):
         return list(self._supervisor.events) if self._supervisor is not None else []
 
     def resume(self) -> None:
-        """Reconnect to arms whose link was lost and make every arm ready for commands.
+        """Resume real arms: reconnect lost links and make every arm ready for commands.
 
         Raises:
             InputError: an arm cannot resume; the message states the remedy. All arms stay stopped.
@@ -358,7 +358,7 @@ class RealDriver(Driver):
                 raise
 
     def _wait_for_grippers(self) -> None:
-        """Wait until all grippers answer again.
+        """Wait until all grippers of the real arms answer again.
 
         Raises:
             InputError: a thread of this driver has ended, or a gripper does not reconnect in time.
@@ -375,7 +375,7 @@ class RealDriver(Driver):
 
     @property
     def speed_fraction(self) -> float:
-        """Return the speed fraction, 0 to 1, of the slowest arm that sliders and pauses allow."""
+        """Return the speed fraction, 0 to 1, of the slowest real arm that sliders and pauses allow."""
         return min((arm.scaling for arm in self.arms.values()), default=1.0)
 
     # --- gripper and objects ---
@@ -408,7 +408,7 @@ class RealDriver(Driver):
         return GripperReading(width, self._forces.get(gripper, 0.0), held[0])
 
     def wrench(self, gripper: str) -> NDArray[np.float64]:
-        """Return the external wrench on a gripper, measured by its arm; see `Driver.wrench`.
+        """Return the external wrench on a gripper, measured by its real arm.
 
         The measurement is zeroed whenever the hand begins to close.
 
@@ -425,7 +425,7 @@ class RealDriver(Driver):
         return np.concatenate([force, torque + np.cross(T.apply(point) - here, force)])
 
     def zero_wrench(self, gripper: str) -> None:
-        """Zero the measured wrench of a gripper; call only while nothing touches the hand."""
+        """Zero the wrench that a real arm measures at its gripper; call only while nothing touches it."""
         self._arm_of(gripper).zero_force()
 
     def _gripper_hint(self, gripper: str) -> str:
@@ -444,7 +444,7 @@ class RealDriver(Driver):
         return self.arms[group]
 
     def _carry(self, gripper: str, q: NDArray[np.float64]) -> None:
-        """Move the object that a gripper holds along with the gripper."""
+        """Move the object that a real gripper holds along with the gripper in the driver's object poses."""
         holds = self._grippers[gripper].read()[1]
         T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)
         if not holds:

@@ -11,7 +11,7 @@ from armcell.drivers.real.settings import ArmSettings
 
 
 class RobotIdentity(Protocol):
-    """Identity of a robot as its controller reports it; `str()` describes it for the operator."""
+    """Identity of a real robot as its controller reports it; `str()` describes it for the operator."""
 
     @property
     def serial(self) -> str: ...
@@ -22,7 +22,7 @@ class RobotIdentity(Protocol):
 
 @dataclass(frozen=True)
 class NetworkReport:
-    """Statistics of one network measurement; times in [s]."""
+    """Network quality of a real robot's connection, from one measurement; times in [s]."""
 
     round_trip: float  # median
     worst_round_trip: float
@@ -38,7 +38,7 @@ class NetworkReport:
 
 
 def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
-    """Check that a robot's serial number and calibration match those in the cell file, if any.
+    """Check that a real robot's serial number and calibration match those in the cell file, if any.
 
     Raises:
         InputError: the robot is not the one in the cell file.
@@ -55,7 +55,7 @@ def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
 
 
 def check_swapped(wanted: Mapping[str, ArmSettings], found: Mapping[str, RobotIdentity]) -> None:
-    """Check that no arm answers with the serial number or calibration of another arm.
+    """Check that no real arm answers with the serial number or calibration of another arm.
 
     Raises:
         InputError: the arms' addresses are swapped.

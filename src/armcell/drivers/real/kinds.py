@@ -38,7 +38,7 @@ class RobotKind(ABC, Generic[A, I]):
     gripper_hint: ClassVar[str]
 
     def complete(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
-        """Check all arms of this robot kind against each other and fill in default values.
+        """Check all arms of one robot kind against each other and fill in default values.
 
         Raises:
             InputError: two arms contradict each other, or a value is invalid.
@@ -46,7 +46,7 @@ class RobotKind(ABC, Generic[A, I]):
         return dict(arms)
 
     def check_backend(self, backend: str) -> None:
-        """Check that the libraries of a motion backend are installed.
+        """Check that the libraries of a robot kind's motion backend are installed.
 
         Raises:
             InputError: a library is missing; the error names the extra to install.
@@ -54,13 +54,13 @@ class RobotKind(ABC, Generic[A, I]):
         return None
 
     def control(self, backend: str) -> str:
-        """Return a few words on what controls the arms, such as "our program"."""
+        """Return a few words on what controls the arms of a robot kind, such as "our program"."""
         return backend
 
     # --- identity and readiness; nothing moves ---
     @abstractmethod
     def identify(self, arm: A) -> I:
-        """Query a robot's identity and state.
+        """Query a robot's identity and state in the way of its robot kind.
 
         Raises:
             InputError: no robot answers, or the robot is not of this kind.
@@ -68,7 +68,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_identity(self, name: str, arm: A, found: I) -> None:
-        """Check that a robot is the one in the cell file; see `check_numbers` for common checks.
+        """Check that a robot is the one in the cell file, by the rules of its robot kind.
 
         Raises:
             InputError: it is another robot.
@@ -76,7 +76,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_ready(self, name: str, found: I) -> None:
-        """Check that a robot can be driven now.
+        """Check that a robot of this kind can be driven now.
 
         Raises:
             InputError: it cannot; the message states the remedy.
@@ -84,7 +84,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def calibrated(self, model: RobotModel, group: str, found: I) -> RobotModel:
-        """Return the model with an arm's factory calibration.
+        """Return the model with an arm's factory calibration, by its robot kind.
 
         Raises:
             InputError: the calibration does not fit the model, or robots of this kind report none.
@@ -95,7 +95,7 @@ class RobotKind(ABC, Generic[A, I]):
         self, name: str, joint_names: tuple[str, ...], arm: A, limits: RealSettings, found: I,
         on_state: Callable[[], None],
     ) -> RealArm:  # fmt: skip
-        """Return an arm of this kind that is not yet connected.
+        """Return an unconnected arm of this robot kind.
 
         Args:
             name: planning group of the arm.
@@ -106,11 +106,11 @@ class RobotKind(ABC, Generic[A, I]):
     # --- bring-up ---
     @abstractmethod
     def measure_network(self, arm: A) -> NetworkReport:
-        """Measure round trips and state intervals of a robot connection; the robot does not move."""
+        """Measure round trips and state intervals of a robot kind's connection; the robot does not move."""
 
     @abstractmethod
     def power_on(self, name: str, arm: A) -> str:
-        """Power an arm on and release its brakes, or ask the operator to do so.
+        """Power on an arm of this robot kind and release its brakes, or ask the operator to do so.
 
         Returns the result in words.
 
@@ -120,11 +120,11 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def measured_positions(self, arm: A) -> Array:
-        """Return the measured joint positions (n,) [rad] of an arm without another connection."""
+        """Return an arm's joint positions (n,) [rad], by its robot kind, without another connection."""
 
     @abstractmethod
     def flange_position(self, found: I, q: Array) -> Array:
-        """Return the flange position (3,) [m] in the model's base link, by the robot's geometry.
+        """Return the flange position (3,) [m] in the base link by the robot kind's own geometry.
 
         Args:
             q: joint positions (n,) [rad].
@@ -136,7 +136,7 @@ robot_kinds: Registry[RobotKind[Any, Any]] = Registry("kind of real robot", "arm
 
 
 def kind_of(arm: ArmSettings) -> RobotKind[Any, Any]:
-    """Return the robot kind of an arm.
+    """Return the registered robot kind of an arm.
 
     Raises:
         UnknownNameError: no kind with this name is installed.
@@ -145,7 +145,7 @@ def kind_of(arm: ArmSettings) -> RobotKind[Any, Any]:
 
 
 def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
-    """Identify the robots of all arms and check that their addresses are not swapped.
+    """Identify the robots of all arms by their kinds and check that no addresses are swapped.
 
     Raises:
         InputError: a robot does not answer, or the arms' addresses are swapped.
@@ -156,7 +156,7 @@ def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
 
 
 def check_distinct(arms: Mapping[str, ArmSettings], what: str, key: str) -> None:
-    """Check that the value of a setting differs between all arms.
+    """Check that a setting, such as the address, differs between all arms of a robot kind.
 
     Raises:
         InputError: two arms have the same value.

@@ -13,7 +13,7 @@ DEFAULT_KIND = "ur"
 
 
 class Strict(BaseModel):
-    """Base class of settings models: rejects unknown keys; values are frozen and finite."""
+    """Strict base class of the settings of real arms: no unknown keys; values frozen and finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
 

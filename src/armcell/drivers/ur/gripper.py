@@ -18,7 +18,7 @@ LOOK = "look at its URCap and cable"
 
 
 class SocketGripper:
-    """Gripper with Robotiq's socket protocol on a URCap's port; a thread polls its state."""
+    """Gripper on a UR arm with Robotiq's socket protocol; a thread polls its state."""
 
     hint = LOOK
 
@@ -57,7 +57,7 @@ class SocketGripper:
         return (1.0 - position / 255) * self._gripper.max_width, holds
 
     def _watch(self) -> None:
-        """Poll the gripper's state; reconnect after a lost connection, without moving the gripper."""
+        """Poll the state of a UR arm's socket gripper; reconnect after a lost connection, without motion."""
         while self._open:
             try:
                 self._reading = self._read_now()
@@ -91,7 +91,7 @@ class SocketGripper:
 
 
 class ToolPins(Protocol):
-    """Interface to the digital inputs and outputs of the arm that carries a `ToolGripper`."""
+    """Interface to the digital inputs and outputs of the UR arm that carries a `ToolGripper`."""
 
     def set_tool_output(self, pin: int, on: bool) -> None: ...
 
@@ -99,7 +99,7 @@ class ToolPins(Protocol):
 
 
 class ToolGripper:
-    """Gripper that only opens and closes: tool output 0 closes, tool input 0 reports a grasp."""
+    """UR tool gripper that only opens and closes: tool output 0 closes, tool input 0 reports a grasp."""
 
     hint = LOOK
 

@@ -29,7 +29,7 @@ POWER_TIME = 30.0  # [s] to power on and release the brakes
 
 
 class UrKind(RobotKind[UrArmSettings, Identity]):
-    """Robot kind of Universal Robots arms: state by RTDE, motion by a program or `ur_rtde`."""
+    """Robot kind `ur` of Universal Robots arms: state by RTDE, motion by a program or `ur_rtde`."""
 
     arm_settings = UrArmSettings
     joints = 6

@@ -16,7 +16,7 @@ SHORTEST_OF = 5  # one late answer indicates a busy computer, five in a row the 
 
 
 class Pinger:
-    """Measurement of the network round trip to a robot by repeated RTDE version requests.
+    """Measurement of the network round trip to a UR robot by repeated RTDE version requests.
 
     A controller always answers these requests, and they do not move the robot.
     """
@@ -28,7 +28,7 @@ class Pinger:
         self._open = False
 
     def start(self) -> None:
-        """Connect to the robot controller and start measuring round trips in a thread.
+        """Connect the pinger to the UR controller and start measuring round trips in a thread.
 
         Raises:
             OSError: no controller answers at this address.
@@ -40,7 +40,7 @@ class Pinger:
         self._thread.start()
 
     def trip(self) -> float:
-        """Return the shortest of the last few round trips [s]; NaN before enough measurements.
+        """Return the shortest of the last few round trips [s] to a UR robot; NaN before enough are measured.
 
         A pending request counts with its current age.
         """

@@ -28,7 +28,7 @@ SCRIPT_PORT = 30002
 
 @dataclass(frozen=True)
 class ProgramSettings:
-    """Constants that armcell's robot program receives when it starts."""
+    """Constants that armcell's robot program on a UR arm receives when it starts."""
 
     watchdog: float = 0.1  # [s] without a command before a moving arm stops itself
     idle_watchdog: float = 2.0  # [s] for an arm at rest, where a busy computer is not dangerous
@@ -36,7 +36,7 @@ class ProgramSettings:
 
 
 def program_text(host: str, port: int, session: int, settings: ProgramSettings) -> str:
-    """Return the robot program's URScript text with all placeholders filled in."""
+    """Return the URScript text of armcell's robot program with all placeholders filled in."""
     text = (files("armcell.drivers.ur") / "armcell.script").read_text(encoding="utf-8")
     values = {
         "HOST": host, "PORT": port, "SESSION": session, "WATCHDOG": settings.watchdog,
@@ -50,7 +50,8 @@ def program_text(host: str, port: int, session: int, settings: ProgramSettings) 
 
 
 def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[bytes]:
-    """Encode the points of a trajectory, except the first, as messages for the robot program.
+    """Encode the points of a trajectory, except the first, as messages for armcell's robot program on a UR
+    arm.
 
     Points are at least two steps apart; nearer points are omitted. The robot interpolates between the points
     by quintics from the trajectory's positions, velocities and accelerations.
@@ -110,7 +111,8 @@ class ProgramLink:
         return self._reverse is not None
 
     def start(self, timeout: float = 5.0) -> int:
-        """Upload the robot program and wait until it connects back; return the session number.
+        """Upload armcell's robot program to the UR arm and wait until it connects back; return the session
+        number.
 
         Raises:
             InputError: the program did not connect; the message states possible causes.
@@ -162,7 +164,7 @@ class ProgramLink:
         return found
 
     def _results(self, link: socket.socket) -> None:
-        """Receive trajectory results from the robot program until the program ends."""
+        """Receive trajectory results from armcell's URScript robot program until it ends."""
         link.settimeout(None)
         try:
             while True:
@@ -174,17 +176,17 @@ class ProgramLink:
                 self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """Send a command with up to six values to the robot program; no effect without a program."""
+        """Send armcell's URScript robot program a command with up to six values; no effect without it."""
         six = [round(float(v) * SCALE) for v in values] + [0] * (6 - len(values))
         self._send(self._reverse, _COMMAND.pack(kind, *six, last))
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Send a setpoint (positions, speeds) that the robot passes at a program time [s]."""
+        """Send armcell's URScript robot program a setpoint (positions, speeds) for a program time [s]."""
         values = (round(float(x) * SCALE) for x in (*np.asarray(q), *np.asarray(v)))
         self._send(self._reverse, _SERVO.pack(SERVO, *values, round(at * STAMP)))
 
     def forward(self, trajectory: JointTrajectory, step: float) -> int:
-        """Start a trajectory on the robot and return its number; `result` reports its end."""
+        """Start a trajectory in armcell's URScript robot program and return its number."""
         self._number = self._number % 1000 + 1
         points = points_of(trajectory, step, self._number)
         self.result = RUNNING

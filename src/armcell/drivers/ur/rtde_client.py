@@ -33,7 +33,9 @@ LOST = 0.05  # [s] increase beyond which the offset jumps
 
 @dataclass(frozen=True)
 class RobotState:
-    """One RTDE packet: values by RTDE variable name, and arrival time (monotonic clock)."""
+    """State of a UR robot from one RTDE packet: values by RTDE variable name, and arrival time (monotonic
+    clock).
+    """
 
     values: dict[str, Any]
     received: float  # [s]
@@ -46,7 +48,7 @@ class RobotState:
 
 
 class RobotClock:
-    """Estimate of the offset between a robot's clock and this computer's monotonic clock.
+    """Estimate of the offset between a UR robot's clock (RTDE) and this computer's monotonic clock.
 
     Packets arrive late by the delay of the network and both computers, never early. The smallest difference
     between arrival time and time stamp in the last second is therefore the best estimate, and the clocks of
@@ -59,7 +61,7 @@ class RobotClock:
         self._last = 0.0
 
     def seen(self, stamp: float, received: float) -> None:
-        """Update the offset from a packet's time stamp and arrival time [s]."""
+        """Update a UR robot's clock offset from an RTDE packet's time stamp and arrival time [s]."""
         first = not self._seen
         self._seen.append(received - stamp)
         least = min(self._seen)
@@ -70,7 +72,7 @@ class RobotClock:
 
 
 class RtdeClient:
-    """RTDE connection to a robot, with a receiver thread.
+    """RTDE client: connection to a UR robot, with a receiver thread.
 
     Args:
         host: the robot's address.
@@ -95,7 +97,8 @@ class RtdeClient:
         self._sending = threading.Lock()
 
     def connect(self, timeout: float = 3.0) -> None:
-        """Negotiate RTDE with the robot, start the transmission, and wait for the first state.
+        """Connect the RTDE client: negotiate with the UR robot, start the transmission, and wait for the
+        first state.
 
         Raises:
             InputError: no RTDE server answers, or another client holds one of the inputs.
@@ -183,7 +186,7 @@ class RtdeClient:
 
     @property
     def age(self) -> float:
-        """Return the age [s] of the robot's latest state at the last check for packets.
+        """Return the age [s] of the RTDE client's latest state at its last check for packets.
 
         The age uses the robot's time stamp: a packet that waited in a buffer is not new.
         """
@@ -193,11 +196,11 @@ class RtdeClient:
 
     @property
     def blind(self) -> float:
-        """Return the time [s] since the last check for packets; large while the process hangs."""
+        """Return the time [s] since the RTDE client last checked for packets; large while the process hangs."""
         return time.monotonic() - self._looked
 
     def send(self, recipe: int, values: Sequence[Any]) -> None:
-        """Send the values of an RTDE input recipe to the robot.
+        """Send the values of an RTDE input recipe from the client to the UR robot.
 
         Args:
             recipe: index of the recipe, from 0, in the order of `inputs`.

@@ -61,7 +61,7 @@ class RtdeLink:
         return self._socket is not None
 
     def start(self) -> int:
-        """Start a `ur_rtde` subprocess with its script on the robot; return the session number.
+        """Start a `ur_rtde` subprocess with the library's script on the UR robot; return the session number.
 
         Raises:
             InputError: ur_rtde is not installed, or cannot take control of the robot.
@@ -98,7 +98,7 @@ class RtdeLink:
         return self._session
 
     def _drain(self, words: Iterable[str] | None) -> None:
-        """Discard the library's error output, so that a full pipe cannot block the subprocess."""
+        """Discard the `ur_rtde` subprocess's error output, so that a full pipe cannot block it."""
         for _ in words or ():
             pass
 
@@ -151,7 +151,7 @@ class RtdeLink:
                 self._order("end")
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Send a setpoint that the robot passes at a monotonic time [s].
+        """Send the `ur_rtde` subprocess a setpoint that the robot passes at a monotonic time [s].
 
         All processes on this computer share the monotonic clock.
         """

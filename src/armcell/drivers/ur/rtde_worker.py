@@ -39,7 +39,7 @@ class Worker:
         self._number, self._result = 0, "done"
 
     def read(self) -> None:
-        """Receive orders from armcell until the socket closes or the order `end` arrives."""
+        """Receive the `ur_rtde` worker's orders from armcell until the socket closes or `end` arrives."""
         with self._link.makefile("rb") as lines:
             for line in lines:
                 order = json.loads(line)
@@ -131,7 +131,7 @@ class Worker:
 
 
 def between(points: list[tuple[float, list[float], list[float]]], now: float) -> list[float]:
-    """Return the position at a time by cubic interpolation of (time, position, speed) points.
+    """Interpolate a `ur_rtde` worker's (time, position, speed) points by cubics; return the position.
 
     Before the first and after the last point, the position is the nearest point's.
     """

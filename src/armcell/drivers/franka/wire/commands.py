@@ -61,7 +61,7 @@ class ConnectStatus(IntEnum):
 
 
 class SetterStatus(IntEnum):
-    """Status in the answer to a command that sets a robot parameter."""
+    """Status in the answer to a TCP command that sets a Franka robot's parameter."""
 
     SUCCESS = 0
     NOT_POSSIBLE = 1
@@ -104,7 +104,7 @@ class RecoveryStatus(IntEnum):
 
 
 class MoveController(IntEnum):
-    """Controller of a motion, as encoded in the Move command."""
+    """Controller of a Franka motion, as encoded in the Move command."""
 
     JOINT_IMPEDANCE = 0
     CARTESIAN_IMPEDANCE = 1
@@ -112,7 +112,7 @@ class MoveController(IntEnum):
 
 
 class MoveGenerator(IntEnum):
-    """Motion generator, as encoded in the Move command; the state message counts from 1."""
+    """Motion generator in Franka's Move command; the state message counts from 1."""
 
     JOINT_POSITION = 0
     JOINT_VELOCITY = 1
@@ -123,7 +123,7 @@ class MoveGenerator(IntEnum):
 
 @dataclass(frozen=True)
 class MoveRequest:
-    """Request of the Move command, which starts a motion.
+    """Request of Franka's Move command, which starts a motion.
 
     Attributes:
         path_deviation, goal_deviation: largest translation [m], rotation [rad] and elbow angle [rad].
@@ -159,16 +159,16 @@ class MoveRequest:
 
 
 def message(command: int, identifier: int, payload: bytes = b"") -> bytes:
-    """Encode a request or an answer with its header."""
+    """Encode a TCP command of the Franka Control Interface, or its answer, with its header."""
     return HEADER.pack(command, identifier, HEADER.size + len(payload)) + payload
 
 
 class WireError(ValueError):
-    """Error for a message that does not follow Franka's protocol."""
+    """Error for a TCP message that does not follow Franka's protocol."""
 
 
 def take_message(received: bytearray) -> tuple[int, int, bytes] | None:
-    """Remove and return the first complete message of a buffer.
+    """Remove and return the first complete Franka command or answer of a TCP buffer.
 
     Returns:
         Command, identifier and payload; None if the buffer has no complete message.

@@ -56,7 +56,7 @@ class FrankaLimits:
     velocity_upper: Array = field(default_factory=lambda: np.zeros(0))  # [rad]
 
     def velocity_range(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Return the lowest and highest joint velocities (7,) [rad/s] at positions q (7,) [rad]."""
+        """Return a Franka arm's joint velocity limits (lowest, highest) (7,) [rad/s] at q (7,) [rad]."""
         if not len(self.deceleration):
             return -self.velocity, self.velocity
         q = np.asarray(q, dtype=float)

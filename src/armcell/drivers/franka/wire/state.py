@@ -71,7 +71,7 @@ class RobotMode(IntEnum):
 
 
 class StateMessage:
-    """Robot state message that is written in place; `bytes(state)` returns the message.
+    """Franka's robot state message, written in place; `bytes(state)` returns the message.
 
     Attributes:
         floats: all numbers (COUNT,); `FIELDS` names their positions.
@@ -91,7 +91,7 @@ class StateMessage:
         self.floats[FIELDS[field]] = values
 
     def head(self, identifier: int, generator: int, controller: int, mode: int, success: float) -> None:
-        """Write the fields of the robot state message that are not arrays."""
+        """Write the fields of Franka's robot state message that are not arrays."""
         struct.pack_into("<Q", self._buffer, 0, identifier)
         _MODES.pack_into(self._buffer, _TAIL, generator, controller)
         _REST.pack_into(self._buffer, STATE_SIZE - _REST.size, mode, success)
@@ -102,7 +102,7 @@ class StateMessage:
 
 @dataclass(frozen=True)
 class RobotState:
-    """Robot state, received from the robot.
+    """Robot state, received from a Franka robot by UDP.
 
     Attributes:
         time: message identifier, which counts milliseconds.
@@ -124,7 +124,7 @@ class RobotState:
 
 
 def read_state(data: bytes) -> RobotState:
-    """Decode a robot state message.
+    """Decode a Franka robot state message.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.
@@ -147,7 +147,7 @@ def read_state(data: bytes) -> RobotState:
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Motion command that answers one state message.
+    """Franka motion command that answers one UDP state message.
 
     Only the fields of the motion's modes count.
     """
@@ -171,7 +171,7 @@ class RobotCommand:
 
 
 def read_command(data: bytes) -> RobotCommand:
-    """Decode a motion command message.
+    """Decode a Franka motion command message.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def frames_of(dh: Kinematics, q: ArrayLike) -> Array:
-    """Return T_base_i (7, 4, 4) of the base and the six DH frames, as a read-only array."""
+    """Return a UR arm's T_base_i (7, 4, 4) of the base and the six DH frames, as a read-only array."""
     return _frames_of(dh, np.asarray(q, dtype=float).tobytes())
 
 
@@ -38,7 +38,7 @@ def _frames_of(dh: Kinematics, q: bytes) -> Array:
 
 
 def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Array:
-    """Return the geometric Jacobian (6, 6) of the flange, or of a point fixed to the flange.
+    """Return the geometric Jacobian (6, 6) of a UR arm's flange, or of a point fixed to the flange.
 
     The base frame is the reference.
 
@@ -56,7 +56,7 @@ def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Arra
 
 
 def cross(a: Iterable[float], b: Iterable[float]) -> Array:
-    """Return the cross product of two vectors (3,), ten times faster than `numpy.cross`."""
+    """Return the cross product of two vectors (3,), ten times faster than `numpy.cross`, for UR kinematics."""
     (ax, ay, az), (bx, by, bz) = a, b
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
@@ -78,7 +78,7 @@ def _matrix_of(pose: bytes) -> Array:
 
 
 def forward(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> Array:
-    """Return T_base_tcp (4, 4) of the TCP, which is given as a UR pose in the flange frame."""
+    """Return a UR arm's T_base_tcp (4, 4) for a TCP given as UR pose in the flange frame."""
     return _forward(dh, np.asarray(q, dtype=float).tobytes(), np.asarray(tcp, dtype=float).tobytes()).copy()
 
 
@@ -89,7 +89,7 @@ def _forward(dh: Kinematics, q: bytes, tcp: bytes) -> Array:
 
 def inverse(dh: Kinematics, T_base_tcp: Array, q_near: ArrayLike, tcp: ArrayLike,
             iterations: int = 50, tolerance: float = 1e-7) -> Array | None:  # fmt: skip
-    """Return joint positions (6,) [rad] that reach a TCP pose, by damped Newton steps.
+    """Return a UR arm's joint positions (6,) [rad] that reach a TCP pose, by damped Newton steps.
 
     Args:
         T_base_tcp: target (4, 4).

@@ -34,12 +34,12 @@ class UrModel:
 
     @property
     def frequency(self) -> float:
-        """Return the frequency of the arm's control loop and of RTDE [Hz]."""
+        """Return the frequency [Hz] of a UR model's control loop and RTDE."""
         return 500.0 if self.e_series else 125.0
 
     @property
     def version(self) -> tuple[int, int, int, int]:
-        """Return the software version that an emulated controller reports, as four numbers.
+        """Return the software version of a UR model's emulated controller, as four numbers.
 
         The numbers are major, minor, bugfix and build.
         """
@@ -48,7 +48,7 @@ class UrModel:
         return (5, 26, 0, 130216) if self.e_series else (3, 15, 8, 106339)
 
     def with_software(self, text: str) -> UrModel:
-        """Return the arm model with an older controller software, such as "3.4" or "5.11.1".
+        """Return the UR arm model with an older controller software, such as "3.4" or "5.11.1".
 
         Raises:
             InputError: the version is invalid or not emulated for this controller generation.
@@ -66,7 +66,7 @@ class UrModel:
 
     @property
     def cb3_version(self) -> tuple[int, int]:
-        """Return the CB3 software version with the same client interfaces.
+        """Return the CB3 software version of a UR model with the same client interfaces.
 
         e-Series 5.0 corresponds to CB3 3.5, 5.10 to 3.15.
         """
@@ -75,7 +75,7 @@ class UrModel:
 
     @property
     def dashboard_name(self) -> str:
-        """Return the model name for the dashboard's `get robot model`, without the e of e-Series."""
+        """Return the UR model name for the dashboard's `get robot model`, without the e of e-Series."""
         return self.name.removesuffix("e")
 
 

@@ -22,7 +22,7 @@ MAX_SIZE = 65536
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Denavit-Hartenberg parameters of one robot, usually with its factory calibration."""
+    """Denavit-Hartenberg parameters of one UR robot, usually with its factory calibration."""
 
     theta: tuple[float, ...]  # (6,) [rad]
     a: tuple[float, ...]  # (6,) [m]
@@ -45,14 +45,14 @@ class Kinematics:
         )  # fmt: skip
 
     def difference(self, other: Kinematics) -> tuple[float, float]:
-        """Return the largest difference of two arm geometries: a length [m] and an angle [rad]."""
+        """Return the largest difference of two UR arm geometries: a length [m] and an angle [rad]."""
         lengths = np.abs(np.subtract((self.a, self.d), (other.a, other.d)))
         angles = np.abs(np.subtract((self.theta, self.alpha), (other.theta, other.alpha)))
         return float(lengths.max()), float(angles.max())
 
 
 def package(kind: int, body: bytes) -> bytes:
-    """Encode a primary interface message, or a package inside a message.
+    """Encode a message of UR's primary interface, or a package inside a message.
 
     Layout: int32 size, uint8 type, body.
     """
@@ -60,7 +60,7 @@ def package(kind: int, body: bytes) -> bytes:
 
 
 def robot_state(packages: list[bytes]) -> bytes:
-    """Encode a robot state message from complete packages."""
+    """Encode a robot state message of UR's primary interface from complete packages."""
     return package(ROBOT_STATE, b"".join(packages))
 
 
@@ -68,7 +68,7 @@ def mode_package(
     timestamp_us: int, powered: bool, emergency: bool, protective: bool, running: bool, paused: bool,
     robot_mode: int, speed_fraction: float, speed_scaling: float, cb3_version: tuple[int, int] = (3, 15),
 ) -> bytes:  # fmt: skip
-    """Encode the robot mode data package of a robot state message: modes and speed.
+    """Encode the UR primary interface's robot mode package : modes and speed.
 
     Software before 3.5 sends no reserved byte at the end.
     """
@@ -82,7 +82,7 @@ ROBOT_TYPES = {"UR5": 1, "UR10": 2, "UR3": 3, "UR16": 4, "UR20": 7, "UR30": 8}
 
 
 def configuration_package(q_limits, v_max, a_max, kinematics: Kinematics, robot_type: int) -> bytes:
-    """Encode the configuration data package: joint limits, defaults, geometry, robot type."""
+    """Encode the configuration package of UR's primary interface: joint limits, geometry, robot type."""
     body = b"".join(struct.pack(">dd", low, high) for low, high in q_limits)
     body += b"".join(struct.pack(">dd", v, a) for v, a in zip(v_max, a_max, strict=True))
     body += struct.pack(">5d", 1.05, 1.4, 0.25, 1.2, 0.1)
@@ -91,7 +91,7 @@ def configuration_package(q_limits, v_max, a_max, kinematics: Kinematics, robot_
 
 
 def joint_package(rows: Iterable[tuple[float, float, float, float, float, float, int]]) -> bytes:
-    """Encode the joint data package of a robot state message.
+    """Encode the joint data package of UR's robot state message.
 
     Args:
         rows: per joint the actual and target position [rad], speed [rad/s], current [A], voltage [V],
@@ -105,7 +105,7 @@ def joint_package(rows: Iterable[tuple[float, float, float, float, float, float,
 
 
 def tool_package(inputs: tuple[float, float], output_voltage: int, temperature: float, mode: int) -> bytes:
-    """Encode the tool data package of a robot state message.
+    """Encode the tool data package of UR's robot state message.
 
     Args:
         inputs: analog inputs [V].
@@ -121,7 +121,7 @@ def masterboard_package(
     inputs: int, outputs: int, output_domains: tuple[int, int], analog_outputs: tuple[float, float],
     safety_mode: int, reduced: bool,
 ) -> bytes:  # fmt: skip
-    """Encode the masterboard data package of a robot state message, without Euromap 67.
+    """Encode the masterboard data package of UR's robot state message, without Euromap 67.
 
     Args:
         inputs, outputs: digital pins as bits.
@@ -135,7 +135,7 @@ def masterboard_package(
 
 
 def cartesian_package(tcp_pose: Sequence[float], tcp_offset: Sequence[float]) -> bytes:
-    """Encode the Cartesian data package of a robot state message: TCP pose and TCP offset.
+    """Encode the Cartesian data package of UR's robot state message: TCP pose and TCP offset.
 
     The pose is in the base frame, the offset in the flange frame. Both are UR poses: x, y, z [m] and rotation
     vector [rad].
@@ -148,17 +148,19 @@ def force_mode_package(wrench: Sequence[float], dexterity: float) -> bytes:
 
 
 def additional_package(teaching: bool) -> bytes:
-    """Encode the additional data package: teach button, and what enables freedrive."""
+    """Encode the additional data package of UR's robot state message: teach button, and what enables
+    freedrive.
+    """
     return package(ADDITIONAL, struct.pack(">B??B", teaching, True, False, 0))
 
 
 def internal_packages() -> list[bytes]:
-    """Return the packages for UR's internal use, which clients skip by their size."""
+    """Return the primary interface packages for UR's internal use, which clients skip by size."""
     return [package(CALIBRATION, bytes(48)), package(SAFETY, bytes(38))]
 
 
 def tool_extras(output_mode: int) -> list[bytes]:
-    """Return the e-Series tool packages: serial communication and digital output modes."""
+    """Return the primary interface's e-Series tool packages: serial communication, output modes."""
     communication = struct.pack(">?iiiff", False, 115200, 0, 1, 1.5, 3.5)
     return [
         package(TOOL_COMMUNICATION, communication),
@@ -167,7 +169,7 @@ def tool_extras(output_mode: int) -> list[bytes]:
 
 
 def messages(buffer: bytearray) -> list[tuple[int, bytes]]:
-    """Remove and return the complete messages at the start of a primary interface buffer.
+    """Remove and return the complete messages at the start of a buffer of UR's primary interface.
 
     Returns:
         The messages as (type, body).
@@ -187,7 +189,7 @@ def messages(buffer: bytearray) -> list[tuple[int, bytes]]:
 
 
 def packages(body: bytes) -> dict[int, bytes]:
-    """Split the body of a robot state message into packages, by package type."""
+    """Split the body of UR's primary robot state message into packages, by package type."""
     found: dict[int, Any] = {}
     at = 0
     while at + 5 <= len(body):

@@ -131,7 +131,7 @@ class Recipe:
 
     @property
     def size(self) -> int:
-        """Return the size of the recipe's packed values in bytes."""
+        """Return the size in bytes of an RTDE recipe's packed values."""
         return self._struct.size
 
     def pack(self, values: Iterable[Any]) -> bytes:
