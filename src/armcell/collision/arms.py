@@ -34,7 +34,9 @@ FINE = 0.01  # [rad] smallest boxes of joint positions in `certify_any_time`
 
 @lru_cache(maxsize=64)
 def moved_links(model: RobotModel, group: str) -> frozenset[str]:
-    """Return the links that a group's joints move, including links mounted on them (fingers)."""
+    """Return the links that a group's joints move, including links mounted on them, such as fingers, for
+    two-arm checks.
+    """
     tree, columns = kinematic_tree(model), set(model.columns(model.group(group).joint_names))
     return frozenset(
         name
@@ -45,14 +47,14 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
-    """Return the model with collisions disabled between given links and all other links."""
+    """Return the model for two-arm checks with collisions disabled between given links and all other links."""
     pairs = {frozenset((a, b)): "Other arm" for a in links for b in model.links if a != b}
     return replace(model, disabled_collisions={**model.disabled_collisions, **pairs})
 
 
 @lru_cache(maxsize=64)
 def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> RobotModel:
-    """Return the model in which only links of set a can collide with links of set b."""
+    """Return the model for two-arm checks in which only links of set a can collide with links of set b."""
     pairs = combinations(model.links, 2)
     never = {
         frozenset((p, q)): "One arm" for p, q in pairs if not ((p in a and q in b) or (p in b and q in a))
@@ -62,7 +64,7 @@ def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> R
 
 @lru_cache(maxsize=64)
 def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the groups of the arms that a planning group consists of, or an empty tuple.
+    """Return the groups of the arms that a planning group consists of, or an empty tuple for one arm.
 
     The result has two or more groups, and no arm moves a link of another.
     """
@@ -87,7 +89,7 @@ def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
 
 
 def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
-    """Return the nearest pair of bodies that belong to different arms (sides) at q (n,).
+    """Return two arms' nearest pair of bodies, which belong to different sides, at q (n,).
 
     Pairs whose contact the scene allows are ignored.
 
@@ -111,7 +113,7 @@ def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike)
 
 
 def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
-    """Check that two planning groups have joints and share none; raise an InputError otherwise."""
+    """Check that the two groups of a two-arm check have joints and share none; else raise InputError."""
     names = [set(model.group(g).joint_names) for g in groups]
     if not all(names):
         raise InputError(f"group {groups[0] if not names[0] else groups[1]!r} has no joints")
@@ -140,7 +142,7 @@ def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Return the columns (indices) of all joints whose child link is one of the given links."""
+    """Return the columns (indices) of one arm's joints: those whose child link is a given link."""
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
 
@@ -190,7 +192,7 @@ class Arms:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """Return the exact checker (coal) of the same pairs; slow, one configuration at a time."""
+        """Return the exact checker (coal) of the pairs between two arms; slow, one configuration at a time."""
         return ExactChecker(self._bare, self.joint_names)
 
     def find_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:

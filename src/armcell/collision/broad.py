@@ -11,7 +11,7 @@ from numba import njit
 
 @njit(cache=True)
 def world_boxes(Ts, link, center, R_half, is_static, out_center, out_half):
-    """Compute the axis-aligned world boxes of geometries that move with their links.
+    """Broad phase: compute the axis-aligned world boxes of geometries that move with their links.
 
     Args:
         Ts: T_world_link (links, 4, 4).
@@ -36,7 +36,7 @@ def world_boxes(Ts, link, center, R_half, is_static, out_center, out_half):
 
 @njit(cache=True)
 def box_gaps(pairs, center, half, out):
-    """Compute the distance between the boxes of each pair (p, 2), 0 where boxes overlap.
+    """Broad phase: compute the distance between the boxes of each pair (p, 2), 0 where boxes overlap.
 
     The distance is never above the true one.
     """

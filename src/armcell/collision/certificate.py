@@ -11,7 +11,7 @@ from armcell.core import Contact
 
 @dataclass(frozen=True)
 class Certificate:
-    """Result of certifying that a motion is collision-free.
+    """Certificate: the result of certifying that a motion is collision-free.
 
     Attributes:
         free: True if the motion is certified collision-free.

@@ -43,7 +43,7 @@ class Measures(Protocol):
 
 
 class MotionBound:
-    """Upper bounds of the relative motion of geometry pairs, per unit of each joint [m/rad].
+    """Motion bounds for certification: relative motion of geometry pairs, per unit of each joint [m/rad].
 
     Args:
         checker: the checker with the geometries and the group's joints.
@@ -83,7 +83,9 @@ class MotionBound:
                     self.per_joint[p, k] += levers[a][joint] + levers[b][joint]
 
     def along(self, dq: Array) -> Array:
-        """Return upper bounds (p,) [m] of each pair's relative motion for a joint change dq (n,)."""
+        """Return upper bounds (p,) [m] of each pair's relative motion for a joint change dq (n,), to certify
+        a path.
+        """
         moving = np.abs(dq) > 0  # avoids 0 * inf for levers of infinite length
         return self.per_joint[:, moving] @ np.abs(dq)[moving]
 

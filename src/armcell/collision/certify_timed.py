@@ -81,7 +81,9 @@ def certify_timed(
 
 
 class _Moving:
-    """Robot and moving obstacles at a given time, with their pairs and motion bounds."""
+    """Robot and moving obstacles in a timed certification at a given time, with their pairs and motion
+    bounds.
+    """
 
     def __init__(self, scene, trajectory, moving, start_time, clearance):
         others = {k: v for k, v in scene.objects.items() if k not in {m.name for m in moving}}
@@ -113,7 +115,9 @@ class _Moving:
             self.checker.place_object(i, item.pose(t) @ T)
 
     def joint_travel(self, a: float, b: float) -> Array:
-        """Return upper bounds (n,) of each joint's motion between two times [rad or m]."""
+        """Return upper bounds (n,) of each joint's motion between two times [rad or m], to certify a timed
+        motion.
+        """
         times = np.array([a, b]) - self.start
         ends = np.array([np.interp(times, self.trajectory.times, row) for row in self.travelled.T])
         return ends[:, 1] - ends[:, 0]
@@ -154,7 +158,8 @@ class _Moving:
 
 
 def _travelled(trajectory: JointTrajectory) -> Array:
-    """Return upper bounds (k, n) of each joint's accumulated motion at each trajectory point.
+    """Return upper bounds (k, n) of each joint's accumulated motion at each point of a timed motion to
+    certify.
 
     On each segment, the Bernstein coefficients of a polynomial's derivative bound the derivative (Farouki,
     "The Bernstein polynomial basis: a centennial retrospective", CAGD 2012).

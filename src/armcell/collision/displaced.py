@@ -20,7 +20,8 @@ Solids = tuple[tuple[Shape, SE3], ...]
 
 
 def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> float:
-    """Return how much closer [m] two bodies can be in a scene than in the planned scene.
+    """Bound a scene's displacement: return how much closer [m] two bodies can be in a scene than in the
+    planned scene.
 
     The result is an upper bound: a motion that keeps this distance from everything in the planned scene is
     collision-free in the other scene.
@@ -65,7 +66,7 @@ def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> Array:
-    """Return upper bounds (links,) [m] of link displacements due to joints outside the motion."""
+    """Return upper bounds (links,) [m] of link displacements due to displaced joints outside the motion."""
     model = scene.model
     q, columns = planned.positions.copy(), model.columns(joint_names)
     q[columns] = scene.positions[columns]
@@ -78,7 +79,7 @@ def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
-    """Return an upper bound [m] of the displacement of an object's points between two poses."""
+    """Return an upper bound [m] of the displacement of an object's points between planned and present pose."""
     if before is now:
         return 0.0
     turned = (now.rotation.matrix - before.rotation.matrix).ravel().tolist()
@@ -88,7 +89,8 @@ def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
 
 @lru_cache(maxsize=64)
 def _link_radii(model: RobotModel) -> Array:
-    """Return the distances (links,) [m] from each link's origin to the link's farthest point.
+    """Return the distances (links,) [m] from each link's origin to the link's farthest point, for
+    displacement bounds.
 
     The order is that of the kinematic tree.
     """
@@ -98,7 +100,9 @@ def _link_radii(model: RobotModel) -> Array:
 
 @lru_cache(maxsize=256)
 def _radius(shapes: Solids) -> float:
-    """Return an upper bound [m] of the distance from the origin to any point of shapes."""
+    """Return an upper bound [m] of the distance from the origin to any point of an object's shapes, to bound
+    its displacement.
+    """
     reach = 0.0
     for shape, T in shapes:
         center, half = local_bounds(shape)

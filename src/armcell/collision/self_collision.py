@@ -33,7 +33,8 @@ collision-free state."""
 
 @dataclass(frozen=True)
 class LinkPair:
-    """Pair of links with its sampled contacts and the reason to disable its collisions.
+    """Pair of links for the self-collision matrix with its sampled contacts and the reason to disable its
+    collisions.
 
     `reason` has the SRDF's values: "Adjacent" (joined by a joint); "Always" and "Never" (in contact in all or
     none of the samples); "Default" (in contact in the default state, in a named state of the gripper that
@@ -55,7 +56,8 @@ class LinkPair:
 def link_pairs(
     model: RobotModel, samples: int = 100_000, seed: int = 0, progress: Progress | None = None
 ) -> list[LinkPair]:
-    """Return every pair of links with collision geometry, in the model's order.
+    """Return every pair of links with collision geometry, for the self-collision matrix, in the model's
+    order.
 
     Args:
         model: its default state and the named states of its end effectors determine the reason "Default".
@@ -70,7 +72,7 @@ def link_pairs(
 def disabled_collision_pairs(
     model: RobotModel, samples: int = 10_000, seed: int = 0, progress: Progress | None = None
 ) -> dict[frozenset[str], str]:
-    """Return the link pairs whose collisions can be disabled, with the reason.
+    """Return the link pairs whose self-collisions can be disabled, with the reason.
 
     The reasons are "Adjacent", "Default", "Always", and "Never". `link_pairs` also returns the sample counts.
 
@@ -83,7 +85,7 @@ def disabled_collision_pairs(
 
 
 def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
-    """Return the pairs of links joined by a joint; links without geometry are skipped."""
+    """Return the adjacent links, joined by a joint; links without geometry are skipped."""
     adjacent, solid_parent = set(), {}
     for joint in model.joints.values():
         parent = joint.parent
@@ -96,7 +98,8 @@ def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
 
 
 def random_states(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
-    """Return random robot states (count, dof), uniformly distributed within the joint limits.
+    """Sample random robot states for self-collisions (count, dof), uniformly distributed within the joint
+    limits.
 
     Joints without limits take values from -pi to pi.
     """
@@ -147,7 +150,7 @@ class _Survey:
         return found
 
     def _count(self, progress: Progress | None) -> tuple[dict[frozenset[str], int], dict[frozenset, Array]]:
-        """Count the contact samples of each pair, and collect states in which a pair is near.
+        """Count the self-collision samples of each link pair, and collect states in which a pair is near.
 
         Returns:
             Number of contact samples by pair, and states (k, dof) in which the links are near, by pair; the
@@ -176,7 +179,7 @@ class _Survey:
         return dict(zip(names, counts.tolist(), strict=True)), unproven
 
     def _default(self, every: Iterable[tuple[str, str]]) -> set[frozenset[str]]:
-        """Return the pairs in contact in the default state or in a named state of one gripper."""
+        """Return the link pairs in self-collision in the default state or in a named state of one gripper."""
         model = self.model
         q = model.default_positions()
         found = {frozenset((c.body_a, c.body_b)) for c in self.exact.contacts(q)}
@@ -193,7 +196,9 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the gripper groups: those of end effectors, and those without joints of a chain."""
+        """Return the gripper groups: for the self-collision survey: those of end effectors, and those without
+        joints of a chain.
+        """
         model = self.model
         hands = {e.group for e in model.end_effectors.values()}
         driven = {n for g in model.groups.values() if g.tip_link for n in g.joint_names}
@@ -201,7 +206,9 @@ class _Survey:
 
     # --- on the meshes themselves ---
     def _distance(self, a: str, b: str) -> float:
-        """Return the signed distance [m] of two links at the exact checker's current placement."""
+        """Return the signed self-collision distance [m] of two links at the exact checker's current
+        placement.
+        """
         return min(self.exact.pair_distance(i, j) for i in self.solids[a] for j in self.solids[b])
 
     def _touch(self, a: str, b: str, q: Array) -> bool:
@@ -211,7 +218,7 @@ class _Survey:
         return any(self.exact.pair_touches(int(i), int(j)) for i, j in near)
 
     def _can_meet(self, a: str, b: str, near: Array) -> bool:
-        """Search for a contact of two links by a random local search.
+        """Search for a self-collision of two links by a random local search.
 
         Args:
             near: (k, dof) states in which the links are near; some of them are start states.
@@ -240,7 +247,7 @@ class _Survey:
         return False
 
     def _between(self, a: str, b: str) -> list[int]:
-        """Return the columns of the joints that move one link relative to another."""
+        """Return the columns of the joints that move one link relative to another, to search self-collisions."""
         tree = self.exact.tree
         apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
         return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

@@ -37,7 +37,7 @@ PADDING = 0.02
 def without_robot(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
 ) -> Array:
-    """Return the points (n, 3) [m, world frame] that are outside the robot and held objects.
+    """Self-filter: return the points (n, 3) [m, world frame] that are outside the robot and held objects.
 
     See `robot_mask`.
     """
@@ -49,7 +49,7 @@ def robot_mask(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = (),
     scale: float = 1.0,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Return a mask (n,) of the points inside robot links or held objects, or within padding.
+    """Self-filter: return a mask (n,) of the points inside robot links or held objects, or within padding.
 
     The padding moves the faces of a shape outward, so the padded region extends a little farther at edges and
     corners.
@@ -67,7 +67,7 @@ def robot_mask(
 def object_mask(
     scene: PlanningScene, points: ArrayLike, padding: float, objects: Iterable[str]
 ) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the points inside given scene objects or within the padding.
+    """Filter a cloud: return a mask (n,) of the points inside given scene objects or within the padding.
 
     Args:
         points: (n, 3) [m, world frame].
@@ -93,7 +93,9 @@ def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding
 
 
 def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shape, SE3, float]]:
-    """Yield shape, T_world_shape and scale of robot links, held objects and other objects."""
+    """Yield for the self-filter shape, T_world_shape and scale of robot links, held objects and other
+    objects.
+    """
     tree = kinematic_tree(scene.model)
     Ts = [SE3.from_matrix(T) for T in tree.link_transforms(scene.positions)]
     for link in scene.model.links.values():
@@ -106,7 +108,7 @@ def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shap
 
 
 def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) -> NDArray[np.bool_]:
-    """Return a mask of the points (3, n) inside the padded world bounding box of a shape."""
+    """Return a mask of a cloud's points (3, n) inside the padded world bounding box of a shape."""
     center, half = local_bounds(shape)
     center = T.apply(center * scale)
     half = np.abs(T.rotation.matrix) @ (half * scale + padding)
@@ -117,7 +119,8 @@ def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) 
 
 
 def _outside(shape: Shape, p: Array) -> Array:
-    """Return how far [m] each point (n, 3) is outside a convex shape; negative inside.
+    """Return how far [m] each cloud point (n, 3) is outside a robot's or object's convex shape; negative
+    inside.
 
     The value is the largest signed distance from any of the shape's faces.
     """
@@ -150,7 +153,7 @@ def _outside(shape: Shape, p: Array) -> Array:
 
 @lru_cache(maxsize=1024)
 def _faces(mesh: Mesh) -> Array:
-    """Return the outward normals and offsets (f, 4) of a convex mesh's faces."""
+    """Return the outward normals and offsets (f, 4) of a convex mesh's faces, to filter cloud points."""
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(mesh.vertices).equations

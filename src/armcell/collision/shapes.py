@@ -40,7 +40,7 @@ class Solid:
     closed: bool = True
 
     def holds(self, point: Array) -> bool:
-        """Return whether a point (3,) [m, shape frame] is inside a nonconvex mesh."""
+        """Return whether a point (3,) [m, shape frame] is inside the nonconvex mesh of a coal solid."""
         if self.hollow is None or np.any(np.abs(point - self.center) > self.half):
             return False
         return bool(abs(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0]) > 0.5)
@@ -78,7 +78,8 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
 
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
-    """Return whether a watertight mesh fills its convex hull up to `CONVEX_EXCESS`.
+    """Return whether a watertight mesh fills its convex hull up to `CONVEX_EXCESS`, before its conversion to
+    coal.
 
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """
@@ -98,7 +99,7 @@ def is_convex(mesh: Mesh) -> bool:
 
 @lru_cache(maxsize=1024)
 def is_closed(mesh: Mesh) -> bool:
-    """Return whether a mesh is watertight, so that its interior is solid."""
+    """Return whether a mesh for coal is watertight, so that its interior is solid."""
     import trimesh
 
     return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)
@@ -112,7 +113,7 @@ def _points(vertices: Array) -> coal.StdVec_Vec3s:
 
 
 def convex_hull(vertices: Array) -> coal.CollisionGeometry:
-    """Return the convex hull of points (v, 3), or their bounding box if the points are coplanar."""
+    """Return for coal the convex hull of points (v, 3), or their bounding box if the points are coplanar."""
     try:
         if np.linalg.matrix_rank(vertices - vertices[:1]) < 3:  # coal's qhull may abort the process on these
             raise ValueError("flat")

@@ -13,7 +13,8 @@ NEAR = 0.002
 
 
 def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tuple[str, ...]:
-    """Return the links within a distance [m] of an object at the current state, nearest first.
+    """Detect touch links: return the links within a distance [m] of an object at the current state, nearest
+    first.
 
     Allowed contacts of the scene do not affect the result.
 
@@ -38,7 +39,7 @@ def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tup
 
 
 def attached_by_contact(scene: PlanningScene, name: str, link: str, within: float = NEAR) -> PlanningScene:
-    """Return the scene with an object attached to a link at its current relative pose.
+    """Return the scene with an object attached to a link in contact, at its current relative pose.
 
     The touch links are the links that currently touch the object (see `touching_links`).
     """

@@ -55,14 +55,14 @@ def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
 
 
 def _blocks(rows: F64, empty: float) -> F64:
-    """Arrange rows (3, n) in blocks (3, b, L) of SIMD width; pad the last block with `empty`."""
+    """Arrange rows (3, n) of a box tree in blocks (3, b, L); pad the last block with `empty`."""
     blocks = np.full((3, max(-(-rows.shape[1] // L), 1) * L), empty)
     blocks[:, : rows.shape[1]] = rows
     return blocks.reshape(3, -1, L)
 
 
 def z_order(low: F64, high: F64) -> NDArray[np.int64]:
-    """Return the order of boxes (n, 3) along a Z-order curve; unbounded boxes come first."""
+    """Return the order of boxes (n, 3) along a Z-order curve, for a box tree; unbounded boxes come first."""
     usual = np.logical_and.reduce([high[:, k] - low[:, k] < HUGE for k in range(3)])
     bounded = usual if usual.any() and not usual.all() else slice(None)
     code = np.zeros(len(low), np.int64)  # Morton numbers, 10 bits an axis

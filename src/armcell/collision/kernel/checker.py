@@ -30,7 +30,7 @@ _packs: LruCache[tuple[Pack, Names, Flat]] = LruCache(8)
 
 
 def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, Names, Flat]:
-    """Return the kernel arrays of a scene, cached for the last scenes.
+    """Return the kernel checker's arrays of a scene, cached for the last scenes.
 
     Planning again with only the group's joints at other positions costs no time.
     """
@@ -45,7 +45,7 @@ def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, N
 
 
 class KernelChecker:
-    """Fast collision checker for one scene and one joint group, 16 configurations at a time.
+    """Kernel checker: fast collision checks for one scene and one joint group, 16 configurations at a time.
 
     The checker has one workspace and is not thread-safe: create one per thread.
 
@@ -79,13 +79,14 @@ class KernelChecker:
         return self._exact
 
     def _take_hold(self) -> None:
-        """Create the handle of the current arrays, the first argument of every kernel function."""
+        """Create the kernel checker's handle of its arrays, the first argument of every kernel function."""
         self.handle = handle_of(
             (*self.flat, self.lanes, self.state, self.scratch, self.slack, self.slack_pair)
         )
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the padding of pairs that are within their padding at q (n,) but do not touch.
+        """Reduce the kernel checker's padding of pairs that are within their padding at q (n,) but do not
+        touch.
 
         See `ExactChecker.relax_margins`.
         """
@@ -103,7 +104,7 @@ class KernelChecker:
         self._take_hold()
 
     def with_clearance_between(self, sides: Mapping[str, int], distance: float) -> KernelChecker:
-        """Return a copy of the checker that also requires a clearance [m] between sides.
+        """Return a copy of the kernel checker that also requires a clearance [m] between sides.
 
         Args:
             sides: side of each body (link or attached object) by name; bodies without a side have no
@@ -123,15 +124,15 @@ class KernelChecker:
         return other
 
     def is_free(self, q: ArrayLike) -> bool:
-        """Return whether no body that the group can move touches another body (with padding)."""
+        """Check with the SIMD kernel that no body the group moves touches another body (with padding)."""
         return not touches(self.handle, EXACT | PADDED, self._configuration(q))
 
     def touches(self, q: ArrayLike) -> bool:
-        """Return whether any pair of bodies is in contact (without padding)."""
+        """Check with the SIMD kernel whether any pair of bodies is in contact (without padding)."""
         return bool(touches(self.handle, EXACT, self._configuration(q)))
 
     def _configuration(self, q: ArrayLike) -> Array:
-        """Return a validated, contiguous configuration (n,) for the kernel.
+        """Return a validated, contiguous configuration (n,) for the kernel checker.
 
         The kernel would read past the end of a shorter array and treat NaN as collision-free.
         """
@@ -145,7 +146,7 @@ class KernelChecker:
         return np.ascontiguousarray(points if len(points) > 1 else np.vstack([points, points]))
 
     def clearance(self, waypoints: ArrayLike, most: float = 0.25, tolerance: float = 5e-4) -> float:
-        """Return the certified clearance [m] of a piecewise linear motion (k, n).
+        """Return the clearance [m] of a piecewise linear motion (k, n) that the kernel checker certifies.
 
         Parts of neighboring links that cannot meet at any joint positions are ignored, however near they are.
         The clearance of `with_clearance_between` is ignored, too.
@@ -162,7 +163,9 @@ class KernelChecker:
         return float(proven_clearance(self.handle, points, most, tolerance))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
-        """Return whether a straight motion is collision-free at samples at most `step` [rad] apart."""
+        """Check with the SIMD kernel whether a straight motion is collision-free at samples at most `step`
+        [rad] apart.
+        """
         return bool(free_edge(self.handle, self._path(np.stack([np.asarray(a), np.asarray(b)])), step))
 
     def certify(
@@ -174,7 +177,7 @@ class KernelChecker:
         distance: float = 0.0,
         evidence: bool = True,
     ) -> Certificate:
-        """Certify that a piecewise linear motion (k, n) is collision-free (see `certify_path`).
+        """Certify with the SIMD kernel that a piecewise linear motion (k, n) is collision-free.
 
         Args:
             waypoints: (k, n) joint positions.

@@ -71,13 +71,13 @@ DONE = np.int64(-1)
 
 @inner_njit(forceinline=True)
 def _cloud_of(I, o):
-    """Return the position of a world shape's cloud data in the kernel's integer array."""
+    """Return the position of a cloud's data in the kernel's integer array."""
     return I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o]
 
 
 @inner_njit(forceinline=True)
 def _side(F, at, u, v, x, y, z):
-    """Return vectors to a point from the nearest points on one edge of each of 16 triangles.
+    """Return vectors to a point (cloud test) from the nearest points on one edge of each of 16 triangles.
 
     The triangles are at F[at:]; their edges lead from corner u to corner v. Also returns on which side of the
     edge the point is, positive on the inner side.
@@ -139,14 +139,14 @@ def _apart(F, kind, at, x, y, z):
 
 @inner_njit(forceinline=True)
 def _block_at(I, c, block):
-    """Return the position of a block of cloud parts in the kernel's float array."""
+    """Return the position of a block of a cloud's parts in the kernel's float array."""
     rows = 12 if I[c] == gjk.TRIANGLE else 4
     return I[CLOUD_PARTS] + I[c + 2] + block * rows * L
 
 
 @inner_njit
 def _local(I, F, w, state, o, g, f, mode):
-    """Transform the centers of a group's spheres to a world shape's frame, for all lanes.
+    """Transform the centers of a group's spheres to a cloud's frame, for all lanes.
 
     The centers of group g in the frame of shape o are written to w[local_at:]. In a proof, the velocities are
     written as well.
@@ -236,7 +236,7 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
 
 @inner_njit
 def _keep_ball(I, w, state, x, y, z, reach):
-    """Store the bounding ball of a sphere group whose spheres are not transformed yet."""
+    """Store for the cloud test the bounding ball of a sphere group whose spheres are not transformed yet."""
     ball = ball_at(I)
     store(w, ball, x)
     store(w, ball + L, y)
@@ -296,7 +296,8 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
 
 @inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
-    """Return the radius of a ball that also covers a body's margin and motion in an interval.
+    """Return the radius for a cloud test of a ball that also covers a body's margin and motion in an
+    interval.
 
     The ball is around center i.
     """
@@ -384,7 +385,7 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """Return how edges of 16 triangles wind around a point, seen along z: 1, -1 or 0.
+    """Return how edges of a cloud's 16 triangles wind around a point, seen along z: 1, -1 or 0.
 
     Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so
     that the two triangles at an edge agree to the last bit.
@@ -402,7 +403,8 @@ def _turns(F, at, u, v, x, y):
 
 @inner_njit
 def encloses(I, F, state, o, px, py, pz):
-    """Return whether a point in a world shape's frame is inside its closed triangle mesh.
+    """Return whether a point in a world shape's frame is inside its closed triangle mesh, a cloud of
+    triangles.
 
     The triangles above the point decide.
     """

@@ -97,7 +97,7 @@ def _cloud(
     high: F64,
     closed: bool = False,
 ) -> Cloud:
-    """Return the kernel data of a cloud with n parts.
+    """Build the kernel data of a cloud with n parts: spheres, cubes or triangles.
 
     Args:
         parts: values of the parts, a row (n,) or a number for each of `ROWS`.

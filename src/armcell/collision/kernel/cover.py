@@ -50,7 +50,7 @@ def _grouped(centers: Array, outer: Array, inner: Array) -> Cover:
 
 @njit(cache=True)
 def _holds(e, p, x, y, z, reach2):
-    """Return whether a ball contains all three corners of a surface element (triangle).
+    """Return whether a ball of a sphere cover contains all three corners of a surface element (triangle).
 
     `e` (9, n) has x, y, z of each corner, and p is the index of the element.
     """
@@ -63,7 +63,7 @@ def _holds(e, p, x, y, z, reach2):
 
 @njit(cache=True)
 def _greedy(e, centers, reach2):
-    """Choose balls greedily until they contain all surface elements that any ball contains.
+    """Choose a sphere cover's balls greedily until they contain all surface elements that any ball contains.
 
     Elements are (9, n). The balls have squared radii `reach2`. Returns the chosen balls and which elements
     they contain.
@@ -110,7 +110,7 @@ def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
 
 
 def fit(shape: Shape, overshoot: float) -> Cover:
-    """Fit the sphere cover of a shape without the cache; see `cover`."""
+    """Fit the sphere cover of a shape without using the cache."""
     vertices, faces, round_gap = triangulated(shape)
     elements = outer_skin(vertices, faces, 0.7 * overshoot)
     size = float((vertices.max(0) - vertices.min(0)).max())
@@ -142,7 +142,7 @@ def fit(shape: Shape, overshoot: float) -> Cover:
 
 
 def _neighbors_together(centers: Array) -> NDArray[np.int64]:
-    """Return an order of sphere centers in which each run of `GROUP` is spatially compact.
+    """Order a sphere cover's centers so that each run of `GROUP` is spatially compact.
 
     The function splits the centers in halves along the longest axis.
     """
@@ -160,7 +160,7 @@ def _neighbors_together(centers: Array) -> NDArray[np.int64]:
 
 
 def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
-    """Return a small sphere around spheres with centers (n, 3) and radii (n,).
+    """Return a small sphere around a cover's spheres with centers (n, 3) and radii (n,).
 
     The iteration starts from the center of the bounding box and moves toward the farthest sphere.
     """
@@ -171,7 +171,7 @@ def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def _shrink(centers, radii, start):
-    """Return center and radius of a bounding sphere after 60 shrinking steps from `start` (3,)."""
+    """Return center and radius of a cover's bounding sphere after 60 shrinking steps from `start` (3,)."""
     x, y, z = start
     step = 0.05
     reach = 0.0

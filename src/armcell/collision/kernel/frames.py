@@ -54,7 +54,7 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def workspace(flat: Flat) -> Workspace:
-    """Allocate the workspace of one thread: lanes (float32), state (int64), scratch (float64).
+    """Allocate one thread's workspace of kernel frames: lanes (float32), state (int64), scratch (float64).
 
     The lanes are 64-byte aligned and hold, in this order:
 
@@ -74,13 +74,13 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return the workspace position of a joint's motion per unit of the motion's edge."""
+    """Return the frame workspace position of a joint's motion per unit of the motion's edge."""
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def half_at(I):
-    """Return the workspace position of half the interval width of each lane.
+    """Return the frame workspace position of half the interval width of each lane.
 
     The joints' summed rotation follows it.
     """
@@ -89,13 +89,13 @@ def half_at(I):
 
 @inner_njit(forceinline=True)
 def need_at(I):
-    """Return the workspace position of the 8 vectors with a body pair's margins (exact tier)."""
+    """Return the frame workspace position of the 8 vectors with a body pair's margins (exact tier)."""
     return (2 * I[DOF] + 2) * L
 
 
 @inner_njit(forceinline=True)
 def frame_at(I, f):
-    """Return the workspace position of a frame: 12 vectors, the rows of its 3x4 matrix."""
+    """Return the kernel workspace position of a frame: 12 vectors, the rows of its 3x4 matrix."""
     return (2 * I[DOF] + 10 + 12 * f) * L
 
 
@@ -106,7 +106,7 @@ def twist_at(I, f):
 
 @inner_njit(forceinline=True)
 def center_at(I, i):
-    """Return the workspace position of the center of a body, sphere group or sphere.
+    """Return the frame workspace position of the center of a body, sphere group or sphere.
 
     Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
     """
@@ -115,7 +115,7 @@ def center_at(I, i):
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Return the workspace position of a sphere center's velocity, followed by its speed.
+    """Return the frame workspace position of a sphere center's velocity, followed by its speed.
 
     Both are per unit of the edge.
     """
@@ -124,7 +124,7 @@ def velocity_at(I, i):
 
 @inner_njit(forceinline=True)
 def more_at(I, body):
-    """Return the workspace position of a body's margin to the world in a motion proof.
+    """Return the frame workspace position of a body's margin to the world in a motion proof.
 
     The margin does not include the speed (see `bend`).
     """
@@ -133,7 +133,7 @@ def more_at(I, body):
 
 @inner_njit(forceinline=True)
 def local_at(I):
-    """Return the workspace position of a group's sphere centers and velocities, cloud frame.
+    """Return the frame workspace position of a group's sphere centers and velocities, cloud frame.
 
     Each sphere has 6 vectors.
     """
@@ -142,13 +142,13 @@ def local_at(I):
 
 @inner_njit(forceinline=True)
 def ball_at(I):
-    """Return the workspace position of a sphere group's bounding ball in a cloud's frame."""
+    """Return the frame workspace position of a sphere group's bounding ball in a cloud's frame."""
     return local_at(I) + 6 * GROUP * L
 
 
 @inner_njit(forceinline=True)
 def _sincos(x):
-    """Compute sine and cosine of a SIMD vector (Cephes; error below 1e-6 for |x| < 1000)."""
+    """Compute sine and cosine of a SIMD vector of joint angles (Cephes; error below 1e-6 for |x| < 1000)."""
     n = vround(x * splat(np.float32(0.6366197723675814)))
     y = fma(n, splat(np.float32(-1.5703125)), x)
     y = fma(n, splat(np.float32(-4.837512969970703e-4)), y)
@@ -175,7 +175,7 @@ def _sincos(x):
 
 @inner_njit
 def fk_block(I, F, w):
-    """Compute the frames of 16 configurations by forward kinematics.
+    """Compute the link frames of 16 configurations by forward kinematics.
 
     The positions of joint j are at w[j * L:].
     """
@@ -204,7 +204,8 @@ def fk_block(I, F, w):
 
 @inner_njit
 def twist_block(I, F, w):
-    """Compute the twist of every frame, per unit of the motion's edge; run `fk_block` before.
+    """Compute the twist of every link frame of 16 configurations, per unit of the motion's edge; run
+    `fk_block` before.
 
     A twist is the angular velocity and the velocity of the origin. The function also sums up the rotation of
     all revolute joints, which bounds the change of the velocities.
@@ -242,7 +243,7 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def center(I, F, w, state, i, f, sphere, mode):
-    """Return the workspace position of a sphere's center, computed on first use per block.
+    """Return the frame workspace position of a sphere's center, computed on first use per block.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """
@@ -275,7 +276,7 @@ def center(I, F, w, state, i, f, sphere, mode):
 
 @inner_njit
 def bend(I, F, w, reach, slack):
-    """Return the proof margin that covers slack and changes of velocity within an interval.
+    """Return a motion proof's margin that covers slack and changes of velocity within an interval.
 
     A proof needs this margin in addition to half width times speed. The accelerations of a body's points are
     at most the joints' summed rotation times `reach` (index in F: meters per unit of each joint), doubled for

@@ -41,7 +41,7 @@ TOUCHING = 2e-6
 
 @inner_njit
 def _farthest(F, first, count, dx, dy, dz):
-    """Return the index of the point that is farthest along a direction.
+    """Return the index of the hull point farthest along a direction, a GJK support.
 
     The points are in F, in blocks of L points (x, y, z).
     """
@@ -59,7 +59,7 @@ def _farthest(F, first, count, dx, dy, dz):
 
 @inner_njit
 def _part_support(kind, dx, dy, dz, s, out):
-    """Compute the support point of a cloud part along a direction; see `support`.
+    """Compute GJK's support point of a cloud part (sphere, cube, triangle) along a direction.
 
     The numbers of the part are at s[PART:].
     """
@@ -82,7 +82,7 @@ def _part_support(kind, dx, dy, dz, s, out):
 
 @inner_njit
 def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
-    """Compute the support point of a solid along (dx, dy, dz), in its own frame.
+    """Compute GJK's support point of a convex solid along (dx, dy, dz), in its own frame.
 
     The result is written to s[out : out + 3]. `size` is the index of the solid's three numbers in D; `first`
     and `first32` are the indices of its points in D and F.
@@ -115,7 +115,7 @@ def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
 
 @inner_njit
 def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, at):
-    """Compute the support point of the Minkowski difference A - B along d, in B's frame.
+    """Compute GJK's support point of the Minkowski difference A - B along d, in B's frame.
 
     The result is written to s[at:]. s[T : T + 12] is the transform from A's frame to B's.
     """
@@ -215,7 +215,7 @@ def _triangle(s, o, v):
 
 @inner_njit
 def _outside(s, i, j, k, o):
-    """Return whether a plane through points i, j, k separates the origin from point o."""
+    """Return whether a plane through points i, j, k separates the origin from point o, for GJK's simplex."""
     abx, aby, abz = s[j] - s[i], s[j + 1] - s[i + 1], s[j + 2] - s[i + 2]
     acx, acy, acz = s[k] - s[i], s[k + 1] - s[i + 1], s[k + 2] - s[i + 2]
     nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
@@ -229,7 +229,7 @@ def _outside(s, i, j, k, o):
 
 @inner_njit
 def _tetrahedron(s, v):
-    """Compute the point of a tetrahedron that is nearest to the origin; return 4 if inside.
+    """Compute the point nearest to the origin of GJK's tetrahedron simplex; return 4 if inside.
 
     Otherwise the function is like `_segment`.
     """
@@ -262,7 +262,7 @@ def _tetrahedron(s, v):
 
 @inner_njit
 def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
-    """Return the distance [m] of two convex solids A and B, or 0 if they touch.
+    """Return the GJK distance [m] of two convex solids A and B, or 0 if they touch.
 
     The result is never above the true distance.
 

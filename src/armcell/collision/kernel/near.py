@@ -24,7 +24,9 @@ BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 @njit(cache=True)
 def _place(branch, fixed, kind, multiplier, offset, column, q, out):
-    """Compute the transform (3, 4) of a branch's last frame in the frame above its first frame."""
+    """For sphere groups that never come near, compute the transform (3, 4) of a branch's last frame in the
+    frame above its first frame.
+    """
     for i in range(3):
         for j in range(4):
             out[i, j] = 1.0 if i == j else 0.0
@@ -68,7 +70,7 @@ _known: dict[str, NDArray[np.bool_]] = {}
 
 
 def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
-    """Return `meeting_groups` of the arguments from the disk cache, or compute and store it."""
+    """Return which sphere groups of two bodies may meet, from the disk cache or computed."""
     key = key_of(str(VERSION), *arguments)
     if key not in _known:
         stored = recall("near", key)
@@ -82,7 +84,7 @@ def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
 @njit(cache=True)
 def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, lower, upper, reach_i,
                    reach_j, groups_i, starts_i, spheres_i, groups_j, starts_j, spheres_j):  # fmt: skip
-    """Return a mask (groups of i, groups of j) of the sphere groups that may meet.
+    """Return a mask (groups of i, groups of j) of two bodies' sphere groups that may come near each other.
 
     It is False for two groups only if they are proven more than `APART` apart at all joint positions.
 

@@ -24,14 +24,14 @@ Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Vertices of convex hulls: number per piece (e,), and all vertices (n, 3)."""
+    """Hull vertices of exact pieces: number per piece (e,), and all vertices (n, 3)."""
 
     count: I32
     points: F64
 
     @cached_property
     def lanes(self) -> dict[str, NDArray]:
-        """Return the hull vertices in the format of a `Pack`, padded to whole SIMD lanes."""
+        """Return the exact pieces' hull vertices in the format of a `Pack`, padded to whole SIMD lanes."""
         padded = -(-self.count // L) * L  # the kernel reads L points at once
         first = np.cumsum(padded) - padded
         begin = np.cumsum(self.count) - self.count
@@ -71,7 +71,7 @@ class Pieces:
         }
 
     def moved(self, T: F64) -> Pieces:
-        """Return the pieces with their poses premultiplied by T (4, 4)."""
+        """Return the exact pieces with their poses premultiplied by T (4, 4)."""
         pose = np.empty((len(self.kind), 3, 4))
         own = self.pose.reshape(-1, 3, 4)
         pose[:, :, :3] = T[:3, :3] @ own[:, :, :3]
@@ -121,12 +121,12 @@ def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[st
 
 
 def convex_parts(shape: Shape, split: Splitter = convex_pieces) -> tuple[Shape, ...]:
-    """Return convex shapes whose union contains a shape."""
+    """Return the exact pieces of a shape: convex shapes whose union contains a shape."""
     return split(shape) if isinstance(shape, Mesh) and not is_convex(shape) else (shape,)
 
 
 def solid(shape: Shape) -> tuple[int, list[float]]:
-    """Return the kind and the three size values of a convex shape, for the kernel's GJK."""
+    """Return the kind and the three size values of a convex exact piece, for the kernel's GJK."""
     match shape:
         case Mesh():
             return gjk.POINTS, [0.0, 0.0, 0.0]
@@ -146,7 +146,9 @@ def solid(shape: Shape) -> tuple[int, list[float]]:
 
 
 def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
-    """Return kind, size, bounding sphere (4,) in the shape's frame, and hull vertices (n, 3)."""
+    """Return an exact piece's kind, size, bounding sphere (4,) in the shape's frame, and hull vertices (n,
+    3).
+    """
     kind, size = solid(shape)
     points: F64 = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
     if isinstance(shape, Plane):
@@ -158,7 +160,7 @@ def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
 
 @lru_cache(maxsize=1024)
 def hull_points(mesh: Mesh) -> F64:
-    """Return the vertices (n, 3) of a mesh's convex hull."""
+    """Return the vertices (n, 3) of a mesh's convex hull, as an exact piece."""
     from scipy.spatial import ConvexHull
 
     return mesh.vertices[ConvexHull(mesh.vertices).vertices]

@@ -42,7 +42,7 @@ class _VecModel(models.PrimitiveModel):
 
 
 class PointerType(types.Type):
-    """Numba type of a bare pointer to numbers, without length and ownership.
+    """Numba type of a bare pointer to numbers for SIMD code, without length and ownership.
 
     Numba counts the references of an array with atomic instructions whenever a function receives the array;
     in the kernel, this cost more time than the arithmetic. A pointer supports only `p[i]`: the caller of
@@ -62,7 +62,7 @@ class _PointerModel(models.PrimitiveModel):
 
 @intrinsic
 def pointer(typingctx, array):
-    """Return a bare pointer to the numbers of a contiguous array."""
+    """Return a bare pointer to a contiguous array for SIMD code."""
 
     def codegen(context, builder, signature, args):
         return context.make_array(signature.args[0])(context, builder, args[0]).data
@@ -72,7 +72,7 @@ def pointer(typingctx, array):
 
 @intrinsic
 def at_address(typingctx, dtype, address):
-    """Return a bare pointer to numbers of a given type at a memory address (int64)."""
+    """Return a bare pointer to numbers of a given type at a memory address (int64), for Numba SIMD code."""
     kind = dtype.instance_type
 
     def codegen(context, builder, signature, args):
@@ -83,7 +83,7 @@ def at_address(typingctx, dtype, address):
 
 @intrinsic
 def call(typingctx, function, a, b, c):
-    """Call a compiled function by its address; it takes three int64 and returns one."""
+    """Call a compiled kernel function by its address (Numba intrinsic); it takes three int64 and returns one."""
 
     def codegen(context, builder, signature, args):
         number = ir.IntType(64)
@@ -129,7 +129,7 @@ def _setitem(at, index, value):
 
 @intrinsic
 def load(typingctx, at, index):
-    """Load a vector of `L` floats from a float32 pointer, starting at `index`."""
+    """Load a SIMD vector of `L` floats from a float32 pointer, starting at `index`."""
 
     def codegen(context, builder, signature, args):
         value = builder.load(builder.bitcast(builder.gep(args[0], [args[1]]), _VEC.as_pointer()))
@@ -141,7 +141,7 @@ def load(typingctx, at, index):
 
 @intrinsic
 def store(typingctx, at, index, value):
-    """Write a vector of `L` floats to a float32 pointer, starting at `index`."""
+    """Store a SIMD vector of `L` floats to a float32 pointer, starting at `index`."""
 
     def codegen(context, builder, signature, args):
         target = builder.bitcast(builder.gep(args[0], [args[1]]), _VEC.as_pointer())
@@ -153,7 +153,7 @@ def store(typingctx, at, index, value):
 
 @intrinsic
 def splat(typingctx, value):
-    """Return a vector with one number in every lane."""
+    """Return a SIMD vector with one number in every lane."""
 
     def codegen(context, builder, signature, args):
         number = context.cast(builder, args[0], signature.args[0], types.float32)
@@ -166,7 +166,7 @@ def splat(typingctx, value):
 
 @intrinsic
 def iota(typingctx):
-    """Return a vector with the lane numbers 0, 1, 2, ..."""
+    """Return a SIMD vector with the lane numbers 0, 1, 2, ..."""
 
     def codegen(context, builder, signature, args):
         return ir.Constant(_VEC, [float(k) for k in range(L)])
@@ -218,7 +218,7 @@ def _compare(builder, a, b):
 
 @intrinsic
 def vmin(typingctx, a, b):
-    """Return the minimum of two vectors in each lane."""
+    """Return the minimum of two SIMD vectors in each lane."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[0], args[1])
@@ -228,7 +228,7 @@ def vmin(typingctx, a, b):
 
 @intrinsic
 def vmax(typingctx, a, b):
-    """Return the maximum of two vectors in each lane."""
+    """Return the maximum of two SIMD vectors in each lane."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[1], args[0])
@@ -238,7 +238,7 @@ def vmax(typingctx, a, b):
 
 @intrinsic
 def select_lt(typingctx, a, b, x, y):
-    """Return the vector with `x if a < b else y` in each lane."""
+    """Return the SIMD vector with `x if a < b else y` in each lane."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[2], args[3])
@@ -252,7 +252,7 @@ def _bits(builder, a, b):
 
 @intrinsic
 def any_lt(typingctx, a, b):
-    """Return whether `a < b` in any lane of two vectors."""
+    """Return whether `a < b` in any lane of two SIMD vectors."""
 
     def codegen(context, builder, signature, args):
         bits = _bits(builder, args[0], args[1])
@@ -263,7 +263,7 @@ def any_lt(typingctx, a, b):
 
 @intrinsic
 def mask_lt(typingctx, a, b):
-    """Return an integer in which bit k is set if `a < b` in lane k."""
+    """Compare SIMD vectors: return an integer in which bit k is set if `a < b` in lane k."""
 
     def codegen(context, builder, signature, args):
         return builder.zext(_bits(builder, args[0], args[1]), ir.IntType(64))
@@ -290,7 +290,7 @@ vabs, vsqrt, vround = _unary("llvm.fabs"), _unary("llvm.sqrt"), _unary("llvm.rin
 
 @intrinsic
 def fma(typingctx, a, b, c):
-    """Return the vector `a * b + c` with a single rounding (fused multiply-add)."""
+    """Return the SIMD vector `a * b + c` with a single rounding (fused multiply-add)."""
 
     def codegen(context, builder, signature, args):
         function = cgutils.get_or_insert_function(
@@ -320,7 +320,7 @@ hmin, hmax = _reduction("fmin"), _reduction("fmax")
 
 @intrinsic
 def pick(typingctx, a, lane):
-    """Return the number in one lane of a vector."""
+    """Return the number in one lane of a SIMD vector."""
 
     def codegen(context, builder, signature, args):
         return builder.extract_element(args[0], builder.trunc(args[1], ir.IntType(32)))
@@ -330,7 +330,7 @@ def pick(typingctx, a, lane):
 
 @intrinsic
 def trailing_zeros(typingctx, mask):
-    """Return the index of the lowest set bit of a nonzero int64."""
+    """Return the index of the lowest set bit of a nonzero int64, the first lane of a SIMD mask."""
 
     def codegen(context, builder, signature, args):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))

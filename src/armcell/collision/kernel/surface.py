@@ -16,7 +16,7 @@ SECTIONS = 48  # number of facets around round shapes
 
 
 def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
-    """Return a shape's vertices (v, 3), faces (f, 3), and gap to the true surface [m].
+    """Return a shape's vertices (v, 3), faces (f, 3), and gap to the true surface [m], for a sphere cover.
 
     The gap is the largest distance by which the true surface is outside the triangles.
     """
@@ -49,7 +49,7 @@ def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
 
 
 def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
-    """Split a surface into triangles (m, 3, 3) with edges of at most `edge` [m].
+    """Split a solid's surface into triangles (m, 3, 3) with edges of at most `edge` [m].
 
     The algorithm halves the longest edges. A sphere is convex, so it contains a triangle if it contains its
     vertices: covers need no margin between sample points.
@@ -69,7 +69,7 @@ def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> A
 
 
 def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
-    """Return the outer surface of a mesh as small triangles (m, 3, 3).
+    """Return the outer surface of a solid's mesh as small triangles (m, 3, 3).
 
     Parts of the surface that are inside the same mesh are left out and need no cover: robot meshes often
     consist of several closed solids that intersect.
@@ -107,7 +107,7 @@ def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
 
 
 def depths(points: Array, skin: Array) -> Array:
-    """Return the distances (m,) [m] of interior points to the surface triangles (k, 3, 3)."""
+    """Return the distances (m,) [m] of a solid's interior points to its surface triangles (k, 3, 3)."""
     corners, index = np.unique(np.round(skin.reshape(-1, 3), 9), axis=0, return_inverse=True)
     model = triangle_model(corners, index.reshape(-1, 3).astype(np.int32))
     point, radius = coal.Sphere(1e-6), 1e-6
@@ -122,7 +122,7 @@ def depths(points: Array, skin: Array) -> Array:
 
 
 def interior_points(vertices: Array, faces: NDArray[np.int64], spacing: float) -> Array:
-    """Return the points (m, 3) of a regular grid that are inside a solid."""
+    """Return the interior points (m, 3), on a regular grid, of a solid that its sphere cover must contain."""
     low, high = vertices.min(0), vertices.max(0)
     axes = [np.arange(a + (b - a) % spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -67,7 +67,7 @@ INSIDE = np.int64(1) << 40
 
 @inner_njit
 def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
-    """Queue SIMD lanes of a body against a world shape or another body for the exact tier.
+    """Queue undecided SIMD lanes of a body against a world shape or another body for the exact tier.
 
     `other` is the index of the world shape, or -1 - pair for a pair of bodies. With `INSIDE` added to
     `other`, the exact tier only tests whether the body is inside the shape's mesh. Returns True if all lanes
@@ -83,7 +83,7 @@ def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
 
 @inner_njit
 def decide(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Decide all queued pairs by exact tests; return True if the check can stop."""
+    """Decide all queued undecided pairs by exact tests; return True if the check can stop."""
     waiting = state[WAITING]
     state[WAITING] = 0
     for k in range(waiting):
@@ -112,7 +112,7 @@ def decide(I, F, D, w, state, s, slack, slack_pair, mode):
 
 @inner_njit
 def _needs(I, F, w, slack, slack_pair, body, other, mode):
-    """Compute the distance that a pair of bodies must exceed in each lane.
+    """Compute the distance that an undecided pair of bodies must exceed in each lane.
 
     The part of the distance that does not depend on speed is also stored.
     """
@@ -160,7 +160,7 @@ def _needs(I, F, w, slack, slack_pair, body, other, mode):
 
 @inner_njit
 def _world_piece(I, D, w, e, frame, lane, s, out):
-    """Compute the world transform of a body's exact piece in one SIMD lane.
+    """Compute the world transform of an undecided body's exact piece in one SIMD lane.
 
     The 12 numbers are written to s[out:].
     """
@@ -175,7 +175,7 @@ def _world_piece(I, D, w, e, frame, lane, s, out):
 
 @inner_njit
 def _relative(s):
-    """Compute the transform from exact piece A's frame to piece B's frame.
+    """Compute the transform from exact piece A's frame to piece B's frame, in the exact tier.
 
     The result is written to s[AT_RELATIVE:].
     """
@@ -189,7 +189,7 @@ def _relative(s):
 
 @inner_njit
 def _piece_distance(I, F, D, a, b, enough, warm, s):
-    """Return the distance [m] of two exact pieces, or a lower bound above `enough`.
+    """Return the distance [m] of two undecided exact pieces, or a lower bound above `enough`.
 
     The transforms of pieces a and b are at s[AT_A:] and s[AT_B:].
     """
@@ -219,7 +219,7 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
 
 @inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
-    """Return the distance that an exact piece must exceed along a given normal in one lane.
+    """Return the distance that an undecided exact piece must exceed along a given normal in one lane.
 
     The normal is in s[NORMAL:]. Along a fixed direction n, the nearest point of piece a approaches by |n .
     velocity| times half the interval. The velocity is that of the piece's center plus the contribution of its
@@ -247,7 +247,7 @@ def _directed_need(I, D, w, s, body, a, lane):
 
 @inner_njit
 def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
-    """Test a body's exact pieces in one SIMD lane against a world shape or another body.
+    """Test an undecided body's exact pieces in one SIMD lane against a world shape or another body.
 
     Returns FREE, UNPROVEN or CONTACT.
     """
@@ -279,7 +279,7 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
 
 @inner_njit
 def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
-    """Test a body in one SIMD lane against the cloud of a world shape; see `_exact_lane`."""
+    """Test an undecided body in one SIMD lane exactly against the cloud of a world shape."""
     group, end = np.int64(I[I[BODY_GROUPS] + body]), I[I[BODY_GROUPS] + body + 1]
     top = np.int64(0)
     while group < end:
@@ -293,7 +293,7 @@ def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
 
 @inner_njit
 def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
-    """Test a body's exact pieces in one SIMD lane against listed cloud parts.
+    """Test an undecided body's exact pieces in one SIMD lane against listed cloud parts.
 
     The list has `count` parts at state[LISTED:]. Otherwise the function is like `_exact_lane`.
     """
@@ -345,7 +345,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
 
 @inner_njit
 def _is_inside(I, F, D, w, state, s, body, other, lane):
-    """Return whether an exact piece of a body is inside the closed mesh of a world shape.
+    """Return whether an exact piece of an undecided body is inside the closed mesh of a world shape.
 
     No piece of the body may touch the mesh's surface.
     """

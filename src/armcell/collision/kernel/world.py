@@ -71,7 +71,7 @@ from armcell.collision.kernel.verdict import fail, touch
 
 @inner_njit
 def shape_gap(I, F, o, w, at):
-    """Return the distances of points to a world shape; lower bounds for cones and meshes.
+    """Return kernel distances of points to a world shape; lower bounds for cones and meshes.
 
     The points are at w[at:], one per lane; o is the index of the shape.
     """
@@ -110,7 +110,7 @@ def shape_gap(I, F, o, w, at):
 
 @inner_njit
 def shape_rate(I, F, o, w, at, velocity):
-    """Return the largest rate at which a shape's distance changes for moving points.
+    """Return the largest rate at which a world shape's distance changes for moving points.
 
     The distance is that of `shape_gap`; the velocities are at w[velocity:]. These gaps are convex functions
     of the point, so along a straight motion a gap is never below its tangent: only the velocity component
@@ -176,7 +176,7 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 
 @inner_njit
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Test a body against a world shape that represents a cloud; see `_body_to_shape`.
+    """Test a robot body against a world shape that represents a cloud, in the kernel.
 
     The shape is the bounding box of the cloud.
     """
@@ -195,7 +195,7 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Test a body against one world shape by its groups; return True if the check can stop."""
+    """Kernel test of a robot body against one world shape by its groups; return True if the check can stop."""
     if I[I[SHAPE_CLOUD] + o] >= 0:
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     f, bodies = I[I[FRAME] + body], I[BODIES]
@@ -234,7 +234,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Test all bodies against the world in 16 SIMD lanes; return True if the check can stop.
+    """Kernel test of all robot bodies against the world in 16 SIMD lanes; return True if the check can stop.
 
     See `_check_arrays`.
     """

@@ -49,7 +49,7 @@ class World:
 
     @cached_property
     def starts(self) -> I64:
-        """Return the first row (objects + 1, len(ROWS)) of each object in the kernel tables."""
+        """Return the first row (objects + 1, len(ROWS)) of each world object in the kernel arrays."""
         return np.vstack([np.zeros((1, len(ROWS)), np.int64), np.cumsum(self.counts, axis=0)])
 
     @cached_property
@@ -58,7 +58,7 @@ class World:
 
     @cached_property
     def arrays(self) -> dict[str, NDArray]:
-        """Return the arrays of a `Pack` that depend only on the world objects."""
+        """Return the kernel arrays of a `Pack` that depend only on the world objects."""
         tables, starts = self.tables, self.starts
         boxes, child = box_tree(tables["low"], tables["high"])
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
@@ -78,13 +78,15 @@ class World:
 
     @cached_property
     def shape_pieces(self) -> NDArray[np.int32]:
-        """Return the index (shapes + 1,) of each shape's first piece among the world's exact pieces."""
+        """Return from the world arrays the index (shapes + 1,) of each shape's first piece among the world's
+        exact pieces.
+        """
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
         return self._ends("pieces_end", PIECES, of_shape)
 
     @cached_property
     def pieces(self) -> dict[str, NDArray]:
-        """Return the exact pieces of all world objects as tables of a `Pack`."""
+        """Return the exact pieces of all world objects from the world arrays as tables of a `Pack`."""
         names = ("piece_kind", "piece_size", "piece_pose", "piece_ball", "points", "points32")
         first = np.repeat(self.starts[:-1, POINTS], self.counts[:, PIECES])
         points = self.tables["piece_points"].copy()
@@ -101,7 +103,7 @@ _recent: deque[World] = deque(maxlen=KEPT)
 
 
 def world_of(objects: Mapping[str, CollisionObject]) -> World:
-    """Return the kernel arrays of a scene's objects, cached for the last worlds.
+    """Return the kernel arrays of a scene's objects, the world arrays, cached for the last worlds.
 
     Arrays of a new world are copied from an earlier one where its objects are the same, so that a change of a
     few among thousands of objects costs little.
@@ -154,7 +156,7 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split object indices (-1: new object) into runs of neighbors; return the runs' ends."""
+    """Split the world arrays' object indices (-1: new object) into runs of neighbors; return the runs' ends."""
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))
     begin = np.concatenate([np.zeros(min(len(known), 1), np.int64), np.flatnonzero(~joins) + 1])

@@ -41,14 +41,14 @@ SHAPES, PLANES, PIECES, POINTS, BLOCKS_OF_POINTS, CLOUDS, BLOCKS, NUMBERS = rang
 
 
 class ObjectTables(NamedTuple):
-    """Kernel tables of several objects, with the number of rows of each object per table."""
+    """Kernel tables of several world objects, with the number of rows of each object per table."""
 
     tables: dict[str, NDArray]
     counts: I64  # (objects, len(ROWS))
 
 
 class _Solid(NamedTuple):
-    """Convex shape of a world object; a cloud counts as one shape, its bounding box."""
+    """Convex shape of a world object; a cloud counts in the kernel tables as one shape, its bounding box."""
 
     owner: int
     shape: Shape
@@ -69,7 +69,7 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
     cloud_owner = np.array([s.owner for s in solids if s.cloud is not None], np.int64)
 
     def rows(owners: I64, sizes: Sequence[int] | I64 | None = None) -> I64:
-        """Return the number of kernel table rows of each object."""
+        """Return the number of kernel table rows of each world object."""
         return np.bincount(owners, sizes, len(items)).astype(np.int64)
 
     plane_rows = [len(p) for p in planes]
@@ -102,7 +102,7 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
 
 
 def _within(owner: I64, sizes: I64 | Sequence[int]) -> I64:
-    """Return for each entry the sum of the sizes of earlier entries with the same owner.
+    """Return for each entry the sum of the sizes of earlier entries with the same world object as owner.
 
     The owners are sorted.
     """
@@ -148,7 +148,7 @@ NO_CLOUDS: dict[str, NDArray] = {
 
 @lru_cache(maxsize=1024)
 def _hull_planes(mesh: Mesh) -> F64:
-    """Return the outward normals and offsets (n, 4) of the faces of a mesh's convex hull."""
+    """Return the outward normals and offsets (n, 4) of the faces of a world mesh's convex hull."""
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(mesh.vertices).equations  # n x + d <= 0 inside
