@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class BlendedPath:
-    """A joint path of straight lines and rounded corners through or near waypoints (k, n).
+    """Blended joint path of straight lines and rounded corners through or near waypoints (k, n).
 
     A corner that may not be rounded remains sharp, and the motion must stop there; `stops` contains the path
     parameters of these corners.
@@ -70,16 +70,16 @@ class BlendedPath:
 
     @property
     def stops(self) -> list[float]:
-        """Path parameters s [rad] of the sharp corners at which the motion must stop."""
+        """A blended path's parameters s [rad] of the sharp corners at which the motion must stop."""
         return self.starts[1:][self.rests].tolist()
 
     @property
     def arrays(self) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """Arrays (kind, origin, x, y, lengths, radius) of the path's pieces for compiled functions."""
+        """Arrays (kind, origin, x, y, lengths, radius) of a blended path's pieces for compiled functions."""
         return self.kind, self.origin, self.x, self.y, self.lengths, self.radius
 
     def evaluate(self, piece: NDArray[np.int64], s: Array) -> tuple[Array, Array, Array]:
-        """Return points and the first and second path derivatives (m, n) on the given path pieces.
+        """Return points and the first and second path derivatives (m, n) on given pieces of a blended path.
 
         Args:
             piece: (m,) indices of path pieces.
@@ -94,13 +94,13 @@ class BlendedPath:
         return pieces.evaluate(*self.arrays, piece, s)
 
     def at(self, s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return points and the first and second derivatives (m, n) of the path at s (m,)."""
+        """Return points and the first and second derivatives (m, n) of a blended path at s (m,)."""
         s = np.atleast_1d(float_array(s, None, "s"))
         piece = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.kind) - 1)
         return self.evaluate(piece, np.clip(s - self.starts[piece], 0.0, self.lengths[piece]))
 
     def polyline(self, sagitta: float = 1e-4) -> Array:
-        """Return points (m, n) of a polyline within `sagitta` [rad] of the path.
+        """Return points (m, n) of a polyline within `sagitta` [rad] of a blended path.
 
         Raises:
             InputError: `sagitta` is not a positive number.

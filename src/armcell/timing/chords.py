@@ -17,7 +17,7 @@ _NONE = np.zeros((0, 0))
 
 
 def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
-    """Return a trajectory's joint positions (k, n) at times (k,) [s] on its own clock.
+    """Return, for chords, a trajectory's joint positions (k, n) at times (k,) [s] on its own clock.
 
     Before the first point and after the last, the joints hold their positions, as in `sample`.
     """
@@ -25,7 +25,8 @@ def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
 
 
 def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
-    """Return a trajectory's times, positions, velocities, accelerations and its kind.
+    """Return a trajectory's times, positions, velocities, accelerations and its kind, for approximation by
+    chords.
 
     The kind is 0 for positions only, 1 with velocities, 2 with velocities and accelerations.
     """
@@ -35,7 +36,8 @@ def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, in
 
 
 def acceleration_bounds(trajectory: JointTrajectory) -> Array:
-    """Return an upper bound of each joint's acceleration (n,) anywhere in a trajectory.
+    """Return an upper bound of each joint's acceleration (n,) anywhere in a trajectory, to bound its chords'
+    error.
 
     A polynomial is bounded by its Bernstein coefficients; the bound uses those of the second derivative.
     Straight pieces have the bound 0.
@@ -49,7 +51,7 @@ def chords(
     trajectories: tuple[JointTrajectory, ...], starts: tuple[float, ...], begin: float, end: float,
     error: float = 5e-4,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Approximate several motions on one clock by straight pieces.
+    """Approximate several motions on one clock by straight pieces (chords).
 
     Args:
         starts: start of each motion [s of the common clock]; its joints rest before and after the motion.

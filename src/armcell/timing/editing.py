@@ -31,7 +31,7 @@ def check_scaling(value: float, what: str) -> float:
 
 # --- time ---
 def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
-    """Return the trajectory slowed down by a factor >= 1.
+    """Return a timed trajectory slowed down by a factor >= 1.
 
     Raises:
         InputError: the factor is below 1, which could violate limits, or not finite.
@@ -48,7 +48,7 @@ def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
 
 
 def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajectory:
-    """Return the trajectory slowed down to exactly `duration` [s].
+    """Return a timed trajectory slowed down to exactly `duration` [s].
 
     With r the ratio of the old to the new duration, velocities change by the factor r, accelerations by r^2
     and jerks by r^3, so the trajectory stays within its limits. A trajectory with one point becomes a pause.
@@ -80,7 +80,7 @@ def synchronized(trajectories: Sequence[JointTrajectory]) -> tuple[JointTrajecto
 
 
 def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
-    """Return the trajectory played backward in time.
+    """Return a timed trajectory played backward in time.
 
     Symmetric limits remain satisfied.
     """
@@ -95,7 +95,7 @@ def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
 
 
 def delayed(trajectory: JointTrajectory, wait: float) -> JointTrajectory:
-    """Return the trajectory after a standstill of `wait` > 0 [s] at its start position."""
+    """Return a timed trajectory after a standstill of `wait` > 0 [s] at its start position."""
     later = replace(trajectory, times=trajectory.times + wait)
     return started_from(trajectory.start, later)
 
@@ -108,7 +108,7 @@ def resting(joint_names: Iterable[str], positions: ArrayLike, time: float = 0.0)
 
 
 def started_from(state: JointState, trajectory: JointTrajectory) -> JointTrajectory:
-    """Return the trajectory with an added point at time 0: a state's positions and velocities.
+    """Return a timed trajectory with an added point at time 0: a state's positions and velocities.
 
     Args:
         state: state of at least the trajectory's joints; without velocities the joints are at rest.
@@ -130,7 +130,7 @@ def started_from(state: JointState, trajectory: JointTrajectory) -> JointTraject
 
 
 def section(trajectory: JointTrajectory, begin: float, end: float, apart: float = 0.0) -> JointTrajectory:
-    """Return the part of a trajectory between two times [s], with unchanged time stamps.
+    """Return the part of a timed trajectory between two times [s], with unchanged time stamps.
 
     Args:
         trajectory: with velocities and accelerations.
@@ -149,7 +149,7 @@ def section(trajectory: JointTrajectory, begin: float, end: float, apart: float 
 
 
 def _point(trajectory: JointTrajectory, t: float) -> tuple[Array, Array, Array]:
-    """Return a trajectory's position, velocity and acceleration (n,) at a time [s].
+    """Return a timed trajectory's position, velocity and acceleration (n,) at a time [s].
 
     Unlike `JointTrajectory.sample`, the function does not assume rest at the trajectory's ends.
     """
@@ -168,7 +168,8 @@ def _row(trajectory: JointTrajectory, i: int) -> tuple[Array, Array, Array]:
 def with_resting_joints(
     trajectory: JointTrajectory, state: JointState, joint_names: Iterable[str]
 ) -> JointTrajectory:
-    """Return the motion of `joint_names`, in this order; joints without motion rest at `state`.
+    """Extend a trajectory to the motion of `joint_names`, in this order; joints without motion rest at
+    `state`.
 
     Raises:
         UnknownNameError: neither the trajectory nor the state has a joint.
@@ -222,7 +223,7 @@ def concatenated(*parts: JointTrajectory) -> JointTrajectory:
 
 
 def merged(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Combine two motions of different joints with the same start time into one trajectory.
+    """Merge two timed motions of different joints with the same start time into one trajectory.
 
     The joints of the shorter motion stay at its end.
     """

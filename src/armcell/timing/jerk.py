@@ -37,7 +37,7 @@ EPS = 1e-12
 
 @njit(cache=True)
 def _ramp(dv, a, j):
-    """Return the durations of changing and of constant acceleration for a speed change dv >= 0.
+    """Return a jerk-limited speed change's durations of changing and of constant acceleration, for dv >= 0.
 
     Both durations increase with dv. If a phase would be shorter than MIN_PHASE, the ramp becomes gentler.
     """
@@ -59,7 +59,7 @@ def _distance(v0, v1, a, j):
 
 @njit(cache=True)
 def _fastest(v0, v1, a, j, length, most):
-    """Return the highest speed up to `most` on a line from speed v0 to v1; at least max(v0, v1).
+    """Return the jerk-limited highest speed up to `most` on a line from speed v0 to v1; at least max(v0, v1).
 
     v1 < 0: the line may end at the highest speed.
 
@@ -79,7 +79,7 @@ def _fastest(v0, v1, a, j, length, most):
 
 @njit(cache=True)
 def _ramp_phases(piece, s, v0, v1, a, j, at, out):
-    """Append the phases of a speed change to `out`; return the new phase count and the new s.
+    """Append the phases of a jerk-limited speed change to `out`; return the new phase count and the new s.
 
     The up to three phases are (piece, s, v, a, jerk, duration).
     """
@@ -105,7 +105,7 @@ def _ramp_phases(piece, s, v0, v1, a, j, at, out):
 
 @njit(cache=True)
 def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
-    """Return the motion's phases of constant path jerk (k, 6) along the path pieces.
+    """Return a jerk-limited motion's phases of constant path jerk (k, 6) along the path pieces.
 
     The columns are piece, path parameter in the piece, speed, acceleration, jerk and duration.
     """
@@ -159,7 +159,9 @@ def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
 
 @njit(cache=True)
 def states(times, begins, phase, kind, origin, x, y, length, radius):
-    """Return joint positions, velocities and accelerations (m, n) at increasing times (m,)."""
+    """Return a jerk-limited motion's joint positions, velocities and accelerations (m, n) at increasing times
+    (m,).
+    """
     m, n = len(times), x.shape[1]
     q, dq, ddq = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
     k = 0
@@ -219,7 +221,9 @@ def jerk_limited(
 
 
 def _times(begins: Array, step: float) -> Array:
-    """Return trajectory times at least MIN_GAP apart: starts of the phases and a regular grid."""
+    """Return a jerk-limited trajectory's times at least MIN_GAP apart: starts of the phases and a regular
+    grid.
+    """
     end = begins[-1]
     knots = begins[np.concatenate([[True], np.diff(begins) >= MIN_GAP])]
     knots = np.append(knots[knots <= end - MIN_GAP], end)

@@ -49,11 +49,11 @@ class TorqueModel(Protocol):
 
     @property
     def limits(self) -> Array:
-        """Torque limits of the joints (n,) [Nm or N]."""
+        """Torque limits (n,) of the joints for time parameterization [Nm or N]."""
         ...
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return the coefficients (m, 3, n) of the joint torques at points of a path.
+        """Return the coefficients (m, 3, n) of the joint torques at points of a path to time.
 
         The torques are linear in u and x: the coefficients belong to u, x and 1, with path acceleration u and
         squared path speed x.
@@ -65,12 +65,12 @@ class TorqueModel(Protocol):
         ...
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Return joint torques (m, n) for positions, velocities and accelerations (m, n)."""
+        """Return the timed motion's joint torques (m, n) for positions, velocities and accelerations (m, n)."""
         ...
 
 
 class TorqueLimitError(ArmcellError):
-    """Timing failure: a joint lacks the torque to hold still at a point of the path.
+    """Failure of the time parameterization: a joint lacks the torque to hold still at a point of the path.
 
     Slower motion cannot help in this case.
     """
@@ -92,7 +92,8 @@ def parameterize(
     settings: TimingSettings = TimingSettings(),
     torque: TorqueModel | None = None,
 ) -> JointTrajectory:
-    """Return the fastest trajectory along a path within joint limits and optional torque limits.
+    """Parameterize a path by time: return the fastest trajectory within joint limits and optional torque
+    limits.
 
     The trajectory is at rest at both ends and at the path's sharp corners. Its velocities and accelerations
     are within the limits at all times of its (quintic) interpolation. The trajectory follows the path except
@@ -126,7 +127,7 @@ def parameterize(
 
 
 def smoothing_departure(acceleration: ArrayLike, settings: TimingSettings) -> Array:
-    """Return the bound (n,) [rad] of each joint's deviation from the path in `parameterize`.
+    """Return the bound (n,) [rad] of each joint's deviation from the path by `parameterize`'s smoothing.
 
     The bound is a w^2 / 24 for the acceleration limit a and the smoothing window w.
     """
@@ -141,7 +142,7 @@ def fastest_motion(
     settings: TimingSettings,
     torque: TorqueModel | None = None,
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Return the fastest motion along a path before it is smoothed and sampled.
+    """Return the time-optimal motion along a path before it is smoothed and sampled.
 
     Returns:
         The arrays that `topp.fastest` returns.
@@ -173,7 +174,7 @@ def fastest_motion(
 
 
 def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
-    """Return the factor by which a smoothed trajectory must slow down to keep the torque limits.
+    """Return the factor by which a time-parameterized trajectory must slow down to keep the torque limits.
 
     The part of a torque beyond the torque for holding still is proportional to the squared speed.
     """
@@ -185,12 +186,12 @@ def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
 
 
 def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Return the single-point trajectory for a path of length zero."""
+    """Return the time parameterization (one point) of a path of length zero."""
     return resting(joint_names, path.points[0])
 
 
 def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -> Array:
-    """Return one kind of joint limits as an array (n,), after checking that they are finite.
+    """Return one kind of joint limits for the timing as an array (n,), after checking that they are finite.
 
     Raises:
         InputError: a limit is missing, not positive or not finite.

@@ -18,7 +18,8 @@ HALF_STEP = 0.09375  # integral of the smooth step 3 z^2 - 2 z^3 over its first 
 
 @njit(cache=True)
 def coefficients(kind, length, radius, s):
-    """Return a piece's coefficients a and b and their first and second derivatives at s.
+    """Return a path piece's (line, arc, spline) coefficients a and b and their first and second derivatives
+    at s.
 
     A line has (a, b) = (s, 0), an arc (r cos(s/r), r sin(s/r)). A spline turns its derivative from x to y by
     a smooth step, q' = (1 - w) x + w y with w = 3 z^2 - 2 z^3, z = s / length: its second derivative is
@@ -38,7 +39,7 @@ def coefficients(kind, length, radius, s):
 
 @njit(cache=True)
 def distinct(points):
-    """Return a mask that drops points (k, n) within `MIN_EDGE` of the previously kept point.
+    """Return a mask that drops path points (k, n) within `MIN_EDGE` of the previously kept point.
 
     The last point is kept in any case.
     """
@@ -61,7 +62,7 @@ def distinct(points):
 
 @njit(cache=True)
 def build(points, deviation, smooth):
-    """Build the pieces of the path through distinct points (k, n).
+    """Build the pieces (lines, arcs, splines) of the path through distinct points (k, n).
 
     The rounded corners deviate from the points by at most `deviation` (k,).
 
@@ -132,7 +133,9 @@ def build(points, deviation, smooth):
 
 @njit(cache=True)
 def evaluate(kind, origin, x, y, length, radius, piece, s):
-    """Return path points and their first and second derivatives (m, n) at s (m,) in pieces (m,)."""
+    """Evaluate path pieces (lines, arcs, splines): points and their first and second derivatives (m, n) at s
+    (m,) in pieces (m,).
+    """
     m, n = len(s), origin.shape[1]
     point, first, second = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
     for i in range(m):

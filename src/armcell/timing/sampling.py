@@ -17,7 +17,8 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
-    """Return the motion's integral of position, position and velocity (m, n) at times (m,).
+    """Return, for a moving average, the motion's integral of position, position and velocity (m, n) at times
+    (m,).
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.
@@ -71,7 +72,7 @@ def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
 
 @njit(cache=True)
 def _difference(now, then, shift, factor):
-    """Replace each now[i] by the difference (now[i] - then[i - shift]) times `factor`.
+    """Moving average step: replace each now[i] by the difference (now[i] - then[i - shift]) times `factor`.
 
     `then` is zero before its first row and may be the same array as `now`.
     """
@@ -83,7 +84,7 @@ def _difference(now, then, shift, factor):
 
 @njit(cache=True)
 def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, t0, step, window):
-    """Return the motion averaged over `window` [s], with a point every `step` [s].
+    """Return samples of a motion averaged over `window` [s], with a point every `step` [s].
 
     The last interval is 0.5 to 1.5 steps long.
 
@@ -118,7 +119,9 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
 
 @njit(cache=True)
 def _largest_cubic(b0, b1, b2, b3):
-    """Return the largest absolute value over [0, 1] of a cubic with Bernstein coefficients b."""
+    """Return the largest absolute value over [0, 1] of a cubic with Bernstein coefficients b, for a
+    trajectory's peaks.
+    """
     best = max(abs(b0), abs(b3))
     d0, d1, d2 = b1 - b0, b2 - b1, b3 - b2  # its derivative / 3
     p, r = d0 - 2.0 * d1 + d2, d1 - d0  # p t^2 + 2 r t + d0 = 0
@@ -138,7 +141,8 @@ def _largest_cubic(b0, b1, b2, b3):
 
 @njit(cache=True)
 def peaks(times, q, v, a, velocity, acceleration):
-    """Return the largest ratios |velocity| / limit and |acceleration| / limit of a trajectory.
+    """Return the largest ratios |velocity| / limit and |acceleration| / limit of a sampled trajectory (peak
+    values).
 
     The ratios hold at any time of the quintic interpolation.
 
