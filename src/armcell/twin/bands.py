@@ -51,7 +51,7 @@ CREEP = 0.02  # [rad/s] at which Coulomb friction reaches 76 % of its final valu
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One sample of a moving arm's measured state."""
+    """One sample of a moving real arm, from which the twin's thresholds are learned."""
 
     clock: float  # [s] time on the trajectory
     scaling: float  # speed fraction, 0 to 1
@@ -65,7 +65,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class ArmBands:
-    """Residual thresholds and fitted current model of one arm; arrays are indexed by joint."""
+    """A twin's residual thresholds and fitted current model of one arm; arrays are indexed by joint."""
 
     lag: float  # [s]
     position: Array  # [rad]
@@ -98,7 +98,7 @@ class ArmBands:
     def deviations(
         self, seen: Seen, twin: Rehearsal, columns: Sequence[int], currents: deque[Array]
     ) -> dict[str, Array]:
-        """Return an arm's residuals by kind (n,), in units of the bands; above 1 is outside a band.
+        """Return a twin's residuals of an arm by kind (n,), in units of the bands; above 1 is outside a band.
 
         `timing` and `load` have shape (1,); a negative load means that the arm carries less than the model
         says.
@@ -138,7 +138,7 @@ class ArmBands:
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Return the `current` and `load` residuals, as far as the number of samples permits.
+        """Return the twin's `current` and `load` residuals, as far as the number of samples permits.
 
         Args:
             looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].
@@ -161,7 +161,7 @@ class ArmBands:
 
 @dataclass(frozen=True, eq=False)
 class TwinBands:
-    """Residual thresholds of all arms of a cell, with the identities that they belong to.
+    """Twin bands: residual thresholds of all arms of a cell, with the identities that they belong to.
 
     Other identities (robot, physics, calibration) make the thresholds invalid.
     """
@@ -215,7 +215,7 @@ def _arm_of(entry: dict[str, Any]) -> ArmBands:
 
 
 def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) -> ArmBands:
-    """Fit the residual thresholds of one arm from recorded motions without faults.
+    """Learn the twin's residual thresholds of one arm from recorded motions without faults.
 
     Args:
         motions: for each motion its dry run, the arm's columns in the dry run, and the measured samples.
@@ -274,7 +274,7 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
-    """Fit the linear current model of each joint by least squares.
+    """Fit the twin's linear motor current model of each joint by least squares.
 
     Args:
         current, effort, speed: samples (k, n) in [A], [Nm], [rad/s].
@@ -293,7 +293,8 @@ def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
 
 
 def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest residual (n,) that lasts for LASTING consecutive samples of one motion.
+    """Return, for the twin's bands, the largest residual (n,) that lasts for LASTING consecutive samples of
+    one motion.
 
     A shorter peak does not count, because it would not slow the arm either.
     """
@@ -308,7 +309,9 @@ def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest absolute mean over SMOOTHED consecutive samples of one motion (n,)."""
+    """Return, for the twin's bands, the largest absolute mean over SMOOTHED consecutive samples of one motion
+    (n,).
+    """
     largest, first = np.zeros(left.shape[1]), 0
     for length in lengths:
         sums = np.cumsum(np.vstack([np.zeros(left.shape[1]), left[first : first + length]]), axis=0)
@@ -320,7 +323,8 @@ def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_load(left: Array, kilo: Array, spread: Array, lengths: Sequence[int]) -> float:
-    """Return the largest flange mass [kg] that explains any window of samples of one motion.
+    """Return, for the twin's bands, the largest flange mass [kg] that explains any window of samples of one
+    motion.
 
     A window contains the last SMOOTHED samples; at the start of a motion, at least FEWEST.
     """

@@ -33,7 +33,7 @@ STEADY = 0.002  # largest change of the speed scaling between two samples of con
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A recorded motion with its dry run, from which residual thresholds are learned."""
+    """A recorded motion with its dry run, from which a twin's residual thresholds are learned."""
 
     arm: str
     twin: Rehearsal
@@ -42,7 +42,7 @@ class Motion:
 
 
 class TwinGuard:
-    """Guard that monitors all arms of a driver against their simulated twin.
+    """Twin guard that monitors all arms of a driver against their simulated twin.
 
     Args:
         stage: simulation in which motions are dry-run.
@@ -68,7 +68,7 @@ class TwinGuard:
         return self.bands is not None
 
     def check_calibration(self, found: Mapping[str, str]) -> None:
-        """Check that the residual thresholds belong to the calibration of the connected robots.
+        """Check that the twin guard's thresholds belong to the calibration of the connected robots.
 
         Args:
             found: arm name to the checksum of its calibration.
@@ -90,7 +90,8 @@ class TwinGuard:
         poses: Mapping[str, SE3],
         held: Mapping[str, str],
     ) -> Outcome | None:
-        """Dry-run a trajectory in simulation; return the reason not to execute it, or None.
+        """Let the twin guard dry-run a trajectory in simulation; return the reason not to execute it, or
+        None.
 
         Args:
             state: measured joint state at the start.
@@ -111,7 +112,8 @@ class TwinGuard:
         self, following: Following, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
         trip: Callable[[Fault], None], sent_for: SentClock | None = None, forced: bool = False,
     ) -> Following:  # fmt: skip
-        """Return a handle that compares a running motion with its twin whenever its clock is read.
+        """Return the twin guard's handle that compares a running motion with its twin whenever its clock is
+        read.
 
         Args:
             following: handle of the running motion.
@@ -131,7 +133,7 @@ class TwinGuard:
 
 
 class Watched:
-    """Handle of a running motion that compares each arm with its simulated twin.
+    """Twin guard's handle of a running motion that compares each arm with its simulated twin.
 
     All calls are forwarded to the handle of the running motion.
     """
@@ -229,7 +231,7 @@ class Watched:
     def _worst_of(
         self, found: Mapping[str, Array], arm: GuardedArm, bands: ArmBands
     ) -> tuple[str, float, str]:
-        """Return the kind of the largest residual, its size in bands, and a description.
+        """Return the kind of the twin guard's largest residual, its size in bands, and a description.
 
         The description also names a load that explains the currents, whatever kind is largest, because an
         arm may also yield under an unknown load.
@@ -257,7 +259,7 @@ class Watched:
         self._guard.note(cause.name, "twin slowed", f"{text} at {clock:.2f} s: slowed to {SLOW:.0%}")
 
     def _as_before(self) -> None:
-        """Restore the speed sliders to their values before the guard slowed the arms."""
+        """Restore the speed sliders to their values before the twin guard slowed the arms."""
         for arm in self._arms:
             if arm.name in self._before:
                 arm.set_slider(self._before.pop(arm.name))
