@@ -21,7 +21,7 @@ MAX_WAITING = 1 << 20  # unsent bytes per client above which the client is disco
 
 @dataclass
 class Faults:
-    """Injected network faults; times are on the monotonic clock."""
+    """Injected faults of an emulated controller's network; times are on the monotonic clock."""
 
     frozen_until: float = 0.0  # no data is sent or received
     refused_until: float = 0.0  # new connections are closed
@@ -39,7 +39,7 @@ class Faults:
 
 
 class Link:
-    """TCP connection with buffers for received and unsent data."""
+    """TCP connection of an emulated controller, with buffers for received and unsent data."""
 
     def __init__(self, sock: socket.socket, network: Network):
         sock.setblocking(False)
@@ -51,7 +51,9 @@ class Link:
 
     @property
     def behind(self) -> bool:
-        """Return whether the client reads so slowly that periodic state messages should be skipped."""
+        """Return whether an emulated controller's client reads so slowly that periodic state messages should
+        be skipped.
+        """
         return self._waiting > MAX_BEHIND
 
     def send(self, data: bytes) -> None:
@@ -85,7 +87,9 @@ class Link:
             self._out.pop(0)
 
     def read(self) -> None:
-        """Move received data into the link's buffer; close the link if the other side closed it."""
+        """Move received data into an emulated controller's buffer; close the link if the other side closed
+        it.
+        """
         try:
             data = self.socket.recv(65536)
         except BlockingIOError:
@@ -141,7 +145,9 @@ class Datagrams:
         return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
 
     def receive(self, size: int) -> list[bytes]:
-        """Return the datagrams of at most `size` bytes that have arrived since the last call."""
+        """Return the UDP datagrams of an emulated controller of at most `size` bytes that have arrived since
+        the last call.
+        """
         found = []
         while True:
             try:
@@ -174,7 +180,7 @@ class Network:
         self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
         service: str,
     ) -> int:  # fmt: skip
-        """Reserve a port that will be served after `open`, and return its number.
+        """Reserve an emulated controller's port that will be served after `open`, and return its number.
 
         Args:
             begin: called with each new connection.
@@ -209,13 +215,15 @@ class Network:
         return self.endpoints[-1].port
 
     def datagrams(self, host: str, service: str) -> Datagrams:
-        """Open a UDP socket at any free port of an address; `service` names it in messages."""
+        """Open an emulated controller's UDP socket at any free port of an address; `service` names it in
+        messages.
+        """
         self._datagrams.append(Datagrams(host, self))
         self.endpoints.append(Endpoint.of(self._datagrams[-1].socket, service))
         return self._datagrams[-1]
 
     def open(self) -> None:
-        """Start accepting connections on all reserved ports of the controller."""
+        """Start accepting connections on all reserved ports of the emulated controller."""
         for sock, accept in self._ports.items():
             listen(sock, BACKLOG)
             self._selector.register(sock, selectors.EVENT_READ, accept)
@@ -251,7 +259,7 @@ class Network:
             link.flush()
 
     def drop(self, seconds: float) -> None:
-        """Close every connection of the controller and refuse new ones for a time [s]."""
+        """Close every connection of the emulated controller and refuse new ones for a time [s]."""
         self.faults.refused_until = time.monotonic() + seconds
         for link in list(self.links):
             link.close()

@@ -16,7 +16,7 @@ MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger 
 
 
 class Controller(Protocol):
-    """Interface of an emulated controller with its ports.
+    """Interface of an emulated controller with its ports, as a rack runs it.
 
     Attributes:
         period: control period [s].
@@ -30,26 +30,28 @@ class Controller(Protocol):
 
     @property
     def in_use(self) -> bool:
-        """Return whether a client is connected, or disconnected only by an injected network fault."""
+        """Return whether an emulated controller of a rack has a client, or disconnected only by an injected
+        network fault.
+        """
         ...
 
     def step(self) -> None:
-        """Run one control step of the emulated robot and its ports."""
+        """Run one control step of a rack's emulated robot and its ports."""
         ...
 
     def reset(self) -> None:
-        """Reset the arm and its world to their initial state."""
+        """Reset an emulated controller's arm and its world to their initial state."""
         ...
 
     def trace(self) -> bytes:
-        """Return the record of the controller's last step for a trace file."""
+        """Return the record of an emulated controller's last step for a trace file."""
         ...
 
     def close(self) -> None: ...
 
 
 def selector() -> selectors.BaseSelector:
-    """Return an I/O selector for a rack that keeps timeouts below a millisecond.
+    """Return an I/O selector for a rack of emulated controllers that keeps timeouts below a millisecond.
 
     epoll would round timeouts up to whole milliseconds.
     """
@@ -60,7 +62,7 @@ AnyController = TypeVar("AnyController", bound=Controller)
 
 
 class Rack(Generic[AnyController]):
-    """Several emulated controllers that run in one thread, paced by wall time.
+    """Rack of several emulated controllers that run in one thread, paced by wall time.
 
     Args:
         controllers: controllers with the same control period, on one selector.
@@ -84,7 +86,9 @@ class Rack(Generic[AnyController]):
         self._opened = False
 
     def open(self) -> None:
-        """Open the controllers' ports; `run` also calls this method, and serves the clients."""
+        """Open the ports of a rack's emulated controllers; `run` also calls this method, and serves the
+        clients.
+        """
         if not self._opened:
             self._opened = True
             for controller in self.controllers:
@@ -93,7 +97,7 @@ class Rack(Generic[AnyController]):
                 controller.network.open()
 
     def run(self) -> None:
-        """Run the controllers and serve their clients until `stop`.
+        """Run the rack's emulated controllers and serve their clients until `stop`.
 
         The controllers' cycles are evenly offset within a period, because real controllers are not
         synchronized either.

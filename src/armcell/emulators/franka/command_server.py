@@ -15,7 +15,8 @@ from armcell.emulators.network import Link, Network
 
 
 class CommandServer:
-    """Command server for one client at a time, as on a Franka robot; closes other connections.
+    """Emulated Franka command server for one client at a time, as on a Franka robot; closes other
+    connections.
 
     Attributes:
         active: whether the Franka Control Interface is active (in Desk); otherwise connections are closed.
@@ -35,7 +36,7 @@ class CommandServer:
         return self._client is not None and self._client.open
 
     def set_active(self, active: bool) -> None:
-        """Activate or deactivate the Franka Control Interface, as an operator does in Desk."""
+        """Activate or deactivate the emulated Franka Control Interface, as an operator does in Desk."""
         self.active = active
         if not active and self._client is not None:
             self._client.close()
@@ -49,7 +50,7 @@ class CommandServer:
         self._client, self._state_to = link, None
 
     def commands(self) -> list[RobotCommand]:
-        """Return the valid motion commands that have arrived since the last call."""
+        """Return the emulated Franka arm's valid UDP motion commands that have arrived since the last call."""
         found = []
         for data in self.udp.receive(COMMAND.size + 1):
             try:

@@ -42,14 +42,16 @@ class ControllerSettings:
 
 
 def free_arm() -> PlanningScene:
-    """Return the scene of a Franka arm with a hand at its home position, without objects."""
+    """Return an emulated controller's scene of a Franka arm with a hand at its home position, without
+    objects.
+    """
     model = load_robot("panda")
     home = {**model.named_states["arm"]["home"], **model.named_states["hand"]["open"]}
     return PlanningScene.of(model, [home[name] for name in model.joint_names])
 
 
 def torque_world(scene: PlanningScene, physics: PhysicsSettings | None = None) -> SimWorld:
-    """Return the physics world of a scene whose arms are driven by torques at 1 kHz."""
+    """Return the physics world of a scene whose emulated Franka arms are driven by torques at 1 kHz."""
     settings = replace(physics or PhysicsSettings(), timestep=PERIOD, arm_control="torque")
     return SimWorld(scene, settings)
 
@@ -82,18 +84,20 @@ class FrankaController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether a client is connected, or disconnected only by an injected network fault."""
+        """Return whether the emulated Franka controller has a client, or disconnected only by an injected
+        network fault.
+        """
         return self.commands.connected or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
-        """Run one control cycle of the robot, the hand and the ports."""
+        """Run one control cycle of the emulated Franka controller's robot, the hand and the ports."""
         self.robot.step(self.commands.commands())
         self.commands.send_state()
         self._hand_server.step()
         self.network.flush()
 
     def reset(self) -> None:
-        """Reset the emulated arm, the hand and all objects to their initial state."""
+        """Reset the emulated Franka arm, the hand and all objects to their initial state."""
         self.plant.reset()
         self.hand.follow_reset()
         self.robot.follow_reset()

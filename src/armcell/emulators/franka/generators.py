@@ -26,7 +26,7 @@ ELBOW_START = 1e-2  # [rad]
 
 
 class Reflex(Exception):
-    """Error that ends a motion because a command or the arm violates a limit.
+    """Reflex: error that ends an emulated Franka motion because a command or the arm violates a limit.
 
     Attributes:
         error: name in `wire.errors.ERRORS`.
@@ -39,7 +39,8 @@ class Reflex(Exception):
 
 @dataclass
 class Reference:
-    """Desired state of the emulated arm: joints, and end effector in the base frame O.
+    """Reference of a Franka motion generator: the desired state: joints, and end effector in the base frame
+    O.
 
     Attributes:
         T: T_O_EE (4, 4); twist (6,) [m/s, rad/s] and acceleration (6,) of the command.
@@ -54,20 +55,22 @@ class Reference:
     elbow: Array = field(default_factory=lambda: np.zeros(2))
 
     def rest(self, q: Array) -> None:
-        """Set the reference to positions q (7,) at rest."""
+        """Set the emulated Franka arm's reference to positions q (7,) at rest."""
         self.q, self.dq, self.ddq = np.array(q, dtype=float), np.zeros(JOINTS), np.zeros(JOINTS)
         self.twist, self.dtwist = np.zeros(6), np.zeros(6)
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Kinematics of the arm with the configured end effector, T_F_EE (4, 4)."""
+    """Frames for Franka motion generators: kinematics of the arm with the configured end effector, T_F_EE (4,
+    4).
+    """
 
     kinematics: ArmKinematics
     T_F_EE: Array
 
     def pose(self, q: Array) -> Array:
-        """Return the end effector pose T_O_EE (4, 4) at joint positions q (7,)."""
+        """Return the Franka motion generator's end effector pose T_O_EE (4, 4) at joint positions q (7,)."""
         self.kinematics.at(q)
         return self.kinematics.flange() @ self.T_F_EE
 
@@ -77,7 +80,7 @@ class Frames:
 
 
 class Generator(Protocol):
-    """Interface of a motion generator; `step` advances the reference by 1 ms.
+    """Interface of an emulated Franka motion generator; `step` advances the reference by 1 ms.
 
     Attributes:
         cartesian: whether the commands are Cartesian, so that a client reads back a Cartesian reference.
@@ -88,7 +91,7 @@ class Generator(Protocol):
     patient: bool
 
     def step(self, command: RobotCommand | None) -> None:
-        """Advance the reference by one command; without a command (None), extrapolate.
+        """Advance the emulated Franka arm's reference by one command; without a command (None), extrapolate.
 
         Raises:
             Reflex: the command violates a limit.
@@ -100,7 +103,7 @@ def check_joints(
     limits: FrankaLimits, reference: Reference, q: Array, dq: Array, names: tuple[str, str, str, str],
     noise: float = QUANTUM,
 ) -> None:  # fmt: skip
-    """Check the next joint reference against the limits, then set it.
+    """Check an emulated Franka arm's next joint reference against the limits, then set it.
 
     Args:
         q, dq: next positions [rad] and velocities [rad/s] (7,).
@@ -191,7 +194,8 @@ class JointVelocity:
 
 
 class Interpolation:
-    """Motion generator for joint positions at a slow rate, between which the robot interpolates.
+    """Emulated Franka motion generator for joint positions at a slow rate, between which the robot
+    interpolates.
 
     This is Franka's asynchronous control.
     """
@@ -229,7 +233,7 @@ class Interpolation:
 
 
 class Cartesian:
-    """Motion generator for Cartesian poses or velocities of the end effector.
+    """Emulated Franka motion generator for Cartesian poses or velocities of the end effector.
 
     The elbow's angle resolves the pose to joint positions.
     """
@@ -294,7 +298,9 @@ class Cartesian:
                 raise Reflex("cartesian_motion_generator_acceleration_discontinuity", f"{change:.0f}")
 
     def _elbow(self, command: RobotCommand | None) -> float | None:
-        """Return the commanded angle of joint 3 [rad], or None if the robot chooses the angle."""
+        """Return Franka's commanded elbow: the angle of joint 3 [rad], or None if the robot chooses the
+        angle.
+        """
         if command is None or not command.valid_elbow:
             return None
         r, limits = self._reference, self._limits
@@ -310,7 +316,8 @@ class Cartesian:
         return angle
 
     def _resolve(self, T: Array, elbow: float | None) -> Array:
-        """Return joint positions (7,) near the current reference with the end effector at T.
+        """Return the Franka generator's joint positions (7,) near the current reference with the end effector
+        at T.
 
         The solution takes Newton steps; without an elbow angle, the joint motion has the least norm. Raises
         Reflex at a singularity.
@@ -337,7 +344,7 @@ class Cartesian:
 
 
 class Follow:
-    """Generator of torque-controlled motions: the reference follows the measured arm."""
+    """Emulated Franka generator of torque-controlled motions: the reference follows the measured arm."""
 
     cartesian = False
     patient = False
@@ -347,12 +354,12 @@ class Follow:
 
 
 def elbow_of(q: Array) -> Array:
-    """Return the elbow's configuration (2,): angle of joint 3 [rad], flip direction of joint 4."""
+    """Return a Franka arm's elbow configuration (2,): angle of joint 3 [rad], flip direction of joint 4."""
     return np.array([q[2], np.sign(q[3] - ELBOW_FLIP)])
 
 
 def _moved(T: Array, twist: Array) -> Array:
-    """Return a pose (4, 4) moved for one control period by a twist (6,) in the base frame."""
+    """Return the commanded Franka pose (4, 4) moved for one control period by a twist (6,) in the base frame."""
     moved = T.copy()
     moved[:3, 3] += twist[:3] * PERIOD
     moved[:3, :3] = rotation_exp(twist[3:] * PERIOD) @ T[:3, :3]

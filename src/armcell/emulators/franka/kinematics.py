@@ -21,7 +21,7 @@ T_LINK7_FLANGE = SE3.from_xyz_rpy((0.0, 0.0, 0.107))  # Franka's DH parameters: 
 
 
 def arm_joints(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the seven joints of a Franka arm.
+    """Return the seven joints of an emulated Franka arm.
 
     Raises:
         InputError: the group does not have seven revolute joints in a chain.
@@ -38,7 +38,7 @@ def arm_joints(model: RobotModel, group: str) -> tuple[str, ...]:
 
 
 class ArmKinematics:
-    """Forward kinematics and Jacobian of a Franka arm, in the frame of its base (O).
+    """Forward kinematics and Jacobian of an emulated Franka arm, in the frame of its base (O).
 
     Args:
         joints: the arm's joints, base to flange.
@@ -61,13 +61,13 @@ class ArmKinematics:
         self._jacobian = np.zeros((6, JOINTS))
 
     def at(self, q: ArrayLike) -> None:
-        """Compute all frames of the arm at joint positions q (7,) [rad]."""
+        """Compute all frames of the emulated Franka arm at joint positions q (7,) [rad]."""
         self._data.qpos[:] = q
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
 
     def flange(self) -> Array:
-        """Return the flange pose T_O_F (4, 4) at the last computed positions."""
+        """Return the emulated Franka arm's flange pose T_O_F (4, 4) at the last computed positions."""
         T = np.zeros((4, 4))
         T[:3, :3] = self._data.site_xmat.reshape(3, 3)
         T[:3, 3] = self._data.site_xpos[0]
@@ -75,7 +75,7 @@ class ArmKinematics:
         return T
 
     def jacobian(self, point: Array) -> Array:
-        """Return the Jacobian (6, 7), linear rows first, of a point of the last link.
+        """Return the emulated Franka arm's Jacobian (6, 7), linear rows first, of a point of the last link.
 
         The point is given in the base frame O [m].
         """
@@ -86,7 +86,9 @@ class ArmKinematics:
 
 
 def rotation_log(R: Array) -> Array:
-    """Return the rotation vector (3,) [rad] of a small rotation (3, 3); exact below pi."""
+    """Return the rotation vector (3,) [rad] of a small rotation (3, 3), for Franka kinematics; exact below
+    pi.
+    """
     axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
@@ -95,7 +97,7 @@ def rotation_log(R: Array) -> Array:
 
 
 def rotation_exp(w: Array) -> Array:
-    """Return the rotation (3, 3) of a rotation vector (3,) [rad]."""
+    """Return, for Franka kinematics, the rotation (3, 3) of a rotation vector (3,) [rad]."""
     angle = float(np.linalg.norm(w))
     K = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
     if angle < 1e-9:
@@ -104,7 +106,7 @@ def rotation_exp(w: Array) -> Array:
 
 
 def urdf(model: RobotModel, group: str, limits: FrankaLimits) -> str:
-    """Return the URDF that the robot sends to clients: the arm without its hand.
+    """Return the URDF that the emulated Franka robot sends to clients: the arm without its hand.
 
     Clients compute dynamics with it and read velocity limits from it, so every joint has
     `position_based_velocity_limits`.

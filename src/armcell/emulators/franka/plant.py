@@ -17,7 +17,7 @@ FILTER = 30.0  # [Hz] cutoff of the external torques' low-pass filter
 
 
 class FrankaPlant:
-    """Franka arm in a physics world, driven by joint torques at 1 kHz.
+    """Plant of an emulated Franka arm in a physics world, driven by joint torques at 1 kHz.
 
     Args:
         world: a world with `arm_control: "torque"` whose time step divides 1 ms.
@@ -48,7 +48,7 @@ class FrankaPlant:
         self.follow_reset()
 
     def reset(self) -> None:
-        """Reset the arm and all objects of the world to their initial state."""
+        """Reset the Franka plant's arm and all objects of the world to their initial state."""
         self.world.reset()
         self.follow_reset()
 
@@ -62,24 +62,27 @@ class FrankaPlant:
 
     # --- measurements ---
     def read(self) -> tuple[Array, Array]:
-        """Return measured joint positions [rad] and velocities [rad/s], each (7,)."""
+        """Return the Franka plant's measured joint positions [rad] and velocities [rad/s], each (7,)."""
         data = self.world._data
         return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
 
     def torques(self) -> Array:
-        """Return the measured joint torques (7,) [Nm], including the weight of the links."""
+        """Return the Franka plant's measured joint torques (7,) [Nm], including the weight of the links."""
         data = self.world._data
         return data.qfrc_actuator[self._dofs] + data.qfrc_gravcomp[self._dofs]
 
     def external(self) -> Array:
-        """Return the external torques (7,) [Nm]: measured torques minus the robot's own dynamics.
+        """Return the Franka plant's external torques (7,) [Nm]: measured torques minus the robot's own
+        dynamics.
 
         Forces of the robot on its environment are positive. The configured load is not subtracted.
         """
         return self._filtered
 
     def inertial_torque(self, acceleration: Array) -> Array:
-        """Return the joint torques (7,) [Nm] for accelerations [rad/s^2] of the arm and its hand."""
+        """Return the Franka plant's joint torques (7,) [Nm] for accelerations [rad/s^2] of the arm and its
+        hand.
+        """
         model, data = self.world.mj_model, self.world._data
         wanted, torque = np.zeros(model.nv), np.zeros(model.nv)
         wanted[self._dofs] = acceleration
@@ -87,30 +90,32 @@ class FrankaPlant:
         return torque[self._dofs]
 
     def coriolis(self) -> Array:
-        """Return the Coriolis and centrifugal torques (7,) [Nm] at the current state."""
+        """Return the Franka plant's Coriolis and centrifugal torques (7,) [Nm] at the current state."""
         data, dofs = self.world._data, self._dofs
         return data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs] - self._weight()
 
     def friction(self) -> Array:
-        """Return the torques (7,) [Nm] that compensate the joints' viscous friction."""
+        """Return the Franka plant's torques (7,) [Nm] that compensate the joints' viscous friction."""
         data, dofs = self.world._data, self._dofs
         return data.qfrc_gravcomp[dofs] - data.qfrc_passive[dofs]  # MuJoCo's passive forces have both
 
     def inertia(self) -> Array:
-        """Return the diagonal of the joint-space inertia matrix (7,) [kg m^2] at the current state."""
+        """Return the Franka plant's diagonal of the joint-space inertia matrix (7,) [kg m^2] at the current
+        state.
+        """
         model, data = self.world.mj_model, self.world.mj_data
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
         return np.diag(full)[self._dofs].copy()
 
     def _weight(self) -> Array:
-        """Return the torques (7,) [Nm] that carry the unknown payload."""
+        """Return the Franka plant's torques (7,) [Nm] that carry the unknown payload."""
         if not self._payload:
             return np.zeros(JOINTS)
         return self._tip_torque(-self._payload * np.asarray(self.world.settings.gravity))
 
     def _tip_torque(self, force: Array) -> Array:
-        """Return the joint torques (7,) [Nm] of a force (3,) [N] at the last link's center.
+        """Return the Franka plant's joint torques (7,) [Nm] of a force (3,) [N] at the last link's center.
 
         The force is in the world frame.
         """
@@ -120,7 +125,7 @@ class FrankaPlant:
         return jacobian[:, self._dofs].T @ force
 
     def load_torque(self, mass: float, center: Array) -> Array:
-        """Return the joint torques (7,) [Nm] that carry a mass [kg] at a point (3,) [m].
+        """Return the Franka plant's joint torques (7,) [Nm] that carry a mass [kg] at a point (3,) [m].
 
         The point is in the flange frame.
         """
@@ -131,7 +136,7 @@ class FrankaPlant:
         return self.kinematics.jacobian(at[:3, :3] @ center + at[:3, 3])[:3].T @ up
 
     def touched(self) -> list[tuple[str, str]]:
-        """Return the unexpected pairs of touching bodies since the last call.
+        """Return the Franka plant's unexpected contacts (body pairs) since the last call.
 
         The first body of each pair is a link of the arm.
         """
@@ -141,7 +146,7 @@ class FrankaPlant:
         return [p for p in pairs if p[0] in self.links]
 
     def contact(self) -> str:
-        """Return the bodies of the arm's strongest contact, such as "panda_hand on wall"."""
+        """Return the bodies of the emulated Franka arm's strongest contact, such as "panda_hand on wall"."""
         mine = [c for c in self.world.contacts() if self.links & {c.body_a, c.body_b}]
         if not mine:
             return "no contact"
@@ -150,11 +155,11 @@ class FrankaPlant:
 
     # --- commands ---
     def apply(self, torque: Array) -> None:
-        """Apply joint torques (7,) [Nm] in addition to gravity compensation."""
+        """Apply to the Franka plant joint torques (7,) [Nm] in addition to gravity compensation."""
         self.world.set_arm_torque(self.names, torque)
 
     def step(self) -> None:
-        """Advance the physics world by 1 ms."""
+        """Advance the Franka plant's physics world by 1 ms."""
         body = self.world.built.body[self._tip]
         self.world._data.xfrc_applied[body, :3] = self.push
         self.world.step(self._steps)
@@ -167,20 +172,22 @@ class FrankaPlant:
 
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:
-        """Move the joints to other positions (7,) [rad], as a person guiding the arm would."""
+        """Displace the Franka plant's joints to other positions (7,) [rad], as a person guiding the arm
+        would.
+        """
         positions = np.array(self.world.joint_state().positions)
         positions[self.world.robot.columns(self.names)] = q
         self.world.set_positions(np.clip(positions, self.world.robot.lower, self.world.robot.upper))
 
     def payload(self, mass: float) -> None:
-        """Attach a mass [kg] to the last link without the controller's knowledge."""
+        """Attach a mass [kg] to the Franka plant's last link without the controller's knowledge."""
         self.world.add_load(self._tip, mass)
         self._payload += mass
 
     def block(self, joint: int) -> None:
-        """Block a joint (0 to 6) at its position against any torque."""
+        """Block a joint (0 to 6) of the Franka plant at its position against any torque."""
         self.world.block(self.names[joint])
 
     def offset(self, joint: int, angle: float) -> None:
-        """Add an error [rad] to a joint's measured position, like a wrong encoder zero."""
+        """Add an error [rad] to a Franka plant joint's measured position, like a wrong encoder zero."""
         self._offset[joint] = angle

@@ -57,7 +57,7 @@ GUIDING_DAMPING = 2.0  # [Nm s/rad]
 
 @dataclass(eq=False)
 class Motion:
-    """Running motion of the emulated arm."""
+    """Running motion of the emulated Franka arm."""
 
     request: MoveRequest
     answer: Callable[[MoveStatus], None]
@@ -107,7 +107,7 @@ class Robot:
         self.frames = Frames(self.plant.kinematics, self.F_T_EE)
 
     def measure(self) -> None:
-        """Update the measured state of the arm from physics."""
+        """Update the emulated Franka robot's measured state from physics."""
         self.q, self.dq = (x.copy() for x in self.plant.read())
         self.O_T_EE_d = self.frames.pose(self.reference.q)
         self.O_T_EE, J = self.frames.pose_and_jacobian(self.q)
@@ -122,7 +122,7 @@ class Robot:
         self.K_F_K = np.concatenate([R @ self.O_F_K[:3], R @ self.O_F_K[3:]])
 
     def load_torque(self) -> Array:
-        """Return the joint torques (7,) [Nm] that carry the configured load."""
+        """Return the emulated Franka robot's joint torques (7,) [Nm] that carry the configured load."""
         if self.load.mass == 0.0:
             return np.zeros(JOINTS)
         torque = self.plant.load_torque(self.load.mass, self.load.center)
@@ -131,7 +131,9 @@ class Robot:
 
     # --- one millisecond ---
     def step(self, commands: Sequence[RobotCommand]) -> None:
-        """Run one control cycle of the arm with the commands that have arrived since the last one."""
+        """Run one control cycle of the emulated Franka arm with the commands that have arrived since the last
+        one.
+        """
         command = next((c for c in reversed(commands) if c.time == self.time), None)
         self.time += 1
         self._end_recovery()
@@ -198,7 +200,7 @@ class Robot:
         self._commanded_torque = torque
 
     def _finish_command(self, motion: Motion) -> None:
-        """End a motion because the client declared it finished.
+        """End an emulated Franka motion because the client declared it finished.
 
         Position and velocity commands must be at rest by then.
         """
@@ -233,7 +235,9 @@ class Robot:
         return torque + self.load_torque()
 
     def _supervise(self) -> None:
-        """Check the measured state of the arm against the limits; raise Reflex at a violation."""
+        """Check the measured state of the emulated Franka arm against the limits; raise Reflex at a
+        violation.
+        """
         accelerating = bool(np.any(np.abs(self.reference.ddq) > MOVING))
         kind = "_acceleration" if accelerating else ""
         torque, force = np.abs(self.tau_ext), np.abs(self.K_F_K)
@@ -270,13 +274,15 @@ class Robot:
             raise Reflex("max_path_pose_deviation_violation", f"{off:.4f} m, {turned:.4f} rad")
 
     def outside_limits(self) -> bool:
-        """Return whether a joint of the arm is beyond its position limits."""
+        """Return whether a joint of the emulated Franka arm is beyond its position limits."""
         low, high = self.limits.lower - LIMIT_MARGIN, self.limits.upper + LIMIT_MARGIN
         return bool(np.any((self.q < low) | (self.q > high)))
 
     # --- motions ---
     def move(self, request: MoveRequest, answer: Callable[[MoveStatus], None]) -> None:
-        """Start a motion; `answer` is called when the motion starts, and again when it ends."""
+        """Start a motion of the emulated Franka arm; `answer` is called when the motion starts, and again
+        when it ends.
+        """
         if self.mode is not RobotMode.IDLE or self.motion is not None:
             answer(MoveStatus.NOT_POSSIBLE)
             return
@@ -319,7 +325,7 @@ class Robot:
             motion.answer(status)
 
     def stop(self) -> StopStatus:
-        """Stop the running motion by the client's Stop command."""
+        """Stop the emulated Franka arm's motion by the client's Stop command."""
         if self.motion is not None:
             if isinstance(self.motion.generator, Follow):
                 self._follow()
@@ -331,7 +337,7 @@ class Robot:
         self._brake = Brake(self.reference, np.full(JOINTS, STOP_DECELERATION))
 
     def abort(self, reflex: Reflex, status: MoveStatus = MoveStatus.REFLEX_ABORTED) -> None:
-        """End the running motion with an error and bring the arm to rest."""
+        """End the emulated Franka arm's motion with an error and bring the arm to rest."""
         if self.mode in (RobotMode.REFLEX, RobotMode.USER_STOPPED, RobotMode.OTHER):
             return
         self.announce(f"reflex: {reflex}")
@@ -344,7 +350,7 @@ class Robot:
         self._finish(status)
 
     def recover(self, answer: Callable[[RecoveryStatus], None]) -> None:
-        """Clear the errors by the client's command, unless a person must clear them.
+        """Clear the emulated Franka robot's errors by the client's command, unless a person must clear them.
 
         The recovery takes `RECOVERY` ms.
         """
@@ -379,7 +385,7 @@ class Robot:
 
     # --- the operator ---
     def user_stop(self, pressed: bool) -> None:
-        """Press or release the user stop."""
+        """Press or release the user stop of the emulated Franka robot."""
         if pressed and self.mode is not RobotMode.USER_STOPPED:
             self.announce("user stop pressed")
             self.mode = RobotMode.USER_STOPPED
@@ -392,7 +398,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def brakes(self, locked: bool) -> None:
-        """Lock or unlock the arm's brakes, as an operator does in Desk."""
+        """Lock or unlock the emulated Franka arm's brakes, as an operator does in Desk."""
         if locked:
             self._slow_down()
             self._finish(MoveStatus.ABORTED)
@@ -402,7 +408,9 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def guide(self, on: bool) -> None:
-        """Press or release the enabling button, with which a person guides the arm by hand."""
+        """Press or release the emulated Franka robot's enabling button, with which a person guides the arm by
+        hand.
+        """
         if on and self.mode is RobotMode.IDLE:
             self.mode = RobotMode.GUIDING
         elif not on and self.mode is RobotMode.GUIDING:
@@ -410,12 +418,14 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def displace(self, q: ArrayLike) -> None:
-        """Put the arm at joint positions (7,) [rad] at once."""
+        """Put the emulated Franka arm at joint positions (7,) [rad] at once."""
         self.plant.displace(q)
         self.follow_reset()
 
     def follow_reset(self) -> None:
-        """Continue at rest from the plant's state after the plant was reset or displaced."""
+        """Let the emulated Franka robot continue at rest from the plant's state after the plant was reset or
+        displaced.
+        """
         self._finish(MoveStatus.ABORTED)
         self._brake = None
         self.errors.clear()
@@ -433,11 +443,15 @@ class Robot:
     # --- parameters ---
     @property
     def may_set(self) -> SetterStatus:
-        """Return whether clients may set parameters now, which is forbidden during a motion."""
+        """Return whether clients may set the emulated Franka robot's parameters now, which is forbidden
+        during a motion.
+        """
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
-        """Set the load: mass [kg], center (3,) [m] in the flange frame, inertia (9,) [kg m^2]."""
+        """Set the emulated Franka robot's load: mass [kg], center (3,) [m] in the flange frame, inertia (9,)
+        [kg m^2].
+        """
         center, inertia = np.asarray(center, dtype=float), np.asarray(inertia, dtype=float)
         tensor = inertia.reshape(3, 3)
         heavy = mass + (wire_limits.HAND_MASS if self.plant.hand else 0.0) > wire_limits.MAX_LOAD
@@ -449,7 +463,7 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_frame(self, name: str, values: Sequence[float]) -> SetterStatus:
-        """Set the frame NE_T_EE or EE_T_K from 16 column-major numbers."""
+        """Set the emulated Franka robot's frame NE_T_EE or EE_T_K from 16 column-major numbers."""
         T = np.array(values).reshape(4, 4).T
         valid = np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-4) and np.linalg.det(T[:3, :3]) > 0
         if not valid or not np.allclose(T[3], (0, 0, 0, 1)):
@@ -459,7 +473,7 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_stiffness(self, joint: bool, values: Sequence[float]) -> SetterStatus:
-        """Set the joint (7) or Cartesian (6) stiffness, within Franka's limits.
+        """Set the emulated Franka robot's joint (7) or Cartesian (6) stiffness, within Franka's limits.
 
         Units are [Nm/rad] for joints and rotations, and [N/m] for translations.
         """
@@ -475,7 +489,9 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_thresholds(self, values: Sequence[float]) -> SetterStatus:
-        """Set the 52 contact and collision thresholds in the order of SetCollisionBehavior."""
+        """Set the emulated Franka robot's 52 contact and collision thresholds in the order of
+        SetCollisionBehavior.
+        """
         numbers = np.array(values)
         names = ("lower_acceleration", "upper_acceleration", "lower", "upper")
         if np.any(numbers < 0.0):

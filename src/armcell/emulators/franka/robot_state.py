@@ -12,7 +12,7 @@ from armcell.emulators.franka.robot import Robot
 
 
 class StateWriter:
-    """Writer that fills one message buffer with a robot's state."""
+    """Writer that fills one message buffer with an emulated Franka robot's state."""
 
     def __init__(self, robot: Robot):
         self._robot, self._message = robot, StateMessage()
@@ -24,7 +24,7 @@ class StateWriter:
             m["I_ee"] = np.diag(wire_limits.HAND_INERTIA).ravel()
 
     def write(self) -> bytes:
-        """Return the robot state message of the current millisecond."""
+        """Write the emulated Franka arm's state: return the message of the current millisecond."""
         r, m = self._robot, self._message
         reference, motion = r.reference, r.motion
         cartesian = motion is not None and motion.generator.cartesian

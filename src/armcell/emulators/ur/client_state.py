@@ -30,7 +30,7 @@ _REALTIME = (
 
 
 class ClientState:
-    """Encoder of one emulated robot's state messages."""
+    """Encoder of an emulated UR robot's state messages for its clients."""
 
     def __init__(self, robot: Robot):
         self._robot, self._read = robot, outputs_of(robot)
@@ -49,7 +49,7 @@ class ClientState:
         return struct.pack(">i", 4 + 8 * self._doubles) + values[: self._doubles].tobytes()
 
     def primary(self) -> bytes:
-        """Return a robot state message with every package that this controller model sends."""
+        """Return the emulated UR's primary state message with every package that this controller model sends."""
         r = self._robot
         rows = zip(
             *(self._six(name) for name in ("actual_q", "target_q", "actual_qd", "actual_current")),

@@ -24,7 +24,8 @@ RISE = 0.05  # [s] time constant of the speed's response to the force
 
 @dataclass
 class Compliance:
-    """Compliant mode: a task frame with its compliant axes and the parameters of their motion.
+    """Compliant mode of an emulated UR arm: a task frame with its compliant axes and the parameters of their
+    motion.
 
     Attributes:
         T_base_task: (4, 4); None: the tool's frame.
@@ -44,11 +45,11 @@ class Compliance:
     _speed: Array = field(default_factory=lambda: np.zeros(6))
 
     def keep_speed(self, before: Compliance) -> None:
-        """Continue with the speed of a previous force mode, so that new parameters cause no jump."""
+        """Continue force mode with the speed of a previous force mode, so that new parameters cause no jump."""
         self._speed = before._speed
 
     def apply(self, s: Setpoint, q: Array, felt: Array, dt: float) -> tuple[Array, Array]:
-        """Return the joint targets (6,) and speeds (6,) of one step with compliance.
+        """Return the emulated UR's joint targets (6,) and speeds (6,) of one step with compliance.
 
         The program targets q without compliance.
 
@@ -95,7 +96,8 @@ def force_mode(
 
 
 def _turned(frame: Array, direction: Array, axis: int) -> Array:
-    """Return a frame rotated by the smallest angle such that an axis points along a direction.
+    """Return a compliant mode's frame rotated by the smallest angle such that an axis points along a
+    direction.
 
     A zero direction leaves the frame unchanged.
     """

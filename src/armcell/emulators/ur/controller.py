@@ -51,7 +51,7 @@ class ControllerSettings:
 
 
 def factory_calibration(model: UrModel, seed: int | None, serial: str = "") -> Kinematics:
-    """Return the geometry of an emulated robot: nominal, or with random manufacturing errors.
+    """Return the geometry of an emulated UR robot: nominal, or with random manufacturing errors.
 
     The tolerances are about 1 mm and 1 mrad.
 
@@ -102,11 +102,13 @@ class UrController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether an RTDE client is connected, or disconnected only by an injected fault."""
+        """Return whether the emulated UR controller has an RTDE client, or disconnected only by an injected
+        fault.
+        """
         return self._rtde.clients > 0 or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
-        """Run one control step of the URScript program, the plant and the ports."""
+        """Run one control step of the emulated UR controller: the URScript program, the plant and the ports."""
         self._external.step()
         self.robot.before_step()
         self.robot.plant.step(self.robot.period)
@@ -127,7 +129,7 @@ class UrController:
 
 
 class Rack(emulators.Rack[UrController]):
-    """Several emulated UR controllers in one thread; those with physics share one world.
+    """Rack of several emulated UR controllers in one thread; those with physics share one world.
 
     Args:
         trace: file for records in the format `TRACE`.

@@ -25,14 +25,14 @@ SILENCE = 0.3  # [s] without another byte before the text counts as complete
 
 @dataclass(frozen=True)
 class RemoteHost:
-    """Address of the script sender, as entered on the installation page of the URCap."""
+    """Address of External Control's script sender, as entered on the installation page of the URCap."""
 
     address: str
     port: int = SCRIPT_SENDER
 
     @staticmethod
     def parse(text: str) -> RemoteHost:
-        """Parse the address of a script sender: ADDRESS or ADDRESS:PORT.
+        """Parse the address of the URCap External Control's script sender: ADDRESS or ADDRESS:PORT.
 
         Raises:
             InputError: the text has neither form.
@@ -64,7 +64,8 @@ class ExternalControl:
         return True
 
     def play(self) -> bool:
-        """Request the program text from the remote host; return False if the request fails.
+        """Request the program text of External Control from the remote host; return False if the request
+        fails.
 
         The program starts when its text has arrived.
         """
@@ -87,13 +88,13 @@ class ExternalControl:
         return True
 
     def stop(self) -> None:
-        """Stop waiting for the program text that was requested from the remote host."""
+        """Stop External Control's wait for the program text that was requested from the remote host."""
         if self._link is not None:
             self._link.close()
             self._link = None
 
     def step(self) -> None:
-        """Receive the requested program text and start the program when the text is complete.
+        """Receive External Control's program text and start the program when the text is complete.
 
         Call this method once per control step.
         """

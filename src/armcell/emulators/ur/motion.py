@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 
 
 class MotionFault(ArmcellError):
-    """Error for a motion that the arm cannot execute; it causes a protective stop."""
+    """Error for a motion that the emulated UR arm cannot execute; it causes a protective stop."""
 
 
 class Setpoint:
-    """Commanded joint positions and speeds of the emulated arm, with its limits and TCP."""
+    """Commanded joint positions and speeds of the emulated UR arm, with its limits and TCP."""
 
     def __init__(self, model: UrModel, dh: Kinematics, q: ArrayLike):
         self.model, self.dh = model, dh
@@ -35,13 +35,13 @@ class Setpoint:
         self.v_max = np.array(model.velocity)
 
     def resting_at(self, q: ArrayLike) -> Setpoint:
-        """Return a setpoint of this arm at rest at other joint positions (6,) [rad]."""
+        """Return an emulated UR arm's setpoint at rest at other joint positions (6,) [rad]."""
         other = Setpoint(self.model, self.dh, q)
         other.tcp, other.v_max = self.tcp, self.v_max
         return other
 
     def towards(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
-        """Return the joint target after one step toward a velocity within the arm's limits.
+        """Return the emulated UR arm's joint target after one step toward a velocity within the arm's limits.
 
         Args:
             v_wanted: joint velocities (6,) [rad/s].
@@ -55,7 +55,7 @@ class Setpoint:
 
 
 class StopJ:
-    """Proportional stop of all joints; the fastest joint decelerates at `a` [rad/s^2]."""
+    """URScript's stopj: proportional stop of all joints; the fastest joint decelerates at `a` [rad/s^2]."""
 
     def __init__(self, a: float):
         self.a, self.done = max(float(a), 0.1), False
@@ -69,7 +69,7 @@ class StopJ:
 
 
 class StopL(StopJ):
-    """Stop with a tool deceleration of `a` [m/s^2]; all joints slow down in proportion."""
+    """URScript's stopl: stop with a tool deceleration of `a` [m/s^2]; all joints slow down in proportion."""
 
     def __init__(self, a: float, s: Setpoint):
         tool = float(np.linalg.norm((jacobian(s.dh, s.q) @ s.v)[:3]))
@@ -78,7 +78,7 @@ class StopL(StopJ):
 
 
 class _Along:
-    """Motion along a path with a trapezoidal speed profile; a moving arm first comes to rest.
+    """Emulated UR motion along a path with a trapezoidal speed profile; a moving arm first comes to rest.
 
     Attributes:
         near: True once the tool is within the blend radius of the goal; the next motion may take over.
@@ -98,7 +98,9 @@ class _Along:
         self._stop: StopJ | None = StopJ(8.0)
 
     def advance(self, s: Setpoint, dt: float) -> tuple[Array, Array] | float:
-        """Return the path fraction (0..1), or the arm's braking step while the arm still moves."""
+        """Return the emulated UR motion's path fraction (0..1), or the arm's braking step while the arm still
+        moves.
+        """
         if self._stop is not None:
             if np.abs(s.v).max() > 1e-6 and not s.compliant:
                 return self._stop.step(s, dt)
@@ -117,7 +119,7 @@ class _Along:
         return 1.0 - 0.5 * peak * (total - t) ** 2 / rise
 
     def begin(self, s: Setpoint) -> None:
-        """Start the path at the arm's current setpoint; called when the arm is at rest."""
+        """Start the emulated UR motion's path at the arm's current setpoint; called when the arm is at rest."""
 
 
 class MoveJ(_Along):
@@ -134,7 +136,7 @@ class MoveJ(_Along):
         self._start = s.q.copy()
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal of the motion."""
+        """Return movej's joint positions (6,) [rad] at the goal of the motion."""
         return self.goal
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -146,7 +148,7 @@ class MoveJ(_Along):
 
 
 class MoveL(_Along):
-    """Motion of the tool along a straight line."""
+    """URScript's movel: motion of the emulated tool along a straight line."""
 
     name = "straight line"
 
@@ -157,7 +159,7 @@ class MoveL(_Along):
         super().__init__(self.measure(), v, a, seconds)
 
     def measure(self) -> float:
-        """Return the length of the path [m]; a rotation of 1 rad counts as 0.3 m."""
+        """Return the length of movel's path [m]; a rotation of 1 rad counts as 0.3 m."""
         distance, angle = self._from.distance_to(self._goal)
         return max(distance, 0.3 * angle)
 
@@ -166,14 +168,14 @@ class MoveL(_Along):
         self._last = s.q
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal that are nearest to the last ones."""
+        """Return movel's joint positions (6,) [rad] at the goal that are nearest to the last ones."""
         q = inverse(s.dh, self._goal.matrix, self._last, s.tcp, iterations=100)
         if q is None:
             raise MotionFault(f"the {self.name} leaves the arm's reach")
         return q
 
     def pose(self, reached: float) -> SE3:
-        """Return T_base_tcp at a fraction (0..1) of the straight path."""
+        """Return T_base_tcp at a fraction (0..1) of movel's straight path."""
         return self._from.interpolate(self._goal, reached)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -192,7 +194,7 @@ class MoveL(_Along):
 
 
 class MoveC(MoveL):
-    """Tool motion along a circular arc through a via point.
+    """URScript's movec: tool motion along a circular arc through a via point.
 
     The orientation is interpolated between start and goal, or stays fixed relative to the arc.
     """
@@ -206,7 +208,7 @@ class MoveC(MoveL):
         super().__init__(s, goal, a, v)
 
     def measure(self) -> float:
-        """Compute the arc and return its length [m].
+        """Compute movec's arc and return its length [m].
 
         Raises:
             MotionFault: start, via point and end are collinear.
@@ -235,13 +237,13 @@ class MoveC(MoveL):
 
 
 def _turn(a: Array, b: Array, axis: Array) -> float:
-    """Return the angle (0..2 pi) [rad] from vector a to vector b about an axis."""
+    """Return the angle (0..2 pi) [rad] from vector a to vector b about an axis, for movec's arc."""
     angle = float(np.arctan2(np.cross(a, b) @ axis, a @ b))
     return angle if angle > 0 else angle + 2.0 * np.pi
 
 
 class Blended:
-    """Superposition of two motions: the first ends while the second has already begun.
+    """Blend (superposition) of two emulated UR motions: the first ends while the second has already begun.
 
     The offset of the first motion from its goal decays as that motion ends, so speeds stay continuous and
     the tool passes the goal within about the blend radius.
@@ -260,7 +262,7 @@ class Blended:
         self.near, self.done = False, False
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the second motion's goal."""
+        """Return a blended UR motion's joint positions (6,) [rad] at the second motion's goal."""
         return self._next.end(s)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -273,7 +275,7 @@ class Blended:
 
 
 class TrackL:
-    """Tool motion to a pose at constant speed, without slowing before it (movep, servoc).
+    """Emulated UR tool motion to a pose at constant speed, without slowing before it (movep, servoc).
 
     Attributes:
         near: True within the blend radius of the pose, where the next motion may take over.
@@ -286,7 +288,7 @@ class TrackL:
         self.done, self.near = False, False
 
     def settle(self) -> None:
-        """Stop tracking at the pose with zero speed, because no motion follows."""
+        """Stop movep's or servoc's tracking at the pose with zero speed, because no motion follows."""
         self._blend = 0.0
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -311,7 +313,7 @@ class TrackL:
 
 
 class Torque:
-    """Motion driven by joint torques in addition to gravity compensation.
+    """Emulated UR motion driven by joint torques in addition to gravity compensation.
 
     The arm's dynamics determine the acceleration.
     """
@@ -336,7 +338,8 @@ class Torque:
 
 
 class ServoJ:
-    """Tracking of a moving joint target, smoothed over about lookahead * 300 / gain seconds.
+    """URScript's servoj: tracking of a moving joint target, smoothed over about lookahead * 300 / gain
+    seconds.
 
     The arm's limits apply.
     """
@@ -359,7 +362,9 @@ class ServoJ:
 
 
 class SpeedJ:
-    """Joint motion at constant velocities [rad/s], reached with acceleration `a` [rad/s^2]."""
+    """URScript's speedj: joint motion at constant velocities [rad/s], reached with acceleration `a`
+    [rad/s^2].
+    """
 
     done = False
 
@@ -373,7 +378,7 @@ class SpeedJ:
 
 
 class SpeedL(SpeedJ):
-    """Tool motion at constant velocity [m/s, rad/s, base frame], reached at `a` [m/s^2]."""
+    """URScript's speedl: tool motion at constant velocity [m/s, rad/s, base frame], reached at `a` [m/s^2]."""
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
         J = jacobian(s.dh, s.q, forward(s.dh, s.q, s.tcp)[:3, 3])

@@ -9,7 +9,7 @@ from armcell.drivers.ur.wire.modes import SafetyMode
 
 @dataclass(frozen=True)
 class Text:
-    """Notice of a text message that a program sent with `textmsg`."""
+    """Notice of a text message that a URScript program sent with `textmsg`."""
 
     text: str
 
@@ -30,7 +30,7 @@ class ProgramState:
 
 @dataclass(frozen=True)
 class ScriptFault:
-    """Notice that a program failed to compile or was ended by an error.
+    """Notice that a URScript program failed to compile or was ended by an error.
 
     Attributes:
         line, column: position in the script's text, from 1.
@@ -48,7 +48,7 @@ class ScriptFault:
 
 @dataclass(frozen=True)
 class Popup:
-    """Notice of a popup message that the controller shows on the pendant."""
+    """Notice of a popup message that the emulated UR controller shows on the pendant."""
 
     text: str
     title: str = "Popup"
@@ -61,7 +61,7 @@ class Popup:
 
 @dataclass(frozen=True)
 class SafetyChange:
-    """Notice of a change of the controller's safety mode."""
+    """Notice of a change of the emulated UR controller's safety mode."""
 
     mode: SafetyMode
 

@@ -20,7 +20,7 @@ SERVO_LAG = 0.008  # [s] approximate lag of a UR's joints behind their target
 
 
 class Plant(Protocol):
-    """Interface of one arm's simulated joints and gripper.
+    """Plant interface: one emulated UR arm's simulated joints and gripper.
 
     Attributes:
         resets: number of resets to the start.
@@ -29,30 +29,35 @@ class Plant(Protocol):
     resets: int
 
     def reset(self) -> None:
-        """Reset the joints to their initial state, and the whole world if several arms share one."""
+        """Reset an emulated UR arm's joints to their initial state, and the whole world if several arms share
+        one.
+        """
         ...
 
     def read(self) -> tuple[Array, Array, Array]:
-        """Return joint positions [rad], velocities [rad/s] and efforts [Nm], each (6,)."""
+        """Return the UR plant's joint positions [rad], velocities [rad/s] and efforts [Nm], each (6,)."""
         ...
 
     def command(self, q: Array, v: Array, period: float) -> None:
-        """Set joint targets for one control period [s] from now: positions and velocities (6,)."""
+        """Set the UR plant's joint targets for one control period [s] from now: positions and velocities
+        (6,).
+        """
         ...
 
     def step(self, dt: float) -> None:
-        """Advance the simulation by a control period [s]; several arms in one world share the time.
+        """Advance the UR plant's simulation by a control period [s]; several arms in one world share the
+        time.
 
         Each of n arms advances the world by 1/n of the period.
         """
         ...
 
     def displace(self, q: ArrayLike) -> None:
-        """Move the joints to other positions, as a person moving the arm by hand would."""
+        """Displace the UR plant's joints to other positions, as a person moving the arm by hand would."""
         ...
 
     def contact(self, hand: bool = True) -> str | None:
-        """Return a description of an unexpected contact of the arm since the last call, or None.
+        """Return a description of an unexpected contact of the emulated UR arm since the last call, or None.
 
         Args:
             hand: whether contacts of the hand count.
@@ -60,14 +65,14 @@ class Plant(Protocol):
         ...
 
     def wrench(self) -> tuple[Array, Array, Array]:
-        """Return the contact force [N] and torque [Nm] on the hand, and the reference point [m].
+        """Return the UR plant's contact force [N] and torque [Nm] on the hand, and the reference point [m].
 
         All three are (3,) vectors in the base frame.
         """
         ...
 
     def drive_gripper(self, opening: float, force: float) -> None:
-        """Move the gripper to an opening with a limited force.
+        """Move the UR plant's gripper to an opening with a limited force.
 
         Args:
             opening: 0..1 of the largest opening; 0 grasps.
@@ -76,11 +81,11 @@ class Plant(Protocol):
         ...
 
     def gripper(self) -> tuple[float, bool]:
-        """Return the gripper's opening (0..1 of the largest) and whether it holds an object."""
+        """Return the UR plant's gripper opening (0..1 of the largest) and whether it holds an object."""
         ...
 
     def object_pose(self, name: str) -> list[float]:
-        """Return an object's world pose: x, y, z [m] and rotation vector [rad].
+        """Return from the UR plant an object's world pose: x, y, z [m] and rotation vector [rad].
 
         Raises:
             ValueError: no object has this name.
@@ -89,7 +94,7 @@ class Plant(Protocol):
 
 
 class KinematicPlant:
-    """Simulated joints that follow their targets with a UR's servo lag, without physics."""
+    """UR plant without physics: joints that follow their targets with a UR's servo lag."""
 
     def __init__(self, q: ArrayLike):
         self._start = np.array(q, dtype=float)
@@ -134,7 +139,7 @@ class KinematicPlant:
 
 
 class SharedWorld:
-    """Physics world with one or several arms, each driven by its own emulated controller.
+    """Physics world of UR plants with one or several arms, each driven by its own emulated controller.
 
     Between two commands of a controller, joint targets are interpolated linearly, as in a real drive.
     """
@@ -145,13 +150,13 @@ class SharedWorld:
         self._owed = 0.0  # [s]
 
     def reset(self) -> None:
-        """Reset all arms and objects of the world to their initial state."""
+        """Reset all arms and objects of the UR plants' shared world to their initial state."""
         self.world.reset()
         for plant in self.plants:
             plant.follow_reset()
 
     def advance(self, dt: float) -> None:
-        """Advance the physics world by `dt` [s]; a remainder below one time step is carried over."""
+        """Advance the UR plants' shared world by `dt` [s]; a remainder below one time step is carried over."""
         self._owed += dt
         step = self.world.timestep
         while self._owed >= step - 1e-9:
@@ -162,7 +167,7 @@ class SharedWorld:
 
 
 class WorldPlant:
-    """Arm of a physics world, with its gripper, for an emulated controller."""
+    """UR plant: an arm of a physics world, with its gripper, for an emulated UR controller."""
 
     def __init__(self, shared: SharedWorld, group: str):
         self._shared, self.world = shared, shared.world
@@ -183,7 +188,7 @@ class WorldPlant:
         self._shared.reset()
 
     def follow_reset(self) -> None:
-        """Resume from the initial state after the shared world was reset."""
+        """Let the UR plant resume from the initial state after the shared world was reset."""
         self.resets += 1
         self._seen, self._force = 0, 0.0
         self._rest()
@@ -212,7 +217,7 @@ class WorldPlant:
         return self._from + share * (self._to - self._from)
 
     def aim(self, time: float) -> None:
-        """Set the arm's joint targets in the physics world, interpolated for a world time [s]."""
+        """Set a UR plant's joint targets in the physics world, interpolated for a world time [s]."""
         over = time > self._begun + 1.5 * self._span  # no new command: hold the target
         self.world.set_arm_target(self._names, self._aimed(time), np.zeros(6) if over else self._speed)
 

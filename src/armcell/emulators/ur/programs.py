@@ -13,7 +13,7 @@ from armcell.emulators.ur.urscript import Machine, ScriptError
 
 
 def run_command(robot: Robot, text: str) -> bool:
-    """Execute a text command of a client that is not URScript, such as `stop program`.
+    """Execute a client's text command to the emulated UR robot that is not URScript, such as `stop program`.
 
     Returns:
         False if the text is not a command.
@@ -38,7 +38,8 @@ def run_command(robot: Robot, text: str) -> bool:
 
 
 def run_script(robot: Robot, network: Network, text: str, name: str = "") -> bool:
-    """Compile and start a URScript program, which replaces a running program.
+    """Compile and start a client's URScript program on the emulated UR robot, which replaces a running
+    program.
 
     A secondary program runs beside the running program. If the text does not compile, the robot reports the
     error as a pendant does, and the running program ends as well.

@@ -82,7 +82,7 @@ class Robot:
 
     # --- time ---
     def before_step(self) -> None:
-        """Run the program and the motion for one control step, and command the plant."""
+        """Run the emulated UR robot's program and the motion for one control step, and command the plant."""
         self.time += self.period
         if self.plant.resets != self._resets:
             self._follow_reset()
@@ -140,7 +140,7 @@ class Robot:
         self._let_go(motion)
 
     def _choose_motion(self) -> float:
-        """Replace the running motion by a stop if necessary; return its time in this step [s]."""
+        """Replace the emulated UR robot's motion by a stop if necessary; return its time in this step [s]."""
         dt, s = self.period * self.scaling, self.setpoint
         if self.safety not in MAY_MOVE:
             self.comply(None)
@@ -151,7 +151,9 @@ class Robot:
         return self.period if isinstance(self.motion, StopJ) else dt  # the slider does not slow a stop
 
     def _targets(self, dt: float) -> tuple[Array, Array]:
-        """Return the joint targets (positions and speeds, each (6,)) at the end of a control step."""
+        """Return the emulated UR robot's joint targets (positions and speeds, each (6,)) at the end of a
+        control step.
+        """
         s = self.setpoint
         q, v = (s.q, np.zeros(6)) if self.motion is None else self.motion.step(s, dt)
         if self.compliance is None:
@@ -160,7 +162,7 @@ class Robot:
         return self.compliance.apply(s, q, self.felt(), self.period if by_hand else max(dt, 1e-9))
 
     def _let_go(self, motion: Motion | None) -> None:
-        """End a motion, such as servoj or speedj, that the program no longer renews."""
+        """End an emulated UR robot's motion, such as servoj or speedj, that the program no longer renews."""
         if self.runtime in (RuntimeState.PLAYING, RuntimeState.PAUSING) or self.machine is None:
             self._unused_for = 0 if self._motion_used else self._unused_for + 1
         unused = not self._motion_used and self.scaling > 0
@@ -171,7 +173,7 @@ class Robot:
             self.motion = StopJ(8.0)
 
     def after_step(self) -> None:
-        """Update the robot's state from the plant after the plant's step."""
+        """Update the emulated UR robot's state from the plant after the plant's step."""
         speeds = self.plant.read()[1]
         self.actual_qdd, self._speeds = (speeds - self._speeds) / self.period, np.array(speeds)
         detecting = self.time < self.detecting
@@ -184,7 +186,7 @@ class Robot:
         self.digital_in = (self.digital_in & ~(1 << TOOL_INPUT_HOLDS)) | (int(holds) << TOOL_INPUT_HOLDS)
 
     def _follow_reset(self) -> None:
-        """Restart the robot at the plant's state after the plant was reset."""
+        """Restart the emulated UR robot at the plant's state after the plant was reset."""
         self._resets = self.plant.resets
         self.end_program()
         self.unlock()
@@ -194,17 +196,18 @@ class Robot:
         self.popup("the arm and its world are back at their start")
 
     def start(self, motion: Motion) -> None:
-        """Start a motion that the program requests."""
+        """Start a motion that the emulated UR robot's program requests."""
         if self.mode is not RobotMode.RUNNING:
             raise ProgramError("the robot is not running (power on, brake release)")
         self.motion, self._motion_used = motion, True
 
     def keep(self) -> None:
-        """Mark the running motion as in use, because the program still waits for its end."""
+        """Mark the emulated UR robot's motion as in use, because the program still waits for its end."""
         self._motion_used = True
 
     def comply(self, compliance: Compliance | None) -> None:
-        """Start a compliant mode, in which forces move the tool along some axes, or end it (None).
+        """Start the emulated UR robot's compliant mode, in which forces move the tool along some axes, or end
+        it (None).
 
         Raises:
             ProgramError: the robot is not running.
@@ -216,11 +219,13 @@ class Robot:
     # --- program ---
     @property
     def may_run(self) -> bool:
-        """Return whether a program may start: the robot runs, and its safety mode permits motion."""
+        """Return whether a program may start on the emulated UR robot, which runs, and its safety mode
+        permits motion.
+        """
         return self.mode is RobotMode.RUNNING and self.safety in MAY_MOVE
 
     def run(self, machine: Machine) -> None:
-        """Start a URScript program, after ending the running program."""
+        """Start a URScript program on the emulated UR robot, after ending the running program."""
         self.end_program()
         if not self.may_run:
             self.popup(f"program not started: {self.mode.name}, {self.safety.name}")
@@ -230,7 +235,7 @@ class Robot:
         self.announce(ProgramState(True, machine.name))
 
     def run_secondary(self, machine: Machine) -> None:
-        """Run a secondary program to its end while the main program keeps running."""
+        """Run an emulated UR robot's secondary program to its end while the main program keeps running."""
         try:
             machine.step()
         except (ProgramError, MotionFault) as error:
@@ -258,14 +263,16 @@ class Robot:
         return True
 
     def play(self) -> bool:
-        """Resume a paused program; return False if none is paused or motion is forbidden."""
+        """Resume the emulated UR robot's paused program; return False if none is paused or motion is
+        forbidden.
+        """
         if self.runtime not in (RuntimeState.PAUSED, RuntimeState.PAUSING) or self.safety not in MAY_MOVE:
             return False
         self.runtime = RuntimeState.RESUMING
         return True
 
     def announce(self, notice: Notice) -> None:
-        """Write a notice to the log and send it to all listeners of the robot."""
+        """Write a notice to the log and send it to all listeners of the emulated UR robot."""
         log.info("%s: %s", self.serial, notice)
         if not isinstance(notice, ProgramState | SafetyChange):
             self.messages.append(str(notice))
@@ -279,7 +286,7 @@ class Robot:
         self.announce(Text(text))
 
     def fault(self, error: ArmcellError) -> None:
-        """Report the reason why a program ends or does not start."""
+        """Report the reason why an emulated UR robot's program ends or does not start."""
         line, column = getattr(error, "line", 0), getattr(error, "column", 0)
         code = getattr(error, "code", "") or str(error)
         self.announce(ScriptFault(f"script error: {error}", max(line, 1), max(column, 1), code))
@@ -320,7 +327,7 @@ class Robot:
             self.safety = SafetyMode.NORMAL
 
     def unlock(self) -> None:
-        """Unlock a protective stop; the robot program stays paused."""
+        """Unlock the emulated UR robot's protective stop; the robot program stays paused."""
         if self.safety is SafetyMode.PROTECTIVE_STOP:
             self.safety, self.motion = SafetyMode.NORMAL, None
 
@@ -346,14 +353,14 @@ class Robot:
         self._later.append((self.time + seconds, change))
 
     def displace(self, q: ArrayLike) -> None:
-        """Move the arm to other joint positions, as a person moving it by hand would."""
+        """Displace the emulated UR arm to other joint positions, as a person moving it by hand would."""
         self.plant.displace(q)
         self.setpoint.q, self.setpoint.v = np.array(q, dtype=float), np.zeros(6)
         self.motion = None
 
     # --- inputs and outputs ---
     def set_inputs(self, values: dict[str, Any]) -> None:
-        """Apply the input values that a client sent over RTDE."""
+        """Apply to the emulated UR robot the input values that a client sent over RTDE."""
         self.inputs.update(values)
         if self._watchdog is not None and f"input_int_register_{self._watchdog[0]}" in values:
             self._fed = self.time
@@ -375,7 +382,7 @@ class Robot:
         self.analog_volts = (self.analog_volts & ~(1 << i)) | (int(volts) << i)
 
     def analog_output(self, i: int) -> float:
-        """Return an analog output of the robot: 0 to 10 V or 4 to 20 mA, depending on its domain."""
+        """Return an analog output of the emulated UR robot: 0 to 10 V or 4 to 20 mA, depending on its domain."""
         ratio = float(np.clip(self.analog_out[i], 0.0, 1.0))
         return 10.0 * ratio if self.analog_volts >> i & 1 else 4.0 + 16.0 * ratio
 
@@ -402,11 +409,13 @@ class Robot:
         return jacobian(self.dh, q, forward(self.dh, q, self.setpoint.tcp)[:3, 3]) @ v
 
     def force(self) -> Array:
-        """Return the external force on the tool (3,) [N] in the base frame."""
+        """Return the emulated UR robot's external force on the tool (3,) [N] in the base frame."""
         return self.plant.wrench()[0] + self.hand
 
     def felt(self) -> Array:
-        """Return the external force [N] and torque [Nm] on the tool (6,), base frame, at the TCP."""
+        """Return the emulated UR robot's external force [N] and torque [Nm] on the tool (6,), base frame, at
+        the TCP.
+        """
         return self._wrench_about(self.setpoint.tcp)
 
     def _wrench_about(self, tcp: list[float]) -> Array:
@@ -417,7 +426,7 @@ class Robot:
         return np.concatenate([force + self.hand, torque])
 
     def tcp_force(self) -> Array:
-        """Return the force [N] and torque [Nm] (6,) that the controller reports, in base axes.
+        """Return the force [N] and torque [Nm] (6,) that the emulated UR controller reports, in base axes.
 
         The torque is about the TCP (CB3) or the flange (e-Series). The values contain the sensor's offset.
         If a program has enabled an external sensor, the values come from that sensor, rotated from flange to
@@ -432,20 +441,20 @@ class Robot:
         )
 
     def zero_force(self) -> None:
-        """Zero an e-Series robot's force sensor at its current reading; a CB3 has no sensor."""
+        """Zero an emulated e-Series robot's force sensor at its current reading; a CB3 has no sensor."""
         if self.model.e_series:
             self._force_offset = self._force_offset - self.tcp_force()
 
     @property
     def remote_or_cb3(self) -> bool:
-        """Return whether the controller accepts remote commands.
+        """Return whether the emulated UR controller accepts remote commands.
 
         An e-Series accepts them in remote control, a CB3 always.
         """
         return self.remote or not self.model.e_series
 
     def control_line(self) -> int:
-        """Return the line number of the program statement that moves the arm, or 0."""
+        """Return the line number of the program statement that moves the emulated UR arm, or 0."""
         return self.machine.line if self.machine is not None and self.motion is not None else 0
 
     def status_bits(self) -> int:

@@ -24,7 +24,7 @@ WORD = 0xFFFFFFFF
 
 
 def outputs_of(robot: Robot) -> dict[str, Getter]:
-    """Return a reading function for each RTDE output variable of `rtde.OUTPUTS`.
+    """Return a reading function of the emulated UR controller for each RTDE output variable.
 
     Variables that are not emulated read zero.
     """
@@ -95,7 +95,9 @@ MAX_DEVIATION = 0.1  # [rad] between target and measured position: deviation rat
 
 
 def _tcp_acceleration(r: Robot, q: Array, v: Array, a: Array) -> Array:
-    """Return the tool's acceleration (6,) [m/s^2, rad/s^2] by finite differences of its speed."""
+    """Return for RTDE output the tool's acceleration (6,) [m/s^2, rad/s^2] by finite differences of its
+    speed.
+    """
     dt = r.period
     return (r.tcp_speed(q, v) - r.tcp_speed(q - v * dt, v - a * dt)) / dt
 
@@ -106,7 +108,9 @@ def _elbow_velocity(r: Robot, q: Array, v: Array) -> Array:
 
 
 def _raw_wrench(r: Robot) -> Array:
-    """Return the wrench (6,) [N, Nm] at the flange, in flange axes, with the payload's weight."""
+    """Return for RTDE output the wrench (6,) [N, Nm] at the flange, in flange axes, with the payload's
+    weight.
+    """
     if not r.model.e_series:
         return np.zeros(6)
     R = forward(r.dh, r.plant.read()[0], [0.0] * 6)[:3, :3]

@@ -29,7 +29,7 @@ class _Client:
 
 
 class RtdeServer:
-    """Server of all RTDE clients of one emulated controller."""
+    """Server of all RTDE clients of one emulated UR controller."""
 
     def __init__(self, robot: Robot, network: Network, host: str, port: int = rtde.PORT):
         self._robot, self._table = robot, outputs_of(robot)
@@ -38,7 +38,7 @@ class RtdeServer:
 
     @property
     def clients(self) -> int:
-        """Return the number of connected RTDE clients."""
+        """Return the number of RTDE clients of the emulated UR controller."""
         return sum(link.open for link in self._clients)
 
     def _begin(self, link: Link) -> None:
@@ -88,7 +88,7 @@ class RtdeServer:
         link.send(rtde.frame(kind, answer))
 
     def _setup_outputs(self, client: _Client, payload: bytes) -> bytes:
-        """Set up a client's RTDE output recipe.
+        """Set up a client's RTDE output recipe in the emulated UR server.
 
         Protocol version 1 has neither a frequency nor a recipe ID.
         """
@@ -118,7 +118,9 @@ class RtdeServer:
         return bytes([number]) + ",".join(kinds).encode()
 
     def send_outputs(self) -> None:
-        """Send RTDE output variables to the clients that are due; call once per control step."""
+        """Send the emulated UR's RTDE output variables to the clients that are due; call once per control
+        step.
+        """
         for link, client in list(self._clients.items()):
             if not link.open:
                 del self._clients[link]

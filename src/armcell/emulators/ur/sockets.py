@@ -44,7 +44,7 @@ def socket_functions(
         return True
 
     def _receive(name: str, count: int, timeout: float) -> Wait:
-        """Receive `count` bytes from a socket; None after a timeout [s], where 0 means no limit."""
+        """Receive `count` bytes from a URScript socket; None after a timeout [s], where 0 means no limit."""
         end = robot.time + timeout
         while True:
             link = links.get(name)
@@ -103,7 +103,7 @@ def socket_functions(
         name: str = "socket_0", prefix: str = "", suffix: str = "", interpret_escape: bool = False,
         timeout: float = 2.0,
     ) -> Wait:  # fmt: skip
-        """Return text received from a socket, optionally only between a prefix and a suffix."""
+        """Return text received from a URScript socket, optionally only between a prefix and a suffix."""
         begin, stop, end = str(prefix).encode(), str(suffix).encode(), robot.time + timeout
         while True:
             link = links.get(name)
@@ -117,7 +117,9 @@ def socket_functions(
                 return ""
 
     def socket_read_ascii_float(number: int, name: str = "socket_0", timeout: float = 2.0) -> Wait:
-        """Return the numbers of a received text such as `(1.5, 2, 3)`, preceded by their count."""
+        """Return from a URScript socket the numbers of a received text such as `(1.5, 2, 3)`, preceded by
+        their count.
+        """
         text = yield from socket_read_string(name, "(", ")", False, timeout)
         try:
             values = [float(part) for part in text.split(",")] if text else []
@@ -149,7 +151,7 @@ def socket_functions(
 
 
 def _between(received: bytearray, begin: bytes, stop: bytes) -> bytes | None:
-    """Remove the text between two marks from a buffer and return it; None if incomplete.
+    """Remove the text between two marks from a URScript socket's buffer and return it; None if incomplete.
 
     Without marks, all received data is returned.
     """

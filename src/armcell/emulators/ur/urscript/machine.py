@@ -39,7 +39,7 @@ def _takes_time(name: str, *_: Any, **__: Any) -> Thread:
 
 
 class Machine:
-    """Running URScript program with its threads and variables.
+    """Machine that runs a compiled URScript program with its threads and variables.
 
     If the script consists of a single function definition without parameters, that function is the program
     (as on UR's controllers); otherwise the statements of the script are.

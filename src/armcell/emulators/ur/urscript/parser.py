@@ -98,7 +98,7 @@ class _Tokens:
 
 
 def parse(text: str) -> list[Node]:
-    """Parse a URScript text and return its statements.
+    """Parse a URScript text into a syntax tree and return its statements.
 
     Raises:
         ScriptError: a syntax error, with its line.

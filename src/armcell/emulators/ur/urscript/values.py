@@ -45,7 +45,7 @@ class Pose(Vec):
 
 
 def copied(value: Any) -> Any:
-    """Return the value that URScript assignment stores: a copy of a list or pose."""
+    """Return the value that URScript assignment stores: a copy of the list or pose value."""
     if isinstance(value, Vec):
         return type(value)(copied(v) for v in value)
     return value
