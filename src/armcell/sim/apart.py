@@ -27,7 +27,7 @@ BEYOND = 0.05  # [m] assumed largest overshoot of a slide joint beyond its limit
 
 
 class Apart:
-    """Body pairs with motion bounds; MuJoCo skips pairs that cannot be in contact yet.
+    """Body pairs that are far apart, with motion bounds; MuJoCo skips pairs that cannot touch yet.
 
     `stepping.take_steps` reads and updates the arrays.
 
@@ -85,7 +85,7 @@ class Apart:
         self.forget()
 
     def forget(self) -> None:
-        """Make MuJoCo test every body pair again, for example after a body was moved outside a step."""
+        """Forget motion bounds: let MuJoCo test every body pair again, e.g. after a body was moved by hand."""
         model = self._model
         self._left[:], self._shut[:], self._open[:] = -1.0, False, self._looked_at
         model.geom_conaffinity[self._bit > 0] = ALL
@@ -98,7 +98,7 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    """Return the pairs of body ids that MuJoCo tests for contact."""
+    """Return the pairs of body ids that MuJoCo tests for contact, to skip those far apart."""
     excluded = {(s >> 16, s & 0xFFFF) for s in model.exclude_signature.tolist()}
     weld = model.body_weldid.tolist()
     above = [weld[parent] for parent in model.body_parentid[weld].tolist()]
@@ -113,7 +113,7 @@ def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
-    """Return whether a body's geoms all have default masks and types with known distances.
+    """Return whether a body's geoms all allow skipping far pairs: default masks, types with known distances.
 
     A body without geoms yields False.
     """
@@ -141,7 +141,7 @@ def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
 
 
 def _way_up(model: mujoco.MjModel, body: int) -> dict[int, list[tuple[int, tuple[float, ...]]]]:
-    """Return the joints of a body and its ancestors with their bounds on the body's motion.
+    """Return the joints of a body and its ancestors with motion bounds, to skip far body pairs.
 
     Returns:
         The joints by body id, from the given body up to the world. Each joint is a tuple: start index in

@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class GripperIndex:
-    """Indices and limits of one gripper's position servo in a MuJoCo model.
+    """Index table: indices and limits of one gripper's position servo in a MuJoCo model.
 
     The length of the servo's tendon is the driven joint's position, averaged over the fingers.
     """
@@ -38,7 +38,7 @@ class GripperIndex:
     tcp_body: int
 
     def length(self, qpos: Array) -> float:
-        """Return a gripper's tendon length [m] at a state `qpos`.
+        """Return the tendon length [m] of a built MuJoCo model's gripper at a state `qpos`.
 
         MuJoCo's own tendon length is one step old after a step.
         """
@@ -76,7 +76,7 @@ class BuiltModel:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Return the names of the objects whose poses can change: free and screwed-in objects."""
+        """Return a built MuJoCo model's objects whose poses can change: free and screwed-in objects."""
         return (*self.object_qpos, *self.threaded)
 
 

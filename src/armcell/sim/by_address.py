@@ -49,11 +49,11 @@ def _pointer(typingctx, dtype, address):
 
 @njit(cache=True, forceinline=True)
 def vector(table, k, dtype):
-    """Return the array (n,) in row k of a table of addresses."""
+    """Return the array (n,) at the address in row k of a table, in compiled functions."""
     return carray(_pointer(dtype, table[k, 0]), table[k, 1])
 
 
 @njit(cache=True, forceinline=True)
 def matrix(table, k, dtype):
-    """Return the array (n, m) in row k of a table of addresses."""
+    """Return the array (n, m) at the address in row k of a table, in compiled functions."""
     return carray(_pointer(dtype, table[k, 0]), (table[k, 1], table[k, 2]))

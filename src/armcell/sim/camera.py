@@ -14,7 +14,7 @@ from armcell.core.checks import checked, float_array
 @dataclass(frozen=True)
 @checked()
 class DepthNoise:
-    """A noise model of a depth camera; with all parameters zero, the camera is perfect.
+    """A noise model of a depth camera; all zero means a perfect camera.
 
     Stereo and structured-light cameras measure disparity, so their noise and depth resolution grow with the
     square of the distance (Khoshelham and Elberink, Sensors 12(2), 2012). `for_stereo` approximates an Intel
@@ -65,7 +65,9 @@ class DepthNoise:
 
 
 def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of pixels next to a depth discontinuity: more than 3 % and more than 1 cm."""
+    """Return a mask of a simulated depth image's pixels next to a depth discontinuity: more than 3 % and more
+    than 1 cm.
+    """
     jump = np.zeros(z.shape, bool)
     for axis in (0, 1):
         near, far = (slice(None), slice(1, None)), (slice(None), slice(None, -1))
@@ -80,7 +82,7 @@ def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Camera:
-    """A simulated pinhole camera with an optical frame: z forward, x right, y down.
+    """Simulated pinhole camera with an optical frame: z forward, x right, y down.
 
     Without `pinhole`, pixels are square and the principal point is the image center. For a camera on a link,
     `T_link_camera` is its pose in the link's frame, and `T_world_camera` is its pose at the start.
@@ -119,7 +121,7 @@ class Camera:
 
     @staticmethod
     def looking_at(name: str, eye: ArrayLike, target: ArrayLike, **properties) -> Camera:
-        """Create a camera at `eye` (3,) that looks at `target` (3,) [m, world frame].
+        """Create a simulated camera at `eye` (3,) that looks at `target` (3,) [m, world frame].
 
         World z points up in the image.
         """
@@ -133,12 +135,12 @@ class Camera:
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
-        """Return the camera matrix K (3, 3) [px]; pixel centers have integer coordinates."""
+        """Return a simulated camera's matrix K (3, 3) [px]; pixel centers have integer coordinates."""
         return self.model.matrix
 
 
 def look_at(eye: ArrayLike, target: ArrayLike) -> SE3:
-    """Return the pose of a camera's optical frame at `eye` (3,) that looks at `target` (3,).
+    """Return the pose of a simulated camera's optical frame at `eye` (3,) that looks at `target` (3,).
 
     The z axis of the frame in which both points are given points up in the image.
 

@@ -25,7 +25,7 @@ _NO_END = 1 << 20
 
 @dataclass(frozen=True)
 class PhysicsContact:
-    """One contact point of the last physics step; its bodies are links or objects, by name."""
+    """One contact point of the last physics step; with names of links or objects."""
 
     body_a: str
     body_b: str
@@ -36,7 +36,7 @@ class PhysicsContact:
 
 @dataclass(frozen=True)
 class UnwantedContact:
-    """A pair of bodies that touched although the contact monitor does not allow the contact."""
+    """A pair of bodies that touched in physics although the contact monitor forbids it."""
 
     body_a: str
     body_b: str
@@ -99,7 +99,7 @@ class ContactMonitor:
 
     @property
     def unwanted(self) -> tuple[UnwantedContact, ...]:
-        """Return the unwanted contacts recorded so far, in order of first contact."""
+        """Return the unwanted contacts that the contact monitor recorded so far, in order of first contact."""
         return tuple(self._found.values())
 
     @property
@@ -107,15 +107,20 @@ class ContactMonitor:
         return frozenset(self._allowed)
 
     def allow(self, a: str, b: str | Iterable[str]) -> None:
-        """Allow contact between a body and one or more other bodies (links or objects)."""
+        """Let the contact monitor allow contact between a body and one or more other bodies (links or
+        objects).
+        """
         self._change(a, b, True)
 
     def forbid(self, a: str, b: str | Iterable[str]) -> None:
-        """Forbid contact between a body and one or more other bodies; reverses `allow`."""
+        """Let the contact monitor forbid contact between a body and one or more other bodies; reverses
+        `allow`.
+        """
         self._change(a, b, False)
 
     def watch(self, item: str, supports: Iterable[str] = ()) -> None:
-        """Treat contacts of an object with other objects as unwanted, except for its supports.
+        """Let the contact monitor treat contacts of an object with other objects as unwanted, except for its
+        supports.
 
         Contact with the supports stays allowed until `forbid` revokes it.
         """
@@ -129,11 +134,11 @@ class ContactMonitor:
         self._rule()
 
     def clear(self) -> None:
-        """Delete the contacts that the monitor recorded, and keep its contact rules."""
+        """Clear the contact monitor's recorded contacts, and keep its contact rules."""
         self._found = {}
 
     def update(self, data: mujoco.MjData) -> None:
-        """Check the contacts of the last physics step and record unwanted ones."""
+        """Update the contact monitor: check the last physics step and record unwanted ones."""
         count = data.ncon
         if count == 0:
             return
@@ -152,7 +157,7 @@ class ContactMonitor:
             self._fine.add(seen)
 
     def _attach(self, data: mujoco.MjData) -> None:
-        """Attach a live array view of MuJoCo's contact list to the monitor.
+        """Attach a live array view of MuJoCo's contact list to the contact monitor.
 
         The list starts at the arena's base, whatever its length.
         """
@@ -174,7 +179,7 @@ class ContactMonitor:
         self._rule()
 
     def _rule(self) -> None:
-        """Rebuild the table (ngeom, ngeom) of geom pairs whose contact is unwanted.
+        """Rebuild the contact monitor's table (ngeom, ngeom) of geom pairs whose contact is unwanted.
 
         With the table, a contact check needs one lookup.
         """

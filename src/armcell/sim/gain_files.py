@@ -32,7 +32,7 @@ def gains_names() -> list[str]:
 
 
 def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> dict[str, Any]:
-    """Return the physics settings of a gain set or gain file as a cell's `physics` block.
+    """Read the physics settings of a joint gain set or gain file as a cell's `physics` block.
 
     A ros_control controller file yields `arm_control: torque` and `joint_gains`: like a ros_control
     controller, the simulation computes the efforts once per step from the tracking error. Entries without an
@@ -75,7 +75,7 @@ def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> 
 def with_gains(
     settings: PhysicsSettings, gains: str | Path, model: RobotModel, folder: Path = Path()
 ) -> PhysicsSettings:
-    """Return physics settings with the arm control and gains of a gain set or file.
+    """Return physics settings with the arm control and gains of a joint gain set or gain file.
 
     See `gain_values`. The result does not keep any `joint_gains` of `settings`.
     """
@@ -85,7 +85,7 @@ def with_gains(
 
 
 def with_gains_file(physics: Mapping[str, Any], model: RobotModel, folder: Path) -> dict[str, Any]:
-    """Return a cell's `physics` block, with the gain file that its key `gains` names merged in.
+    """Merge joint gains into a cell's `physics` block: the gain file that its key `gains` names.
 
     Other keys of the block override the file, and `joint_gains` are merged joint by joint.
 

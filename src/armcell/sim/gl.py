@@ -32,7 +32,7 @@ Sides = tuple[float, float, float, float]
 
 @lru_cache(maxsize=1)
 def gl_backend() -> str | None:
-    """Return the OpenGL backend that works on this machine ("egl" or "osmesa"), or None.
+    """Return the offscreen OpenGL backend that works on this machine ("egl" or "osmesa"), or None.
 
     The environment variable MUJOCO_GL selects a backend, or disables OpenGL with "off". The test runs in a
     separate process, because a broken driver may end the process.
@@ -55,7 +55,7 @@ def gl_backend() -> str | None:
 
 
 class GLRenderer:
-    """An offscreen renderer of one MuJoCo model at a fixed image size (height, width, 3).
+    """Offscreen OpenGL renderer of one MuJoCo model at a fixed image size (height, width, 3).
 
     Shadows and reflections are off: without a graphics card they take ten times as long as the rest.
 
@@ -82,7 +82,7 @@ class GLRenderer:
         self._open = True
 
     def render(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.uint8]:
-        """Render an RGB image (height, width, 3) with one of the model's cameras.
+        """Render with OpenGL an RGB image (height, width, 3) with one of the model's cameras.
 
         Args:
             camera: id of the camera in the model.
@@ -97,7 +97,7 @@ class GLRenderer:
         return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
 
     def depth(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.float32]:
-        """Render a depth image (height, width) [m] along a camera's optical axis.
+        """Render with OpenGL a depth image (height, width) [m] along a camera's optical axis.
 
         Pixels beyond the far plane are 0.
         """
@@ -129,7 +129,7 @@ class GLRenderer:
         return np.where(b > 0, near * far / (near + b * (far - near)), 0.0).astype(np.float32)
 
     def close(self) -> None:
-        """Free the renderer's OpenGL context and buffers.
+        """Free the offscreen renderer's OpenGL context and buffers.
 
         The renderer makes its context current first: buffer ids are numbers, so freeing them in another
         context would free the buffers of another renderer.

@@ -35,7 +35,7 @@ _WIDTH_TOLERANCE = 1e-4  # [m]
 
 @dataclass(frozen=True)
 class GripperState:
-    """A gripper's width [m], finger force [N], and held object.
+    """State of a simulated gripper: width [m], finger force [N], and held object.
 
     `force_per_finger` [N] acts along the closing axis. `held` is the object that both fingers touch, or None.
     """
@@ -47,7 +47,7 @@ class GripperState:
 
 @dataclass(frozen=True)
 class WeldEvent:
-    """A record of a weld that fixed an object to a gripper.
+    """Record of a simulated weld that fixed an object to a gripper.
 
     A weld replaces friction, so every report must list it.
     """
@@ -61,7 +61,7 @@ class WeldEvent:
 
 
 class GripperDrive:
-    """A position servo of one gripper with limited finger speed and limited force per finger.
+    """Position servo of one simulated gripper with limited finger speed and limited force per finger.
 
     The set point leads the fingers by at most the distance that yields the commanded force. Blocked fingers
     therefore press with exactly this force, and free fingers move at `max_speed`.
@@ -84,13 +84,13 @@ class GripperDrive:
         return min(force, self.index.max_force) * self._ratio / self._kp
 
     def hold(self, data: mujoco.MjData, joint_position: float) -> None:
-        """Hold the gripper's driven joint at a position [m] with the gripper's full force."""
+        """Hold a simulated gripper's driven joint at a position [m] with the gripper's full force."""
         self._law[[SET_POINT, TARGET]] = joint_position
         data.ctrl[self.index.ctrl] = joint_position
         self._law[LEAD] = self._force_lead(self.index.max_force)
 
     def command(self, width: float, force_per_finger: float) -> None:
-        """Drive the gripper to a width [m] with a limited finger force.
+        """Drive a simulated gripper to a width [m] with a limited finger force.
 
         At the closed end, the fingers press on the object between them with `force_per_finger` [N].
         """
@@ -104,7 +104,7 @@ class GripperDrive:
         self._law[TARGET], self._law[LEAD] = target, lead
 
     def closing(self, data: mujoco.MjData) -> bool:
-        """Return whether the gripper's target width is smaller than its current width."""
+        """Return whether a simulated gripper's target width is smaller than its current width."""
         width = self.index.gripper.width
         return width(self._law.item(TARGET)) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
 
@@ -116,7 +116,7 @@ class GripperDrive:
 
 
 class Fingers:
-    """The servos of all grippers, with the arrays that the compiled stepper uses.
+    """The servos of all simulated grippers, with the arrays that the compiled stepper uses.
 
     Attributes:
         law: (g, 7) one row per gripper for `stepping.drive_fingers`.
@@ -136,12 +136,12 @@ class Fingers:
                 self.joints[row, k], self.weights[row, k] = joint, weight
 
     def update(self, data: mujoco.MjData) -> None:
-        """Write the set points of all gripper servos for the next step to `data.ctrl`."""
+        """Write the set points of all simulated gripper servos for the next step to `data.ctrl`."""
         drive_fingers(self.law, self.joints, self.weights, data.qpos, data.ctrl)
 
 
 def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
-    """Return the contact force on each finger [N] along the gripper's closing axis.
+    """Return the contact force on each finger [N] along a simulated gripper's closing axis.
 
     The closing axis is the tcp's y axis.
 
@@ -183,7 +183,7 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperS
 
 
 def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """Return the pose T_a_b between two MuJoCo bodies, as of the last step.
+    """Return, for grips, the pose T_a_b between two MuJoCo bodies, as of the last step.
 
     Both poses come from the same instant.
     """
@@ -191,13 +191,13 @@ def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
 
 
 def body_pose(data: mujoco.MjData, body: int) -> SE3:
-    """Return the pose T_world_body of a MuJoCo body, as of the last step."""
+    """Return, for grips, the pose T_world_body of a MuJoCo body, as of the last step."""
     return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())
 
 
 @dataclass(frozen=True)
 class _Grip:
-    """The state of one gripper in the weld modes: held object, slip reference, active weld."""
+    """Grip of one gripper in the weld modes: held object, slip reference, active weld."""
 
     item: str | None = None
     since: float = 0.0  # [s] simulation time since which both fingers press the object
@@ -220,7 +220,7 @@ class Welder:
         self.events: list[WeldEvent] = []
 
     def update(self, data: mujoco.MjData) -> None:
-        """Weld held objects to their grippers after a physics step if the grip mode requires it."""
+        """Weld held objects to their grippers after a physics step if the grip mode is "weld" or "hybrid"."""
         self._steps += 1
         if self._steps % _CHECK_EVERY:
             return
@@ -233,7 +233,7 @@ class Welder:
         self._grips[gripper] = self._weld(data, gripper, _Grip(item, float(data.time)), reason)
 
     def release(self, data: mujoco.MjData, gripper: str) -> None:
-        """Release the weld constraint of a gripper that opens."""
+        """Release the weld constraint of a simulated gripper that opens."""
         grip = self._grips[gripper]
         if grip.event is not None:
             event = self.events[grip.event]

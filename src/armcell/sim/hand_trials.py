@@ -42,7 +42,7 @@ CONTROL = sum(
 @dataclass(frozen=True)
 @checked()
 class TrialSettings:
-    """Durations and motions of a grasp trial: close, settle, lift, shake, hold."""
+    """Durations and motions of a hand's grasp trial without the arm: close, settle, lift, shake, hold."""
 
     timestep: float = 0.004  # [s]
     settle: float = 0.15  # [s] time the fingers press before the support is removed
@@ -58,7 +58,9 @@ class TrialSettings:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Trial:
-    """One grasp to test in physics: hand pose, opening, force, and object properties."""
+    """Hand trial: one grasp to test in physics without the arm: hand pose, opening, force, and object
+    properties.
+    """
 
     T_object_tcp: SE3
     opening: float  # [m] gripper width at the start
@@ -71,7 +73,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """The result of a grasp trial: motion of the object in the hand, and whether it fell."""
+    """Result of a hand's grasp trial: motion of the object in the hand, and whether it fell."""
 
     closing: float  # [m] displacement of the center of mass while the hand closed
     slip: float  # [m] displacement of the object's point between the pads, from the closed hand to the end
@@ -87,7 +89,7 @@ def run_trials(
     settings: TrialSettings = TrialSettings(),
     threads: int | None = None,
 ) -> list[TrialResult]:
-    """Run grasp trials of one object in parallel and return one result per trial.
+    """Run hand-only grasp trials of one object in parallel and return one result per trial.
 
     Args:
         threads: largest number of threads; by default one per processor.
@@ -144,7 +146,7 @@ class _World:
         return _World(built, mj, gripper, settings, T_root_tcp, center, item.shapes, mj.body(OBJECT).id)
 
     def variant(self, trial: Trial) -> mujoco.MjModel:
-        """Return a copy of the MuJoCo model with a trial's friction, mass, and finger force."""
+        """Return a copy of the MuJoCo model with a hand trial's friction, mass, and finger force."""
         mj = copy.copy(self.mj)
         scale = trial.mass / float(self.mj.body_mass[self.body])
         mj.body_mass[self.body] *= scale

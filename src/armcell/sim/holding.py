@@ -39,7 +39,7 @@ HOLDING = (_F8, _F8, _I8, _I8, _I8, _I8, _I8, _B, _F8, _I8, _F8, _F8, _F8, _F8)
 
 
 class Holding:
-    """A correction of the creep and drift of held objects in one `MjData`.
+    """A correction of the creep and drift of held objects in MuJoCo physics.
 
     Call `carry` after each step.
 
@@ -82,7 +82,9 @@ class Holding:
         self._qpos = data.qpos
 
     def forget(self) -> None:
-        """Forget the last hand poses; call this after the state changed without a physics step."""
+        """Forget the hand poses of held objects' corrections; call this after the state changed without a
+        physics step.
+        """
         self._past[:, 0] = 0.0
 
     def update(self, count: int, pairs: NDArray[np.int32]) -> None:
@@ -102,7 +104,7 @@ class Holding:
 
 
 def lag(settings: PhysicsSettings) -> float:
-    """Return a held object's lag behind the hand per step, as a multiple of dt^2/2 dJ/dt v.
+    """Return a held object's lag behind the hand per physics step, as a multiple of dt^2/2 dJ/dt v.
 
     This product is the distance between the hand's arc and its tangent.
 
@@ -117,7 +119,7 @@ def lag(settings: PhysicsSettings) -> float:
 
 
 def _impratio(mj: mujoco.MjModel) -> Array:
-    """Return a live view (1,) of MuJoCo's option `impratio`.
+    """Return a live view (1,) of MuJoCo's option `impratio`, which the correction of held objects changes.
 
     The result is a private array if the memory layout is unknown.
     """
@@ -131,7 +133,8 @@ def _view(address: int) -> Array:
 
 @cache
 def _offset() -> int:
-    """Return the offset of `impratio` from `gravity` in MuJoCo's options, in doubles.
+    """Return the offset of `impratio` from `gravity` in MuJoCo's options, in doubles, for held objects'
+    corrections.
 
     The result is 0 if the memory layout is unknown.
 
@@ -147,7 +150,7 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """Return `Holding.arrays` from a table of addresses, starting at row k."""
+    """Return `Holding.arrays` from a table of addresses, starting at row k, to correct held objects."""
     return (
         vector(fixed, k, _F8), vector(fixed, k + 1, _F8), matrix(fixed, k + 2, _I8),
         matrix(fixed, k + 3, _I8), vector(fixed, k + 4, _I8), matrix(fixed, k + 5, _I8),
@@ -159,7 +162,7 @@ def holding(fixed, k):
 
 @njit(cache=True)
 def _partner(owner, pairs, i, finger):
-    """Return the link or object that touches a finger in contact i, as owner index, or -1."""
+    """Return the link or object that touches a holding finger in contact i, as owner index, or -1."""
     a, b = owner[pairs[i, 0]], owner[pairs[i, 1]]
     if a == finger:
         return b
@@ -176,7 +179,7 @@ def _touches(count, pairs, owner, finger, item):
 
 @njit(cache=True)
 def _in_hand(count, pairs, owner, free, fingers):
-    """Return the movable object that all fingers (f,) of a hand touch, as owner index, or -1."""
+    """Return the held object that all fingers (f,) of a hand touch, as owner index, or -1."""
     for i in range(count):
         item = _partner(owner, pairs, i, fingers[0])
         if item < 0 or free[item, 1] < 0:
@@ -191,7 +194,8 @@ def _in_hand(count, pairs, owner, free, fingers):
 
 @njit(cache=True)
 def _move(qpos, start, R, shift, turn):
-    """Move a free body by a shift [m] and a small rotation vector [rad], both in world axes.
+    """Correct a held object: move its free body by a shift [m] and a small rotation vector [rad], both in
+    world axes.
 
     Args:
         start: index of x, y, z, qw, qx, qy, qz in qpos.
@@ -246,7 +250,7 @@ def _lags(x, R, v, w, point, past, dt, scale):
 
 @njit(cache=True)
 def carry(count, pairs, qpos, arrays):
-    """Correct held objects after a step: choose `impratio`, and move each object by its lag.
+    """Correct held objects after a physics step: choose `impratio`, and move each object by its lag.
 
     Args:
         count: number of contacts.

@@ -48,7 +48,7 @@ class JointGains:
 
 
 class GainTable(Mapping[str, JointGains]):
-    """Immutable, hashable mapping from joint names to `JointGains`.
+    """Immutable, hashable table of PID gains by joint name.
 
     `PhysicsSettings` requires hashable fields.
     """
@@ -89,7 +89,7 @@ class GainTable(Mapping[str, JointGains]):
         return cls({str(joint): gains_of(entry, f"{what}/{joint}") for joint, entry in value.items()})
 
     def plain(self) -> dict[str, dict[str, Any]]:
-        """Return the joint gains as a plain mapping without default values.
+        """Return the joint gains as a plain mapping without default values, by joint.
 
         `from_setting` reads this mapping.
         """
@@ -100,7 +100,7 @@ class GainTable(Mapping[str, JointGains]):
 
 
 def gains_of(entry: Any, what: str) -> JointGains:
-    """Parse the gains of one joint from a mapping of numbers.
+    """Parse the PID gains of one joint from a mapping of numbers.
 
     Args:
         what: name of the setting; error messages begin with it.
@@ -118,7 +118,7 @@ def gains_of(entry: Any, what: str) -> JointGains:
 
 
 class Drive(NamedTuple):
-    """The effective gains of one joint after scaling, with the limits of the integral's effort."""
+    """The effective PID gains of one joint after scaling, with the limits of the integral's effort."""
 
     kp: float
     ki: float
@@ -150,7 +150,9 @@ def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
 
 
 def arm_joints(model: RobotModel) -> list[str]:
-    """Return the robot's actuated joints that belong to no gripper, in the model's order."""
+    """Return the robot's actuated joints that belong to no gripper and have joint gains, in the model's
+    order.
+    """
     fingers = {gripper.joint_name for gripper in model.grippers.values()}
     return [name for name in model.joint_names if name not in fingers]
 

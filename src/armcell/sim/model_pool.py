@@ -30,7 +30,7 @@ _copy_model.argtypes, _copy_model.restype = (ctypes.c_void_p, ctypes.c_void_p), 
 
 
 class ModelLease:
-    """The exclusive use of a compiled MuJoCo model and its data, until `release`.
+    """Lease (exclusive use) of a compiled MuJoCo model from the model pool, until `release`.
 
     Attributes:
         built: the model of a scene.
@@ -58,7 +58,7 @@ def _no_lease() -> None:
 
 
 class _PooledModel:
-    """A compiled MuJoCo model in its original state, with one copy that worlds can lease."""
+    """A compiled MuJoCo model of the model pool in its original state, with one copy that worlds can lease."""
 
     def __init__(self, built: BuiltModel):
         self._built = built
@@ -138,7 +138,7 @@ def _seen(item: CollisionObject, loose: bool) -> Hashable:
 def _put_in(
     built: BuiltModel, loose: list[CollisionObject], settings: PhysicsSettings, scratch: mujoco.MjData
 ) -> None:
-    """Write the poses, inertias, and friction of free objects into a compiled MuJoCo model.
+    """Write the poses, inertias, and friction of free objects into a MuJoCo model leased from the pool.
 
     The function also updates the quantities that MuJoCo derives from them at compilation.
     """

@@ -10,7 +10,7 @@ from armcell.core import InputError
 
 
 class Pacer:
-    """A pacer that runs a simulation in lock-step or at a multiple of real time.
+    """Pacer that runs a simulation in lock-step or at a multiple of real time.
 
     With `time_scale` None the simulation runs in lock-step and never waits; a scale of 2.0 is twice real
     time. The clock starts at the first `wait_until`. If the simulation falls more than `MAX_LAG_S` behind,

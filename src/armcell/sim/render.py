@@ -31,7 +31,7 @@ _CHECKER = 0.5  # [m] edge length of the checkerboard squares on an infinite pla
 
 
 def has_gl() -> bool:
-    """Return whether OpenGL rendering works on this machine without a display.
+    """Return whether OpenGL rendering of simulated cameras works on this machine.
 
     The result is cached.
     """
@@ -39,7 +39,7 @@ def has_gl() -> bool:
 
 
 def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
-    """Render a depth image (height, width) [m] along a camera's optical axis by ray casting.
+    """Render a simulated camera's depth image (height, width) [m] along the optical axis by ray casting.
 
     Pixels where the rays hit nothing are 0. Links appear as their collision shapes, which enclose the visual
     meshes. The function never needs OpenGL.
@@ -100,7 +100,7 @@ Drawing = tuple[NDArray[np.uint8], NDArray[np.float32]]
 
 # --- copy of a world for rendering ---
 class _DrawnScene:
-    """A copy of a simulated world with visual meshes, for rendering.
+    """A copy of a simulated world with visual meshes, for rendering camera images.
 
     The copy is separate from the physics, so rendering has no effect on the simulation.
     """
@@ -194,7 +194,7 @@ class _DrawnScene:
         return SE3.identity() if name == WORLD else body_pose(self.data, self.built.body[name])
 
     def _checker(self, camera: Camera, distance: NDArray, seen: NDArray, plane: int) -> NDArray:
-        """Return the brightness (n,) of points on an infinite plane with a checkerboard.
+        """Return the brightness (n,) of points on an infinite plane with a checkerboard, in rendered images.
 
         The checkerboard fades with the distance from the camera.
         """
@@ -216,7 +216,9 @@ def _drawn(world: SimWorld) -> _DrawnScene:
 
 # --- rays ---
 def _rays(camera: Camera) -> NDArray[np.float64]:
-    """Return unit directions (height * width, 3) through the pixel centers, in the camera frame."""
+    """Return unit directions (height * width, 3) through the pixel centers, in the camera frame, to render
+    depth by ray casting.
+    """
     m = camera.model
     x = (np.arange(camera.width) - m.cx) / m.fx
     y = (np.arange(camera.height) - m.cy) / m.fy
@@ -228,7 +230,7 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _tiles(width: int, height: int) -> tuple[NDArray[np.int64], ...]:
-    """Return the pixel indices of each rectangular tile of an image.
+    """Return the pixel indices of each rectangular tile of an image to ray-cast.
 
     Casting rays tile by tile takes half the time of one big cast, because most geoms are outside a tile's
     view.
@@ -248,7 +250,7 @@ def _cast(
     rays: NDArray[np.float64],
     groups: tuple[int, ...],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    """Cast rays from a camera at the geoms of some MuJoCo geom groups.
+    """Cast rays from a camera at MuJoCo geoms, to render depth.
 
     Returns:
         Distance (n,) [m] along each ray, -1 where a ray hits nothing; geom id (n,), or -1; surface normal (n,

@@ -38,7 +38,7 @@ WORKER = "armcell.sim.render_worker"
 
 @dataclass(frozen=True, eq=False)
 class PhysicsState:
-    """A copy of the state of a simulated world at one instant, for rendering."""
+    """A copy of the state of a simulated world at one instant, for a render process."""
 
     time: float  # [s]
     qpos: NDArray[np.float64]  # (nq,) MuJoCo's generalized positions
@@ -51,7 +51,7 @@ class PhysicsState:
             return PhysicsState(data.time, data.qpos.copy(), (model.body_pos.copy(), model.body_quat.copy()))
 
     def put_into(self, world: SimWorld) -> None:
-        """Set a simulated world of the same scene and settings to this state, only for rendering."""
+        """Set a simulated world of the same scene and settings to a copied state in the render process."""
         model, data = world.mj_model, world.mj_data
         data.time, data.qpos[:] = self.time, self.qpos
         model.body_pos[:], model.body_quat[:] = self.bodies
@@ -60,7 +60,9 @@ class PhysicsState:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredState:
-    """Measured or reported joint positions and object poses of a robot that is not simulated."""
+    """Measured or reported joint positions and object poses of a robot that is not simulated, for the render
+    process.
+    """
 
     positions: NDArray[np.float64]  # (dof,) [rad or m] in the model's order
     object_poses: dict[str, SE3]  # T_world_object
@@ -76,7 +78,7 @@ State = PhysicsState | MeasuredState
 
 
 class Setup:
-    """The inputs from which a render process builds its copy of a world.
+    """The inputs from which a render process builds its copy of a simulated world.
 
     The constructor pickles them at once, so later changes of the scene have no effect.
     """
@@ -104,7 +106,7 @@ class Order:
 
 
 class RenderProcess:
-    """A process that renders images on request.
+    """Render process: draws images on request, so that physics never waits.
 
     The first `begin` starts the process; `begin` also restarts it after it has died. Only one thread may use
     the object: it calls `begin`, then `finish`.
@@ -118,7 +120,7 @@ class RenderProcess:
 
     @property
     def pid(self) -> int | None:
-        """Return the process id of the running render process, or None."""
+        """Return the process id of the running render process of images, or None."""
         return None if self._process is None else self._process.pid
 
     def begin(self, order: Order) -> None:

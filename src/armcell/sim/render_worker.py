@@ -55,7 +55,7 @@ def _obey(link: Connection) -> None:
 
 
 def main(descriptor: int) -> None:
-    """Serve render requests on a socket until the parent process closes the socket.
+    """Main function of the render process: serve image requests on a socket until the parent closes it.
 
     The process ignores Ctrl-C and SIGTERM, which are meant for the parent.
     """

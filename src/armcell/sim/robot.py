@@ -90,7 +90,8 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings) -> None:
 
 
 def _massless_carriers(model: RobotModel) -> set[str]:
-    """Return links on movable joints without mass, even together with the links fixed to them.
+    """Return the robot links without mass on movable joints in MuJoCo, even together with the links fixed to
+    them.
 
     MuJoCo rejects moving bodies without mass.
     """
@@ -121,7 +122,7 @@ def _set_inertia(body: Any, link: Link, carrier: bool) -> None:
 
 
 def _group_geoms(body: Any, link: Link) -> None:
-    """Put the geoms of an MJCF body into the geom group for armcell's collision geoms."""
+    """Put the geoms of a robot's MJCF body into the geom group for armcell's collision geoms."""
     for geom in body.geoms:
         geom.group = COLLISION_GROUP if link.visuals else OBJECT_GROUP
 
@@ -149,7 +150,7 @@ def _add_visuals(adder: GeomAdder, body: Any, link: Link) -> None:
 
 
 def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
-    """Exclude from MuJoCo's contacts the link pairs that may touch or that one joint connects.
+    """Exclude from MuJoCo's contacts the robot's link pairs that may touch or that one joint connects.
 
     The allowed pairs come from the scene and its model. The hulls of neighboring links overlap at their
     joint, so a contact there would be meaningless.
@@ -195,7 +196,7 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return a gripper's driven finger joint and its mimic joints, with weights.
+    """Return a robot gripper's driven finger joint in MuJoCo and its mimic joints, with weights.
 
     The weighted sum of their positions is the mean finger position.
     """
@@ -207,7 +208,7 @@ def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
 
 
 def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
-    """Return the largest servo force [N] of a gripper.
+    """Return the largest servo force [N] of a robot's gripper in MuJoCo.
 
     A servo force f presses each finger with f / |width_per_joint|.
     """

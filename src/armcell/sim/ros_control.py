@@ -41,7 +41,7 @@ commands positions, whose gains ros_control ignores.
 
 @dataclass(frozen=True)
 class _Entry:
-    """The gains of one joint with their path in the controller file and their rank."""
+    """The gains of one joint with their path in a ros_control controller file and their rank."""
 
     place: str
     gains: JointGains
@@ -61,7 +61,7 @@ class _Reader:
             self.notes.append(text)
 
     def find_types(self, node: Mapping, name: str = "") -> None:
-        """Collect the controllers' types from the parameters of ROS 2's controller manager."""
+        """Collect the controllers' types from ros2_control's controller manager parameters."""
         if isinstance(node.get("type"), str):
             self.types.setdefault(name, node["type"])
         for key, value in node.items():
@@ -90,7 +90,7 @@ class _Reader:
                 self.walk(value, (*path, str(key)))
 
     def joint_entries(self, node: Mapping) -> dict[str, Any]:
-        """Return the gains by joint of a controller that stores the gains under `pid`."""
+        """Return the gains by joint of a ros_control controller with the gains under `pid`."""
         if isinstance(node.get("joint"), str) and "pid" in node:
             return {node["joint"]: node["pid"]}
         names = node.get("joints")
@@ -100,7 +100,7 @@ class _Reader:
         return {n: entry["pid"] for n, entry in own.items() if isinstance(entry, Mapping) and "pid" in entry}
 
     def rank(self, place: str, kind: str, node: Mapping) -> int | None:
-        """Return the rank of a controller's gains, or None for a velocity controller."""
+        """Return the rank of a ros_control controller's gains, or None for a velocity controller."""
         interfaces = node.get("command_interfaces") or node.get("command_interface") or []
         interfaces = [interfaces] if isinstance(interfaces, str) else interfaces
         package = kind.partition("/")[0]
@@ -199,7 +199,7 @@ def is_controllers(data: Mapping) -> bool:
 
 
 def controller_gains(data: Mapping, file: Path, model: RobotModel) -> tuple[GainTable, list[str]]:
-    """Read joint gains from a parsed controller file.
+    """Read PID gains by joint from a parsed ros_control controller file.
 
     Args:
         data: the parsed file.
@@ -229,7 +229,9 @@ def controller_gains(data: Mapping, file: Path, model: RobotModel) -> tuple[Gain
 
 
 def _nested(data: Any) -> Any:
-    """Expand keys that are paths, such as /gazebo_ros_control/pid_gains/JOINT, into mappings."""
+    """Expand keys that are paths, such as /gazebo_ros_control/pid_gains/JOINT, in controller files into
+    mappings.
+    """
     if not isinstance(data, Mapping):
         return data
     made: dict[Any, Any] = {}
@@ -246,7 +248,7 @@ def _nested(data: Any) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Convert a string to a float if possible: YAML 1.1 parses 10e-10 as a string."""
+    """Convert a string to a float if possible: YAML 1.1 parses a gain like 10e-10 as a string."""
     try:
         return float(value) if isinstance(value, str) else value
     except ValueError:

@@ -32,7 +32,7 @@ _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
 
 
 class GeomAdder:
-    """A builder that adds shapes as geoms to a MuJoCo spec; each mesh becomes one shared asset."""
+    """Builder that converts shapes to geoms of a MuJoCo spec; each mesh becomes one shared asset."""
 
     def __init__(self, spec: mujoco.MjSpec):
         self.spec = spec
@@ -69,7 +69,7 @@ class GeomAdder:
     def add_mesh(
         self, body: Any, mesh: Mesh, T_body_mesh: SE3, name: str, convex: bool = False, **values: Any
     ) -> Any:
-        """Add one mesh geom to a MuJoCo body; a mesh that is not `convex` is only for rendering."""
+        """Add one mesh geom to a MuJoCo body; a mesh that is not `convex` is a visual shape."""
         asset = self._assets.get(id(mesh))
         if asset is None:
             asset = self._assets[id(mesh)] = f"mesh{len(self._assets)}"
@@ -90,7 +90,9 @@ class GeomAdder:
 
 
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
-    """Return a cone as a closed convex mesh; its base vertices are on the cone's base circle."""
+    """Return a cone shape for MuJoCo as a closed convex mesh; its base vertices are on the cone's base
+    circle.
+    """
     angle = 2 * np.pi * np.arange(edges) / edges
     base = np.stack(
         [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1
@@ -103,7 +105,7 @@ def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
 
 
 def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
-    """Return the elements of a symmetric matrix (3, 3) in MuJoCo's order.
+    """Return an inertia matrix's (3, 3) elements in MuJoCo's order.
 
     The order is xx, yy, zz, xy, xz, yz.
     """

@@ -22,7 +22,7 @@ RESTS = 0.005  # [m/s] it rests when one contact is slower; a firm grasp creeps 
 
 
 class SlidingFriction:
-    """A switch between static and dynamic friction for objects with two coefficients.
+    """Switch between static and dynamic friction for slipping objects with two coefficients.
 
     Attributes:
         owners: (k,) indices of these objects in `BuiltModel.owners`.
@@ -42,11 +42,11 @@ class SlidingFriction:
         return bool(self.owners)
 
     def reset(self) -> None:
-        """Set all objects to static friction."""
+        """Set all objects to static friction, as none slips."""
         self.set_state((False,) * len(self.owners))
 
     def get_state(self) -> tuple[bool, ...]:
-        """Return for each object with two friction coefficients whether it slides."""
+        """Return for each object with two friction coefficients whether it slips in physics."""
         return tuple(self._slides)
 
     def set_state(self, slides: tuple[bool, ...]) -> None:
@@ -58,7 +58,7 @@ class SlidingFriction:
         self._mj.geom_friction[self._geoms[k], 0] = self._dynamic[k] if slides else self._static[k]
 
     def update(self, data: mujoco.MjData) -> None:
-        """Choose the objects' friction for the next step from the last step's contacts.
+        """Choose the objects' static or dynamic friction for the next step from the last step's contacts.
 
         Call this after each step.
         """
@@ -74,7 +74,7 @@ class SlidingFriction:
                 self._put(k, True)
 
     def _slips(self, data: mujoco.MjData) -> tuple[NDArray[np.int64], Array]:
-        """Return the owners (n, 2) and slip speeds (n,) [m/s] of all contacts that carry a force."""
+        """Return the owners (n, 2) and slip speeds (n,) [m/s] of all contacts that carry a force in physics."""
         contact = data.contact
         loaded = contact.efc_address >= 0
         loaded[loaded] = data.efc_force[contact.efc_address[loaded]] > 0

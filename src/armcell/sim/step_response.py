@@ -19,7 +19,7 @@ BAND = 0.02  # tolerance as a fraction of the step size within which the joint c
 
 @dataclass(frozen=True, eq=False)
 class StepResponse:
-    """The response of one joint to a step of its target at time 0, from rest.
+    """Step response: the response of one arm joint to a step of its target at time 0, from rest.
 
     Times are in s, positions in rad or m.
     """
@@ -35,7 +35,8 @@ class StepResponse:
 
 
 def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) -> dict[str, float]:
-    """Return the largest deviation [rad or m] of each joint that holds its position.
+    """Return the largest deviation [rad or m] of each joint that holds its position (gravity sag in a step
+    response).
 
     The joints hold the scene's positions under gravity for `duration` [s].
     """

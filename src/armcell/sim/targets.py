@@ -14,7 +14,7 @@ AHEAD = 2.0  # [s] length of a batch
 
 
 class Targets:
-    """Joint targets of a motion for `SimWorld.follow`, sampled in batches ahead of time.
+    """Joint targets of a simulated motion at every tick, sampled in batches ahead of time.
 
     Attributes:
         steps: physics steps per tick.
@@ -34,7 +34,7 @@ class Targets:
         self._rows = np.zeros((0, 0))
 
     def between(self, now: float, until: float) -> Array:
-        """Return the joint targets (k, 2n) of all ticks that begin in [`now`, `until`) [s].
+        """Return a motion's sampled joint targets (k, 2n) of all ticks that begin in [`now`, `until`) [s].
 
         Each row holds the positions, then the velocities. The result has at least one row.
         """

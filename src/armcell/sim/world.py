@@ -55,7 +55,7 @@ _DIVERGED = tuple(
 
 @dataclass(frozen=True, eq=False)
 class WorldSnapshot:
-    """The full state and records of a `SimWorld`; only the same world can restore it.
+    """Snapshot: the full state and records of a `SimWorld`; only the same world can restore it.
 
     It contains all data that the next step depends on, and all that the world has recorded.
     """
@@ -74,14 +74,14 @@ class WorldSnapshot:
 
 
 class _Closed:
-    """A placeholder for the model and data of a closed world; any access raises an error."""
+    """A placeholder for the model and data of a closed simulated world; any access raises an error."""
 
     def __getattr__(self, name: str) -> Any:
         raise ArmcellError(CLOSED)
 
 
 class SimWorld:
-    """MuJoCo physics of one scene; all poses are in the world frame.
+    """Simulated world: MuJoCo physics of one planning scene; all poses are in the world frame.
 
     The world frame is the frame of the robot's root link. The simulation is deterministic and advances only
     by `step` and `follow`: the same calls give the same bits.
@@ -157,7 +157,7 @@ class SimWorld:
         self.close()
 
     def reset(self, scene: PlanningScene | None = None) -> None:
-        """Reset the simulation to a planning scene: time 0, at rest, records cleared.
+        """Reset the simulated world to a planning scene: time 0, at rest, records cleared.
 
         A scene that differs from the last one only in joint positions and poses of movable objects is not
         recompiled.
@@ -199,7 +199,7 @@ class SimWorld:
     # --- time ---
     @property
     def time(self) -> float:
-        """Return the simulation time since the last reset [s]."""
+        """Return a simulated world's time since the last reset [s]."""
         return self._data.time
 
     @property
@@ -236,7 +236,8 @@ class SimWorld:
         self.check()
 
     def _look_at_all(self, forget: bool = True) -> None:
-        """Make MuJoCo test all body pairs again, before physics runs without compiled steps.
+        """Make a simulated world's MuJoCo test all body pairs again, before physics runs without compiled
+        steps.
 
         Args:
             forget: also forget the last poses of hands that hold objects, because the state changes.
@@ -247,7 +248,7 @@ class SimWorld:
             self._steps.forget()
 
     def _before(self) -> list[Callable[[mujoco.MjData], None]]:
-        """Return the functions to call before each physics step."""
+        """Return a simulated world's functions to call before each physics step."""
         before = [self._fingers.update]
         if self._servo.computed:
             before.append(self._servo.update)
@@ -256,7 +257,7 @@ class SimWorld:
         return before
 
     def check(self) -> None:
-        """Raise an ArmcellError if the simulation diverged (its state is not finite)."""
+        """Raise an ArmcellError if a simulated world diverged (its state is not finite)."""
         position, velocity, acceleration = _DIVERGED
         if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
@@ -264,7 +265,7 @@ class SimWorld:
     def follow(
         self, joint_names: Sequence[str], targets: Targets, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Track joint targets in physics until a time or until a joint leaves the tolerance.
+        """Let a simulated world track joint targets until a time or until a joint leaves the tolerance.
 
         Equivalent to calling `set_arm_target` and `step` alternately, with less overhead. The world advances
         by at least one tick.
@@ -299,7 +300,7 @@ class SimWorld:
         return errors.item(worst), worst
 
     def _run_belts(self, data: mujoco.MjData) -> None:
-        """Set the joints of all conveyor belts to position zero and to the belt speed."""
+        """Set the joints of all conveyor belts in a simulated world to position zero and to the belt speed."""
         for position, velocity, speed in self.built.belts:
             data.qpos[position], data.qvel[velocity] = 0.0, speed
 
@@ -321,7 +322,7 @@ class SimWorld:
     def set_arm_target(
         self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
     ) -> None:
-        """Set target positions [rad or m] and velocities [rad/s or m/s] of some robot joints.
+        """Set target positions [rad or m] and velocities [rad/s or m/s] of some simulated robot joints.
 
         A gripper's driven joint moves to its target at the gripper's full force.
 
@@ -345,7 +346,7 @@ class SimWorld:
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
 
     def set_arm_torque(self, joint_names: Sequence[str], torques: ArrayLike) -> None:
-        """Apply torques [Nm or N] to arm joints until their next target.
+        """Apply torques [Nm or N] to simulated arm joints until their next target.
 
         The torques are added to the gravity compensation.
 
@@ -360,7 +361,9 @@ class SimWorld:
         self._servo.apply(controls, float_array(torques, (len(names),), "torques"))
 
     def arm_target(self) -> JointState:
-        """Return the last target positions and velocities of the arm joints, without gripper joints."""
+        """Return the last target positions and velocities of the simulated arm joints, without gripper
+        joints.
+        """
         names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
         return JointState(names, self._servo.target, self._servo.speed, time=self.time)
 
@@ -374,7 +377,7 @@ class SimWorld:
         return self._columns[names]
 
     def set_gripper_target(self, gripper: str, width: float, force_per_finger: float | None = None) -> None:
-        """Drive a gripper to a width with limited finger force.
+        """Drive a simulated world's gripper to a width with limited finger force.
 
         Width 0 grasps: the fingers close until an object blocks them, then press with the given force. A
         width above the current one opens the gripper and releases a weld.
@@ -397,12 +400,12 @@ class SimWorld:
         self._drives[gripper].command(float(width), force)
 
     def gripper_state(self, gripper: str) -> GripperState:
-        """Return a gripper's width, finger force, and held object as of the last step."""
+        """Return a simulated world's gripper width, finger force, and held object as of the last step."""
         self._gripper(gripper)
         return gripper_state(self.built, self.mj_data, gripper)
 
     def wrench(self, gripper: str) -> Array:
-        """Return the contact wrench (6,) on a gripper: force [N], then torque [Nm] about the tcp.
+        """Return a simulated world's wrench (6,) on a gripper: force [N], then torque [Nm] about the tcp.
 
         The wrench has world axes and includes all contacts of the gripper's links.
         """
@@ -447,11 +450,11 @@ class SimWorld:
         return body_pose(self.mj_data, self.built.body[name])
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return the poses T_world_object of all movable objects by name."""
+        """Return the poses T_world_object of all movable objects in a simulated world, by name."""
         return {name: self.object_pose(name) for name in self.built.moving}
 
     def object_twist(self, name: str) -> Array:
-        """Return an object's linear [m/s] and angular velocity [rad/s] as (6,), world frame.
+        """Return a simulated object's linear [m/s] and angular velocity [rad/s] as (6,), world frame.
 
         The linear velocity is that of the object's origin.
         """
@@ -490,7 +493,7 @@ class SimWorld:
 
     # --- the whole ---
     def scene(self) -> PlanningScene:
-        """Return the current state of the simulation as a planning scene.
+        """Return a simulated world's current state as a planning scene.
 
         The scene's positions are clipped to the joint limits, which physics treats as soft. Objects that were
         attached in the initial scene are ordinary objects in the returned scene.
@@ -515,12 +518,12 @@ class SimWorld:
         )
 
     def contacts(self) -> list[PhysicsContact]:
-        """Return the contacts of the last physics step with body names, deepest first."""
+        """Return the contacts of a simulated world's last physics step with body names, deepest first."""
         return read_contacts(self.built, self.mj_data)
 
     # --- faults, and the state of a real robot ---
     def add_load(self, link: str, mass: float) -> None:
-        """Add a mass [kg] at a link's center of mass, without gravity compensation.
+        """Add a mass [kg] at a simulated link's center of mass, without gravity compensation.
 
         The mass stays after a reset to the same scene.
         """
@@ -541,7 +544,7 @@ class SimWorld:
         self.mj_model.dof_damping[self.built.joint_dof[joint]] = BLOCKED
 
     def fix_in_hand(self, item: str, gripper: str) -> None:
-        """Weld an object to a gripper at its current relative pose; `welds` records the weld.
+        """Weld an object to a simulated world's gripper at its relative pose; `welds` records the weld.
 
         Raises:
             UnknownNameError: the gripper or the movable object does not exist.
@@ -554,20 +557,20 @@ class SimWorld:
     # --- grip ---
     @property
     def welds(self) -> tuple[WeldEvent, ...]:
-        """Return all welds of objects to grippers since the last reset.
+        """Return all welds of objects to grippers in a simulated world since its last reset.
 
         In grip mode "friction", only `fix_in_hand` adds welds.
         """
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Store an object's pose in a gripper's tcp frame as the reference for measuring its slip."""
+        """Store a simulated object's pose in a gripper's tcp frame as the reference for measuring its slip."""
         self._object(item)
         index = self._gripper(gripper)
         self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
 
     def slip(self, gripper: str | None = None) -> tuple[float, float]:
-        """Return how far an object has slipped [m] and rotated [rad] in a gripper.
+        """Return how far a simulated object has slipped [m] and rotated [rad] in a gripper.
 
         Args:
             gripper: name of the gripper; required only if more than one gripper is watched.
@@ -602,7 +605,7 @@ class SimWorld:
         )
 
     def restore(self, snapshot: WorldSnapshot) -> None:
-        """Restore a snapshot of this simulated world.
+        """Restore a simulated world from its snapshot.
 
         Afterwards the same calls give the same bits.
 
