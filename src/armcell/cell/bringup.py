@@ -46,7 +46,7 @@ class Step:
 
 
 class BringUp:
-    """Guided bring-up of a cell's real arms, step by step.
+    """Bring-up of a cell's real arms, step by step.
 
     Args:
         confirm: called before each step with the step's name and a description; False ends the bring-up.
@@ -154,7 +154,8 @@ class BringUp:
         return kind_of(arm).power_on(name, arm)
 
     def _geometry(self, name: str) -> str:
-        """Compare the flange position of the robot's calibration with that of the cell's model.
+        """Compare the flange position of the robot's calibration with that of the cell's model, in the
+        bring-up.
 
         Both positions are computed for the same measured joint positions.
 

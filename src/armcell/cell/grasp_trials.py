@@ -203,13 +203,17 @@ class Bench:
     def _predictions(
         self, scene: PlanningScene, item: CollisionObject, name: str, grasps: Sequence[Grasp]
     ) -> list[Prediction]:
-        """Run pick trials with randomly drawn grasps of one object; its name determines the seed."""
+        """Run pick trials with randomly drawn grasps of one object in the grasp benchmark; its name
+        determines the seed.
+        """
         o, settings = self.options, replace(self.settings, prove_grasps=0)
         seed = o.seed, zlib.crc32(name.encode())
         return predictions(scene, item, self.gripper, grasps, settings, o.predictions, HOLD, seed)
 
     def _attempt(self, scene: PlanningScene, settings: TaskSettings, tries: int = 1) -> Outcome:
-        """Pick, lift, hold and place the object by friction only; return measurements as evidence."""
+        """Grasp benchmark attempt: pick, lift, hold and place an object by friction only; return measurements
+        as evidence.
+        """
         driver = drivers["sim"](scene, DriverOptions(self.options.seed, physics=PhysicsSettings()))
         with LiveCell("grasp trial", scene, driver, settings, (), self.options.seed) as live:
             outcome = Outcome(ErrorCode.FAILURE, "not tried")
@@ -249,14 +253,17 @@ class Bench:
         return Outcome(ErrorCode.SUCCESS, "", evidence)
 
     def _picked(self, ctx: TaskContext) -> Outcome:
-        """Pick the object with a grasp that also reaches the goal placement, else with any grasp."""
+        """Pick the grasp benchmark's object with a grasp that also reaches the goal placement, else with any
+        grasp.
+        """
         s = self.settings
         goal = ChoosePlacement(OBJECT, TABLE, self.gripper, s.near, s.lower_distance, self.goal)
         picked = pick(ctx, OBJECT, self.gripper, ahead=[goal])
         return picked if picked.code is not ErrorCode.PLANNING_FAILED else pick(ctx, OBJECT, self.gripper)
 
     def _at_rest(self, item: CollisionObject) -> CollisionObject | None:
-        """Return the object at its resting pose in physics, on one of its three most stable sides.
+        """Return the grasp benchmark's object at its resting pose in physics, on one of its three most stable
+        sides.
 
         Returns:
             The object at rest; None if it rolls away from all three sides.

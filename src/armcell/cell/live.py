@@ -75,7 +75,7 @@ class Arm:
         self._ctx, self.group = ctx, group
 
     def pick(self, item: str) -> Outcome:
-        """Grasp an object with this arm and lift it."""
+        """Grasp an object with an arm of a live cell and lift it."""
         model = self._ctx.scene().model
         return pick(self._ctx, item, model.gripper(arm_group=self.group))
 
@@ -87,7 +87,7 @@ class Arm:
         up: tuple[float, float, float] | None = None,
         lean: float | None = None,
     ) -> Outcome:
-        """Place a held object on another object.
+        """Place with an arm of a live cell a held object on another object.
 
         Args:
             on: the object that supports the placed object.
@@ -106,7 +106,8 @@ class Arm:
         look: Callable[[], Outcome] | None = None,
         settings: RecoverySettings = RecoverySettings(),
     ) -> Outcome:
-        """Pick an object and place it on another one; recover from failures such as a drop.
+        """Transfer with a live cell's arm: pick an object and place it on another one; recover from failures
+        such as a drop.
 
         Args:
             on: the object that supports the placed object.
@@ -118,11 +119,11 @@ class Arm:
         return transfer(self._ctx, item, gripper, on, at, up, look, settings)
 
     def move_to(self, target: Target) -> Outcome:
-        """Move the arm to a named state, a tip pose (world frame), joint values, or any other goal."""
+        """Move a live cell's arm to a named state, a tip pose (world frame), joint values, or any other goal."""
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
 
     def execute(self, motion: PlanResult | JointTrajectory) -> Outcome:
-        """Execute a planned motion of this arm, given as a `PlanResult` or a trajectory.
+        """Execute a planned motion of a live cell's arm, given as a `PlanResult` or a trajectory.
 
         The motion gate checks the motion against the current scene. If the motion would collide, the gate
         does not start it, and the outcome names the colliding pair, the place and the time.
@@ -140,27 +141,31 @@ class Arm:
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
-        """Grasp an object that moves at constant speed, e.g. on a conveyor belt, and lift it."""
+        """Grasp with a live cell's arm an object that moves at constant speed, e.g. on a conveyor belt, and
+        lift it.
+        """
         gripper = self._ctx.scene().model.gripper(arm_group=self.group)
         return pick_moving(self._ctx, item, gripper, settings)
 
     def grasp(self, item: str) -> Outcome:
-        """Grasp an object at its present pose without lifting it."""
+        """Grasp with a live cell's arm an object at its present pose without lifting it."""
         return grasp(self._ctx, item, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def let_go(self, item: str) -> Outcome:
-        """Open the gripper that holds an object and retreat straight back."""
+        """Open a live cell's gripper that holds an object and retreat straight back."""
         return let_go(self._ctx, item)
 
     def screw(
         self, item: str, turns: float, force: float = 8.0, settings: ScrewSettings = ScrewSettings()
     ) -> Outcome:
-        """Screw a held object: turn it clockwise about the tool axis, pressing with `force` [N]."""
+        """Screw with a live cell's arm a held object: turn it clockwise about the tool axis, pressing with
+        `force` [N].
+        """
         return screw(self._ctx, item, turns, force, settings)
 
     @property
     def joints(self) -> JointGoal:
-        """Return the measured joint positions of the arm as a goal for `move_to`.
+        """Return the measured joint positions of a live cell's arm as a goal for `move_to`.
 
         Example: `ready = arm.joints; ...; arm.move_to(ready)`
         """
@@ -168,31 +173,32 @@ class Arm:
         return JointGoal(self._ctx.driver.joint_state().reindexed(names))
 
     def open(self) -> Outcome:
-        """Open the gripper fully and release any held object."""
+        """Open a live cell's gripper fully and release any held object."""
         return release(self._ctx, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def hold(self, duration: float) -> Outcome:
-        """Keep the arm still for `duration` [s]."""
+        """Keep a live cell's arm still for `duration` [s]."""
         return hold(self._ctx, duration)
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """Reserve a zone for this arm: `with arm.reserve("bin"):` excludes the other arm from it."""
+        """Reserve a zone for a live cell's arm: `with arm.reserve("bin"):` excludes the other arm."""
         return self._ctx.reserve(zone)
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the first item whose zone the other arm neither occupies nor approaches.
+        """Return for a live cell's arm the first item whose zone the other arm neither occupies nor
+        approaches.
 
         If the other arm occupies or approaches all zones, return the first item.
         """
         return self._ctx.choose(items, zone)
 
     def rendezvous(self, name: str) -> None:
-        """Wait until the other arm's program reaches the rendezvous point with the same name."""
+        """Wait in an arm's program of a live cell until the other reaches the same rendezvous."""
         self._ctx.rendezvous(name)
 
 
 class LiveCell:
-    """A cell with a connected driver, used in a `with` block.
+    """Live cell: a cell with a connected driver, used in a `with` block.
 
     Attributes:
         driver: the driver of the robot, simulated or real.
@@ -248,7 +254,7 @@ class LiveCell:
             self._inside.close()
 
     def release(self) -> None:
-        """Free the simulation's memory for the next cell; call it after the `with` block.
+        """Free the memory of a live cell's simulation; call it after the `with` block.
 
         The call is optional. Afterwards, the state of this cell cannot be read.
         """
@@ -257,14 +263,14 @@ class LiveCell:
 
     @property
     def arms(self) -> dict[str, Arm]:
-        """Return the arms by planning group: those with a gripper, or every chain without grippers."""
+        """Return a live cell's arms by planning group: those with a gripper, or every chain without grippers."""
         groups = [g.arm_group for g in self.model.grippers.values()]
         groups = groups or [g.name for g in self.model.groups.values() if g.tip_link]
         return {name: Arm(self.ctx, name) for name in groups}
 
     @property
     def arm(self) -> Arm:
-        """Return the only arm of the cell.
+        """Return the only arm of the live cell.
 
         Raises:
             InputError: the cell has no arm or several arms.
@@ -282,7 +288,7 @@ class LiveCell:
         return self.arms[group]
 
     def side_by_side(self, **programs: Callable[[Arm], Outcome | None]) -> SideBySide:
-        """Run one program (a function of its `Arm`) per arm, each at its own pace.
+        """Run one program (a function of its `Arm`) per arm of a live cell, each at its own pace.
 
         Example: `cell.side_by_side(left_arm=sort_left, right_arm=sort_right)`
         """
@@ -297,7 +303,7 @@ class LiveCell:
     def orders(
         self, to: Callable[[str], str], cycle_times: CycleTimes = CycleTimes(), **streams: Sequence[str]
     ) -> dict[str, list[str]]:  # fmt: skip
-        """Return for each arm an order of its objects such that both arms finish early.
+        """Return for each arm of a live cell an order of its objects such that both arms finish early.
 
         With these orders, the arms rarely wait for each other at a zone.
 
@@ -312,7 +318,7 @@ class LiveCell:
         return orders(self.scene(), streams, to, self.ctx.settings, cycle_times)
 
     def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> Carrying:
-        """Return a `Carrying` task, with which two arms carry one object together.
+        """Return a live cell's `Carrying` task, with which two arms carry one object together.
 
         Example: `cell.carry("rod", left_arm="left_end", right_arm="right_end")`
 
@@ -324,7 +330,7 @@ class LiveCell:
         return Carrying(self.ctx, self._both(ends), item, ends, settings)
 
     def hand_over(self, item: str, to: str, at: Sequence[SE3] = ()) -> Outcome:
-        """Hand an object over in the air from the arm that holds it to another arm.
+        """Hand an object over in the air between two arms of a live cell.
 
         Args:
             to: the planning group of the receiving arm.
@@ -334,13 +340,13 @@ class LiveCell:
         return hand_over(self.ctx, item, self.model.gripper(arm_group=to), at)
 
     def move_together(self, **targets: Target) -> Outcome:
-        """Move two arms to one target each, such that both start and arrive at the same time."""
+        """Move two arms of a live cell to one target each, such that both start and arrive at the same time."""
         scene = self.ctx.scene()
         goals = {group: goal_of(scene.model, group, target) for group, target in targets.items()}
         return move_together(self.ctx, self._both(targets), goals)
 
     def _both(self, groups: Iterable[str]) -> str:
-        """Return the planning group that contains exactly the joints of several groups.
+        """Return a live cell's planning group that contains exactly the joints of several groups.
 
         Raises:
             InputError: the model has no such group.
@@ -353,18 +359,18 @@ class LiveCell:
 
     @property
     def reports(self) -> list[StageReport]:
-        """Return the reports of all task stages performed so far."""
+        """Return the reports of all task stages performed so far in a live cell."""
         return self.ctx.reports
 
     def stop(self) -> None:
-        """Stop the running motion; until `resume()`, every call returns PREEMPTED.
+        """Stop a live cell's motion; until `resume()`, every call returns PREEMPTED.
 
         Any thread may call this method.
         """
         self.ctx.cancel.set()
 
     def resume(self) -> Outcome:
-        """Make a stopped cell ready for motions, after `stop()`, a fault or a lost connection.
+        """Make a stopped live cell ready for motions, after `stop()`, a fault or a lost connection.
 
         Call it from any thread. It reconnects real arms whose connection was lost. It starts no motion and
         discards old goals. If the cell is not stopped, it does nothing, also during a motion.
@@ -385,11 +391,11 @@ class LiveCell:
         return Outcome(ErrorCode.SUCCESS)
 
     def scene(self) -> PlanningScene:
-        """Return the planning scene with the measured state; any thread may call this method."""
+        """Return a live cell's scene with the measured state; any thread may call this method."""
         return self.ctx.scene()
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change the planning scene, from any thread and at any time, also during a motion.
+        """Change a live cell's planning scene, from any thread and at any time, also during a motion.
 
         Later plans use the changed scene. If the change blocks the rest of a running motion, the motion stops
         with MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE and names the obstacle; other motions continue.
@@ -409,7 +415,7 @@ class LiveCell:
 
     # --- cameras ---
     def camera(self, name: str | None = None) -> LiveCamera:
-        """Return the camera with a given name, or the only camera of the cell.
+        """Return the camera of a live cell by name, or its only camera.
 
         Raises:
             UnknownNameError: no camera has this name.
@@ -426,7 +432,7 @@ class LiveCell:
         return self.cameras[name]
 
     def look(self, camera: str | None = None, settings: LookSettings | None = None) -> Sight:
-        """Detect the movable objects with a camera and update the planning scene.
+        """Detect the movable objects with a live cell's camera and update the planning scene.
 
         Objects whose poses come only from cameras are set to their detected poses. If an object is not found,
         the outcome states the reason.
@@ -441,7 +447,7 @@ class LiveCell:
         self, bin: str, into: str, table: str, camera: str, tray_camera: str,
         settings: ClearSettings = ClearSettings(),
     ) -> Outcome:  # fmt: skip
-        """Move all objects from a bin into another container, found only by two cameras.
+        """Clear a bin in a live cell: move all objects into another container, found only by two cameras.
 
         Args:
             into: the container for the objects.
@@ -459,7 +465,7 @@ class LiveCell:
         self, into: Mapping[str, str], camera: str, by: str | Kind = "color",
         settings: SortSettings = SortSettings(),
     ) -> Outcome:  # fmt: skip
-        """Place every object that a camera sees on the target for its color (or shape).
+        """Place every object that a live cell's camera sees on the target for its color (or shape).
 
         Example: `cell.sort({"red": "red_mat", "blue": "blue_mat"}, camera="above")`
         """
@@ -469,5 +475,5 @@ class LiveCell:
     def watch(
         self, camera: str | None = None, settings: MapSettings = MapSettings(), rate: float = 10.0
     ) -> CameraWatch:
-        """Keep the octomap of the planning scene up to date from a camera, at `rate` [Hz]."""
+        """Keep a live cell's octomap up to date from a camera, at `rate` [Hz]."""
         return CameraWatch(self.ctx, self.camera(camera), settings, rate)

@@ -22,7 +22,7 @@ TOO_LATE = 0.25  # [s] a picture that took longer is taken once more; the first 
 
 
 class LiveCamera:
-    """Camera of a connected cell, which takes images at its frame rate by the driver's clock.
+    """Live camera of a connected cell, which takes images at its frame rate by the driver's clock.
 
     Without physics, pictures show the joint positions and object poses that the driver reports. In lock-step,
     the calling thread draws. If the driver runs in real time, `ask` and `take` use another process that draws
@@ -49,13 +49,13 @@ class LiveCamera:
         return self.camera.name
 
     def due(self) -> bool:
-        """Return whether an image newer than the last taken one is available."""
+        """Return whether a live camera's image newer than the last taken one is available."""
         if self.frozen and self._newest is not None:
             return False
         return self._newest is None or self._number(self._driver.now) > self._number(self._newest.time)
 
     def ask(self, key: Hashable, give: Give, rgb: bool = True, depth: bool = True) -> None:
-        """Request an image of the present state for a function, without waiting for the image.
+        """Request a live camera's image of the present state for a function, without waiting for the image.
 
         In lock-step, `give` runs at once. In real time, `give` runs in another thread when the picture is
         drawn; a new request replaces a waiting one with the same key (`CellRenderer.ask`).
@@ -75,7 +75,7 @@ class LiveCamera:
         return gives
 
     def take(self, advance: Callable[[float], None], rgb: bool = True) -> CameraImage:
-        """Return the newest image; `advance` lets time pass while another process draws it.
+        """Return a live camera's newest image; `advance` lets time pass while another process draws it.
 
         Args:
             advance: lets the given number of seconds pass, e.g. `TaskContext.advance`.
@@ -109,18 +109,18 @@ class LiveCamera:
         return found[0]
 
     def _lacks(self, rgb: bool) -> bool:
-        """Return whether a color image is requested but the newest image has only depth."""
+        """Return whether a color image is requested but a live camera's newest image has only depth."""
         return rgb and not self.frozen and self._newest is not None and self._newest.rgb is None
 
     def image(self, rgb: bool = True) -> CameraImage:
-        """Return the newest image; draw it in the calling thread, at most once per camera period."""
+        """Return a live camera's newest image; draw it in the calling thread, at most once per camera period."""
         newest = self._newest
         if newest is None or self.due() or self._lacks(rgb):
             newest = self._newest = self.draw(rgb)
         return newest
 
     def draw(self, rgb: bool = True, depth: bool = True) -> CameraImage:
-        """Draw an image of the present state in the calling thread."""
+        """Draw a live camera's image of the present state in the calling thread."""
         image = take_image(self._world(), self.camera, rgb=rgb, depth=depth and self.camera.has_depth)
         return replace(image, time=self._driver.now)
 
@@ -141,7 +141,7 @@ class LiveCamera:
 @dataclass
 @checked()
 class CameraWatch:
-    """Observer that updates the octomap of a running cell from a camera's depth images.
+    """Observer that updates the octomap of a live cell from a camera's depth images.
 
     As an observer of the cell, it updates the octomap at its own rate whenever time passes. If the new
     octomap blocks the rest of a motion, the motion stops, as for any change of the scene
@@ -170,12 +170,12 @@ class CameraWatch:
         self.ctx.observers.append(self)
 
     def close(self) -> None:
-        """Stop the octomap updates; the octomap stays in the scene."""
+        """Stop a live camera's octomap updates; the octomap stays in the scene."""
         if self in self.ctx.observers:
             self.ctx.observers.remove(self)
 
     def update(self) -> MapUpdate:
-        """Update the octomap now; if there is no new image, return the last update.
+        """Update the octomap from a live camera now; if there is no new image, return the last update.
 
         Each image is used only once: later, the robot is no longer at the position that the image shows, and
         would be mapped as an obstacle.
@@ -186,7 +186,7 @@ class CameraWatch:
         return self._use(self.camera.take(self.ctx.advance, rgb=False), scene)
 
     def _use(self, image: CameraImage, scene: PlanningScene) -> MapUpdate:
-        """Insert a depth image into the octomap and return the update.
+        """Insert a live camera's depth image into the octomap and return the update.
 
         Args:
             scene: the scene when the picture was taken, to remove the robot from the picture.
@@ -211,7 +211,7 @@ class CameraWatch:
             self.ctx.emit("error", f"octomap: {message}", code=code)
 
     def _ask(self) -> None:
-        """Request an image of the present state, to be inserted into the octomap when drawn."""
+        """Request a live camera's image of the present state, to be inserted into the octomap when drawn."""
         now, scene = self.ctx.driver.now, self.ctx.scene()
         self._since = min(self._since, now)
 

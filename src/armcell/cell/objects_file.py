@@ -37,7 +37,7 @@ from armcell.scene import (
 
 
 def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
-    """Return the scene object for a validated entry of a cell file.
+    """Return the scene object for an entry of a cell's objects file.
 
     Args:
         folder: folder for relative file names in the entry.
@@ -67,7 +67,7 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
 
 
 def material_of(friction: float | FrictionSpec) -> Material:
-    """Return the material for the `friction` value of a cell file.
+    """Return the material for the `friction` value of an object in a cell's objects file.
 
     Raises:
         InputError: see `Material`.
@@ -113,7 +113,7 @@ def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
 
 
 def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> CollisionObject:
-    """Return an object with a screw thread, with its pose converted to the world frame.
+    """Return an object with a screw thread, of an objects file with its pose converted to the world frame.
 
     The given pose is in the frame of the object into which it is screwed, as in a cell file.
 
@@ -147,12 +147,12 @@ def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
 
 
 def objects_text(entries: Mapping[str, Any]) -> str:
-    """Return the YAML text of the block `objects` for the given entries."""
+    """Return the YAML text of the block `objects` of a cell file for the given entries."""
     return yaml.safe_dump({"objects": dict(entries)}, sort_keys=False, default_flow_style=None, width=110)
 
 
 def object_entries(objects: Iterable[CollisionObject], file: Path) -> dict[str, Any]:
-    """Return objects as cell file entries; write each mesh and cloud once.
+    """Return scene objects as entries of an objects file; write each mesh and cloud once.
 
     Meshes and clouds are written to the folder of `file`.
 
@@ -180,7 +180,7 @@ def _pose(T: SE3) -> Any:
 def _entry(
     item: CollisionObject, every: Mapping[str, CollisionObject], beside: Path, written: dict[int, Any]
 ) -> dict[str, Any]:
-    """Return an object as a cell file entry.
+    """Return a scene object as an entry of an objects file.
 
     Args:
         every: all objects to write, by name.
@@ -228,7 +228,7 @@ def _friction_entry(material: Material) -> float | dict[str, float]:
 
 
 def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
-    """Return a shape as a cell file entry; write a mesh or point cloud to its own file.
+    """Return a shape as an entry of an objects file; write a mesh or point cloud to its own file.
 
     Args:
         beside: path of that file without the suffix.

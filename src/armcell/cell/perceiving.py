@@ -22,7 +22,7 @@ _REACH = 0.03  # [m] largest distance from a closed gripper's TCP to the object 
 
 @dataclass
 class Seen:
-    """Detected poses of the objects that only cameras measure.
+    """Detected poses of the objects that only a cell's cameras perceive.
 
     Attributes:
         known: the objects to detect, with their shapes, by name.
@@ -45,19 +45,19 @@ class Seen:
 
     @property
     def unknown(self) -> dict[str, CollisionObject]:
-        """Return the objects without an initial pose, at their last detected poses."""
+        """Return the perceived objects without an initial pose, at their last detected poses."""
         names = (n for n in self.known if n not in self.initial)
         return {n: self.known[n].at(self.poses.get(n, SE3.identity())) for n in names}
 
     def taken_from(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene without the objects whose pose is still unknown."""
+        """Return the scene without the objects that no camera has perceived."""
         for name in self.known:
             if name in scene.objects and name not in self.poses:
                 scene = scene.without_object(name)
         return scene
 
     def put_into(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene with objects at their detected poses; attached objects are unchanged."""
+        """Return the scene with perceived objects at their detected poses; attached objects are unchanged."""
         for name, T in self.poses.items():
             if name not in scene.attached:
                 scene = scene.with_object(self.known[name].at(T))
@@ -105,7 +105,7 @@ class PerceivingDriver(DriverProxy):
         return replace(reading, held=held[0] if held else None)
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object by object name: detected poses, else the wrapped driver's poses."""
+        """Return T_world_object by object name: perceived poses, else the wrapped driver's."""
         self._follow()
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
         return {**others, **self._seen.poses}
@@ -115,7 +115,7 @@ class PerceivingDriver(DriverProxy):
             self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object
 
     def _near(self, gripper: str) -> str | None:
-        """Return the object that contains a gripper's TCP or is nearest to it, or None if too far."""
+        """Return the perceived object that contains a gripper's TCP or is nearest to it, or None if too far."""
         tcp, best, found = self._tcp(gripper).translation, _REACH, None
         for name, T in self._seen.poses.items():
             low, high = self._seen.known[name].bounds()

@@ -24,7 +24,8 @@ RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the l
 def scores(
     objects: Sequence[str], probability: Sequence[float], epsilon: Sequence[float], success: Sequence[bool]
 ) -> dict[str, Any]:
-    """Score three predictors of grasp success: P of proofs, quality epsilon alone, base rate.
+    """Score three predictors (predicted P against observed success) of grasp success: P of proofs, quality
+    epsilon alone, base rate.
 
     `brier_lead` is the Brier score of epsilon minus that of P, and `brier_lead_interval` its 95 % bootstrap
     interval over objects. An area under the curve is None without successes or without failures.
@@ -52,7 +53,7 @@ def scores(
 
 
 def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
-    """Return edges, count, mean prediction and success share of each non-empty bin of P."""
+    """Return edges, count, mean prediction and success share of each non-empty bin of predicted P."""
     rows = []
     bins = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
     for k in np.unique(bins):
@@ -67,7 +68,7 @@ def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
 
 
 def area_under_curve(score: Array, happened: Array) -> float | None:
-    """Return the probability (AUC) that a success has a higher score than a failure.
+    """Return the probability (AUC of predictions) that a success has a higher score than a failure.
 
     Ties count half. The result is None without successes or without failures.
     """
@@ -80,7 +81,9 @@ def area_under_curve(score: Array, happened: Array) -> float | None:
 
 
 def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
-    """Return for each trial the share of successes among all other objects (0.5 without any)."""
+    """Return, as base-rate prediction of each trial, the share of successes among all other objects (0.5
+    without any).
+    """
     found = np.full(len(happened), 0.5)
     for name in np.unique(objects):
         own = objects == name
@@ -90,7 +93,7 @@ def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
 
 
 def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
-    """Return P(success) of each trial from epsilon alone, by a logistic fit to other objects."""
+    """Predict P(success) of each trial from epsilon alone, by a logistic fit to other objects."""
     from scipy.optimize import minimize
 
     x = (epsilon - epsilon.mean()) / max(float(epsilon.std()), 1e-12)
@@ -108,7 +111,7 @@ def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -
 
 
 def _interval(objects: NDArray[np.str_], lead: Array) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of a mean score lead over resampled objects.
+    """Return the 95 % bootstrap interval of a mean prediction score lead over resampled objects.
 
     Each resampled object keeps all its trials.
     """

@@ -30,7 +30,7 @@ class _Request:
 
 
 class CellRenderer:
-    """Renderer of camera images of a driver's state, in another process.
+    """Renderer of a real-time cell's camera images, in another process.
 
     The thread and the process start with the first request.
 
@@ -53,14 +53,14 @@ class CellRenderer:
 
     @property
     def pid(self) -> int | None:
-        """Return the process id of the rendering process, or None if it does not run."""
+        """Return the process id of a cell's rendering process, or None if it does not run."""
         return self._process.pid
 
     def ask(
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Request a camera image of the present state and return at once.
+        """Request a cell's camera image in another process of the present state and return at once.
 
         Call this method from the thread that steps the driver.
 
@@ -84,7 +84,7 @@ class CellRenderer:
             self._wake.notify()
 
     def close(self) -> None:
-        """End the rendering process after it has drawn the waiting key moments."""
+        """End a cell's rendering process after it has drawn the waiting key moments."""
         with self._wake:
             self._closing = True
             self._waiting = {k: r for k, r in self._waiting.items() if r.keep}
@@ -111,7 +111,7 @@ class CellRenderer:
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 
     def _run(self) -> None:
-        """Draw the requested images in sequence.
+        """Draw a cell's requested camera images in sequence.
 
         The process draws the next image while `give` handles the last one.
         """
@@ -127,7 +127,7 @@ class CellRenderer:
             self._process.close()
 
     def _next(self, wait: bool) -> _Request | None:
-        """Start to draw the oldest waiting image request and return the request.
+        """Start to draw the oldest waiting camera image request of a cell and return the request.
 
         Args:
             wait: wait for a request.

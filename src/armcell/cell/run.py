@@ -20,7 +20,7 @@ from armcell.tasks import TaskFailed, make_stage, perform_stages
 
 
 def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
-    """Perform the task of a connected cell and return the result.
+    """Run the task of a connected cell and return the result as JSON-ready data.
 
     Args:
         seed: the seed that the cell was connected with; None for the nominal cell.
@@ -87,7 +87,7 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
 
 
 def _move(live: LiveCell, state: str) -> Outcome:
-    """Move each arm that has a named state to that state, one arm after the other."""
+    """Before or after a run, move each arm that has a named state to that state, one arm after the other."""
     tables = live.model.named_states
     arms = [arm for group, arm in live.arms.items() if state in tables.get(group, {})]
     outcome = Outcome(ErrorCode.SUCCESS)
@@ -171,7 +171,7 @@ def contact_in_words(contact: Mapping[str, Any]) -> str:
 
 
 def complaints(result: Mapping[str, Any]) -> list[str]:
-    """Return failures that override a task's outcome: unwanted contacts and lost objects."""
+    """Return a run's failures that override a task's outcome: unwanted contacts and lost objects."""
     contacts = [f"unwanted contact: {contact_in_words(c)}" for c in result.get("unwanted_contacts", ())]
     return contacts + [f"lost object: {row['how']}" for row in result.get("lost", ())]
 
@@ -179,7 +179,7 @@ def complaints(result: Mapping[str, Any]) -> list[str]:
 def _failed_at(
     outcome: Outcome, reports: list[dict[str, Any]], unwanted: list[dict[str, Any]]
 ) -> dict[str, str]:
-    """Return the stage and the pair of bodies that caused a task's failure, or empty texts.
+    """Return the stage and the pair of bodies that caused the failure of a run's task, or empty texts.
 
     After a planning failure: the stage without a solution and the contact at the start or goal. Otherwise:
     the last failed stage and the first unwanted contact.
@@ -199,7 +199,7 @@ def _judged(
     outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]], lost: list[dict[str, Any]],
     tolerance: float,
 ) -> Outcome:  # fmt: skip
-    """Return a run's outcome, or a failure for unwanted contacts, lost or misplaced objects.
+    """Return a cell run's outcome, or a failure for unwanted contacts, lost or misplaced objects.
 
     Args:
         errors: distances of placed objects from their goals [m], which must not exceed the tolerance [m].

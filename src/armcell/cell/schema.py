@@ -35,7 +35,7 @@ SHAPE_KEYS = (*_SIZED, "mesh", "cloud")
 
 
 def _value_type(kind: ShapeKind) -> Any:
-    """Return the type of a shape's value: a list of sizes [m], one size, or `true` (no sizes)."""
+    """Return the cell schema's type of a shape value: a list of sizes [m], one size, or `true` (no sizes)."""
     if not kind.sizes:
         return Literal[True]
     return float if len(kind.sizes) == 1 else tuple[(float,) * len(kind.sizes)]
@@ -46,7 +46,7 @@ _Sized: Any = create_model("_Sized", __base__=Strict, **_SIZED_FIELDS)
 
 
 class SomeShape(_Sized, Strict):
-    """Schema of at most one shape; armcell's shape names are its keys.
+    """Cell file schema of at most one shape; armcell's shape names are its keys.
 
     Attributes:
         package_shape: value by name of a shape of an installed package; cell files have the name as key.
@@ -70,12 +70,12 @@ class SomeShape(_Sized, Strict):
         return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
 
     def given(self) -> dict[str, Any]:
-        """Return the values of all shape keys that the cell file gives, by key."""
+        """Return the values of all shape keys in a cell file entry that the cell file gives, by key."""
         own = {key: value for key in SHAPE_KEYS if (value := getattr(self, key)) is not None}
         return {**own, **self.package_shape}
 
     def sized(self) -> tuple[str, list[float]] | None:
-        """Return the name and the sizes [m] of the shape; None for a mesh, a cloud or no shape."""
+        """Return the name and the sizes [m] of a cell file's shape; None for a mesh, a cloud or no shape."""
         for name, value in self.given().items():
             if name in ("mesh", "cloud"):
                 return None
@@ -86,7 +86,7 @@ class SomeShape(_Sized, Strict):
 
 
 class ShapeSpec(SomeShape):
-    """Schema of one shape of an object: exactly one shape key; full lengths in meters."""
+    """Cell file schema of one shape of an object: exactly one shape key; full lengths in meters."""
 
     pose: Any = (0.0, 0.0, 0.0)
 
@@ -101,14 +101,16 @@ class ShapeSpec(SomeShape):
 
 
 class TypeSpec(Strict):
-    """Object type: a key in a database, as in ROS's object_recognition_msgs."""
+    """Cell file schema of an object type: a key in a database, as in ROS's object_recognition_msgs."""
 
     key: str = ""
     db: str = ""
 
 
 class ThreadSpec(Strict):
-    """Screw thread of an object, which turns about its z axis and advances by `pitch` per turn."""
+    """Cell file schema of an object's screw thread, which turns about its z axis and advances by `pitch` per
+    turn.
+    """
 
     into: str  # an object defined earlier in the file
     pitch: float = Field(gt=0)  # [m]
@@ -117,7 +119,7 @@ class ThreadSpec(Strict):
 
 
 class FrictionSpec(Strict):
-    """Coulomb friction coefficients: static and dynamic."""
+    """Cell file schema of Coulomb friction coefficients: static and dynamic."""
 
     static: float = Field(ge=0)
     dynamic: float = Field(ge=0)
@@ -137,7 +139,7 @@ Friction = Annotated[
 
 
 class ObjectSpec(SomeShape):
-    """Object of a cell: one shape, several under `shapes`, or a library object by `model`."""
+    """Cell file schema of an object: one shape, several under `shapes`, or a library object by `model`."""
 
     shapes: list[ShapeSpec] = []
     model: str | None = None  # name of a library object
@@ -174,7 +176,7 @@ class ObjectSpec(SomeShape):
 
 
 class RandomSpec(Strict):
-    """Ranges [low, high] of an object's random values, drawn uniformly for each seed.
+    """Cell file schema of ranges [low, high] of an object's random values, drawn uniformly for each seed.
 
     The offsets are added to the object's pose.
     """
@@ -203,7 +205,7 @@ class RobotSpec(Strict):
 
 
 class IntrinsicsSpec(Strict):
-    """Camera intrinsics: focal lengths and principal point [px].
+    """Cell file schema of camera intrinsics: focal lengths and principal point [px].
 
     Pixel centers have integer coordinates.
     """
@@ -215,7 +217,7 @@ class IntrinsicsSpec(Strict):
 
 
 class NoiseSpec(Strict):
-    """Depth noise of a camera, with the fields of `sim.DepthNoise`."""
+    """Cell file schema of a camera's depth noise, with the fields of `sim.DepthNoise`."""
 
     floor: float = Field(0.0, ge=0)  # [m]
     growth: float = Field(0.0, ge=0)  # [1/m]
@@ -228,7 +230,7 @@ class NoiseSpec(Strict):
 
 
 class CameraSpec(Strict):
-    """Camera of a cell, given by `eye` and `target` [m] or by a `pose`.
+    """Cell file schema of a camera, given by `eye` and `target` [m] or by a `pose`.
 
     The pose is that of the optical frame (z forward, y down).
 
@@ -263,7 +265,7 @@ class CameraSpec(Strict):
 
 
 class MarkerSpec(Strict):
-    """Visual marker for cameras: ArUco or AprilTag.
+    """Cell file schema of a visual marker for cameras: ArUco or AprilTag.
 
     Marker frame: x to the right and y up in the picture, z out of the picture.
     """
@@ -276,7 +278,9 @@ class MarkerSpec(Strict):
 
 
 class PerceptionSpec(Strict):
-    """Objects whose poses only a camera measures; they are unknown before the first `look`."""
+    """Cell file schema of objects whose poses only a camera measures; they are unknown before the first
+    `look`.
+    """
 
     camera: str
     objects: list[str] = Field(min_length=1)
@@ -284,7 +288,9 @@ class PerceptionSpec(Strict):
 
 
 class DropSpec(Strict):
-    """Objects that physics drops into a bin before the task begins; the seed sets their poses."""
+    """Cell file schema of objects that physics drops into a bin before the task begins; the seed sets their
+    poses.
+    """
 
     into: str  # fixed object with a level floor
     objects: list[str] = Field(min_length=1)
@@ -302,7 +308,7 @@ class TransferSpec(PlaceSpec):
 
 
 class StepSpec(Strict):
-    """One step of a cell's task; exactly one of its keys must be given."""
+    """Cell file schema of one task step; exactly one of its keys must be given."""
 
     pick: str | None = None
     place: PlaceSpec | None = None
@@ -321,17 +327,17 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """Return the placement that this task step must achieve, or None for other steps."""
+        """Return the placement that a cell file's task step must achieve, or None for other steps."""
         return self.place or self.transfer
 
     @property
     def camera(self) -> str | None:
-        """Return the camera that this task step uses, or None."""
+        """Return the camera that a cell file's task step uses, or None."""
         return self.transfer.look if self.transfer else self.look
 
 
 class PushSpec(Strict):
-    """Disturbance by an external force on a link or movable object.
+    """Cell file schema of a disturbance by an external force on a link or movable object.
 
     The force acts at the center of mass, in world axes.
     """
@@ -343,7 +349,9 @@ class PushSpec(Strict):
 
 
 class MovedSpec(Strict):
-    """Disturbance that displaces an object at time `at` without the planners' knowledge."""
+    """Cell file schema of a disturbance that displaces an object at time `at` without the planners'
+    knowledge.
+    """
 
     by: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in world axes
     turn_deg: float = 0.0  # about the vertical axis through the object's origin
@@ -351,7 +359,7 @@ class MovedSpec(Strict):
 
 
 class DisturbanceSpec(Strict):
-    """Disturbances of the simulated robot: joint offsets, noise, latency, pushes, moved objects."""
+    """Cell file schema of disturbances: joint offsets, noise, latency, pushes, moved objects."""
 
     joint_offset_deg: dict[str, float] = {}  # joint -> true position minus measured position
     joint_noise_deg: float = Field(default=0.0, ge=0)  # standard deviation of measured positions
@@ -361,7 +369,7 @@ class DisturbanceSpec(Strict):
 
 
 class ControllerSpec(Strict):
-    """An external controller for `serve --plan-only`, as in moveit_controllers.yaml."""
+    """Cell file schema of an external controller for `serve --plan-only`, as in moveit_controllers.yaml."""
 
     type: Literal["FollowJointTrajectory", "JointTrajectory", "GripperCommand"] = "FollowJointTrajectory"
     action_ns: str | None = None  # below the controller's name; default: as in ROS
@@ -371,7 +379,7 @@ class ControllerSpec(Strict):
 
 
 class RosSpec(Strict):
-    """ROS names, sensors and planners of the cell, for Unity, ROS 1 and ROS 2 connections."""
+    """ROS names, sensors and planners in a cell file, for Unity, ROS 1 and ROS 2 connections."""
 
     namespace: str = ""
     remap: dict[str, str] = {}  # armcell's names -> external names
@@ -380,7 +388,7 @@ class RosSpec(Strict):
 
 
 class CellSpec(Strict):
-    """The content of a cell file (cell.yaml)."""
+    """Schema of a whole cell file (cell.yaml)."""
 
     description: str = ""
     robot: RobotSpec

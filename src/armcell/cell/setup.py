@@ -37,7 +37,7 @@ LIMITS_NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Proposed setup of a robot: a model with groups, grippers, states and link pairs.
+    """Setup assistant's proposal for a robot: a model with groups, grippers, states and link pairs.
 
     `model` has the planning groups, end effectors, named states and the link pairs that are not checked.
     """
@@ -50,17 +50,17 @@ class Proposal:
 
     @property
     def loose_joints(self) -> tuple[str, ...]:
-        """Return the driven joints that belong to no planning group."""
+        """Return a setup proposal's driven joints that belong to no planning group."""
         driven = {n for g in self.model.groups.values() for n in g.joint_names}
         return tuple(n for n in self.model.joint_names if n not in driven)
 
     def without(self, pair: frozenset[str]) -> Proposal:
-        """Return the proposal with collision checking of a link pair enabled."""
+        """Return a setup proposal with collision checking of a link pair enabled."""
         disabled = {p: why for p, why in self.model.disabled_collisions.items() if p != pair}
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
 
     def disabling(self, pair: frozenset[str]) -> Proposal:
-        """Return the proposal without collision checks of a link pair, at the user's request."""
+        """Return a setup proposal without collision checks of a link pair, at the user's request."""
         found = next(p for p in self.pairs if p.links == pair)
         disabled = {**self.model.disabled_collisions, pair: found.reason or "User"}
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
@@ -101,7 +101,7 @@ def propose(
 
 
 def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
-    """Return the MJCF file of the only part, or None if all parts are URDF or xacro files.
+    """Return the MJCF file of a setup's only robot, or None if all parts are URDF or xacro files.
 
     Raises:
         InputError: an MJCF file has a prefix or pose, or is one of several parts.
@@ -118,7 +118,8 @@ def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
 
 
 def propose_from_package(folder: Path) -> Proposal:
-    """Propose a cell for an existing MoveIt package, with its groups, states, pairs and limits.
+    """Propose in the setup assistant a cell for an existing MoveIt package, with its groups, states, pairs
+    and limits.
 
     Raises:
         InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type.
@@ -128,7 +129,8 @@ def propose_from_package(folder: Path) -> Proposal:
 
 
 def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
-    """Write a MoveIt package and its cell atomically into a folder: all files or none.
+    """Write a MoveIt package and its cell as the setup assistant's result into a folder, atomically: all
+    files or none.
 
     Args:
         force: write into a folder that is not empty.
@@ -139,7 +141,9 @@ def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
 
 
 def cell_files(proposal: Proposal, package: str) -> dict[str, str]:
-    """Return the text of each file of a MoveIt package and its cell, by relative path."""
+    """Return the text of each file that the setup assistant writes (MoveIt package and cell), by relative
+    path.
+    """
     model = proposal.model
     if proposal.package is not None:
         return {**proposal.package.texts(package), "cell.yaml": _cell_yaml(model)}
@@ -221,7 +225,9 @@ def _cell_yaml(model: RobotModel) -> str:
 
 
 def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
-    """Return a task for a cell without objects: moves to named states of all arms, else a hold."""
+    """Return the setup assistant's task for a cell without objects: moves to named states of all arms, else a
+    hold.
+    """
     tables = [model.named_states.get(arm, {}) for arm in arms]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]
     names = [name for name in ("ready", "home") if name in shared] or shared[:2]

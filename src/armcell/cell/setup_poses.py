@@ -25,7 +25,7 @@ TURN = np.pi / 2  # [rad] largest offset of "ready" from the middle of a joint's
 
 
 def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
-    """Return the model with the named states open, close (grippers), home and ready (arms).
+    """Return the robot model with generated named states open, close (grippers), home and ready (arms).
 
     Home is the first candidate with enough self-clearance, else the candidate with the largest. Candidates:
     the zero state, the middle of the joint ranges, the zero state with one or two joints turned by a quarter
@@ -51,7 +51,7 @@ def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
 
 
 def _hands(model: RobotModel) -> list[str]:
-    """Return the names of the groups that are grippers with joints."""
+    """Return the names of the groups that are grippers with joints, for the states open and close."""
     hands = {e.group for e in model.end_effectors.values()}
     chains = any(g.tip_link for g in model.groups.values())
     return [g.name for g in model.groups.values() if g.joint_names and (g.name in hands or not chains)]
@@ -98,7 +98,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
 
 
 def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
-    """Return whether a link moves with given joints, or with joints that mimic them."""
+    """Return whether a link moves with given joints, or their mimic joints, to generate its states."""
     tree = kinematic_tree(model)
     columns = set(model.columns(names))
     return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
@@ -141,7 +141,9 @@ def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str,
 
 
 def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> Iterator[Array]:
-    """Yield the zero state with one or two joints turned by a quarter turn, within the limits."""
+    """Yield as candidate home states the zero state with one or two joints turned by a quarter turn, within
+    the limits.
+    """
     for count in (1, 2):
         for some in combinations(columns, count):
             for turns in product((-np.pi / 2, np.pi / 2), repeat=count):
@@ -152,7 +154,7 @@ def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> 
 
 
 class _Judge:
-    """Evaluator of robot states: freedom from collision, and self-clearance."""
+    """Evaluator of candidate named states: freedom from collision, and self-clearance."""
 
     def __init__(self, model: RobotModel, samples: Array):
         checker = _checker(model)
@@ -176,7 +178,8 @@ class _Judge:
         return self.checker.is_free(q)
 
     def room(self, q: Array) -> float:
-        """Return the distance [m] of the nearest link pair at a state; negative in a collision.
+        """Return the distance [m] of the nearest link pair at a candidate named state; negative in a
+        collision.
 
         Only pairs that can touch count. Distances above 1 m are not measured.
         """
@@ -187,7 +190,9 @@ class _Judge:
 
 
 def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
-    """Return the smallest manipulability of the groups, sqrt(det(J J^T)) (Yoshikawa 1985)."""
+    """Return the smallest manipulability of the groups at a candidate ready state, sqrt(det(J J^T))
+    (Yoshikawa 1985).
+    """
     tree = kinematic_tree(model)
     values = [1.0]
     for group in groups:

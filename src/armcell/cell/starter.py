@@ -58,7 +58,7 @@ PICK = """  - pick: cube
 
 
 def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> Iterator[str]:
-    """Yield cell files for a robot with collision-free start states, most comfortable first.
+    """Yield first (starter) cell files for a robot with collision-free start states, most comfortable first.
 
     A robot with a gripper gets a cube to pick; other robots move between their named states. The positions of
     the cube differ from file to file; `armcell check` tells whether the robot reaches it.
@@ -111,7 +111,9 @@ def _arms(model: RobotModel) -> list[Group]:
 
 
 def _reach(model: RobotModel) -> float:
-    """Return the largest horizontal distance [m] of an arm's tip from the robot base's z axis."""
+    """Return the largest horizontal distance [m] of an arm's tip from the robot base's z axis, to lay out a
+    starter cell.
+    """
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
@@ -123,7 +125,9 @@ def _reach(model: RobotModel) -> float:
 
 
 def _bottom(model: RobotModel) -> float:
-    """Return the lowest point [m] of the links that do not move, or 0 without geometry."""
+    """Return the lowest point [m] of the links that do not move, or 0 without geometry, to place a starter
+    cell's table.
+    """
     fixed = next(links for links in model.rigid_groups if model.root_link in links)
     tree, q, lowest = kinematic_tree(model), model.default_positions(), [0.0]
     for name in fixed:
@@ -135,7 +139,7 @@ def _bottom(model: RobotModel) -> float:
 
 
 def _choices(model: RobotModel) -> Iterator[dict[str, str]]:
-    """Yield candidate start states, as named states by group: home first, grippers open."""
+    """Yield candidate start states of a starter cell, as named states by group: home first, grippers open."""
     arms = [arm.name for arm in _arms(model)]
     named = model.named_states
     others = [state for arm in arms for state in named.get(arm, {})]
@@ -161,7 +165,7 @@ def _free(model: RobotModel, states: dict[str, str], table: float, side: float) 
 
 
 def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str, str], float]:
-    """Return collision-free start states and the height [m] of the base above the table."""
+    """Return a starter cell's collision-free start states and the height [m] of the base above the table."""
     for height in HEIGHTS:
         for states in _choices(model):
             if _free(model, states, bottom - GAP - height, side):
@@ -170,7 +174,7 @@ def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str
 
 
 def _task_states(model: RobotModel, table: float, side: float) -> list[str]:
-    """Return the collision-free named states that all arms have, "home" last."""
+    """Return the collision-free named states for a starter cell's task that all arms have, "home" last."""
     tables = [model.named_states.get(arm.name, {}) for arm in _arms(model)]
     shared = [s for s in (tables[0] if tables else {}) if all(s in t for t in tables)]
     free = [s for s in shared if _free(model, {a.name: s for a in _arms(model)}, table, side)]

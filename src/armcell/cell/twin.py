@@ -31,7 +31,7 @@ TRIES = 30  # random goals tried per motion
 
 
 def bands_file(cell: Cell) -> Path:
-    """Return the path of a cell's file with twin thresholds, in the folder of the cell file."""
+    """Return the path of a cell's file with twin thresholds, which its simulated twin has learned."""
     return cell.file.with_name(f"{cell.file.stem}.twin.json")
 
 
@@ -41,7 +41,7 @@ def twin_identity(cell: Cell) -> dict[str, str]:
 
 
 def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
-    """Return the guard that compares a cell's real arms with their twin.
+    """Return the twin guard that compares a cell's real arms with their twin.
 
     It compares only with `watch` and if thresholds were learned; with `watch` alone it logs a hint.
 
@@ -122,7 +122,7 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """Error for a goal to which no motion can be planned, or whose motion the twin rejects."""
+    """Error for a goal of twin learning to which no motion can be planned, or whose motion the twin rejects."""
 
 
 def _go(live: LiveCell, group: str, q: np.ndarray, speed: float, tell: Callable[[str], None]) -> None:

@@ -33,7 +33,7 @@ NOISES = ("none", "stereo")  # named noise models of a camera
 
 
 def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
-    """Return a cell with changed values, validated like a cell file.
+    """Return a cell with values changed by path, validated like a cell file.
 
     Args:
         values: new values by path. A path joins the keys of the cell file with dots; x, y, z, roll, pitch,
@@ -54,7 +54,7 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
 
 
 def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
-    """Return the cell values that set the joint gains to those of a gain set or gain file.
+    """Return the cell values by path that set the joint gains to those of a gain set or gain file.
 
     The values contain the gains themselves, so a record of the run does not depend on the file.
 
@@ -68,7 +68,7 @@ def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
 
 
 def parsed(setting: str) -> tuple[str, Any]:
-    """Split a text `PATH=VALUE` into the path and the value, parsed as YAML.
+    """Split a text `PATH=VALUE` of a cell value into path and value, parsed as YAML.
 
     Raises:
         InputError: the text has no '=', or the value is not valid YAML.
@@ -83,7 +83,7 @@ def parsed(setting: str) -> tuple[str, Any]:
 
 
 def place_of(path: str) -> tuple[str, ...]:
-    """Return the parts of a value path in normal form: `pose.x` and `pose.0` become equal."""
+    """Return the parts of a cell value's path in normal form: `pose.x` and `pose.0` become equal."""
     return tuple(str(COMPONENTS.get(part, part)) for part in path.split("."))
 
 
@@ -110,7 +110,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Expand a named or default value on a path, so that a part of it can be changed."""
+    """Expand a named or default value on a path, of a cell file, so that a part of it can be changed."""
     match path.split("."):
         case ["cameras", name, "noise", _]:
             camera = _table(data, "cameras").get(name)
@@ -139,7 +139,7 @@ def _table(data: Any, *keys: str) -> dict[str, Any]:
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
-    """Pin a given value in the random draw; the other random values of a seed do not change."""
+    """Pin a changed cell value in the random draw; the other random values of a seed do not change."""
     block, name, key, *more = [*path.split("."), "", ""]
     drawn = data.get("randomize", {}).get(name, {})
     if isinstance(value, Mapping):  # the draw replaces the static friction
@@ -163,7 +163,7 @@ def _index(at: list[Any], part: str, path: str) -> int:
 
 
 def _known(data: dict[str, Any]) -> Iterator[str]:
-    """Yield all valid value paths: those in the cell file and those with a default value."""
+    """Yield all valid paths of a cell's values: those in the cell file and those with a default value."""
     yield from _paths(data)
     yield "physics.gains"
     for block, settings in BLOCKS.items():
@@ -178,7 +178,7 @@ def _known(data: dict[str, Any]) -> Iterator[str]:
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:
-    """Yield the dotted path of every key in nested mappings, such as `objects.cube.mass`."""
+    """Yield as value path the dotted path of every key in nested mappings, such as `objects.cube.mass`."""
     for key, value in data.items() if isinstance(data, dict) else ():
         yield f"{before}{key}"
         yield from _paths(value, f"{before}{key}.")

@@ -25,7 +25,7 @@ def import_world(
     prefix: str = "",
     T_cell_world: SE3 | None = None,
 ) -> SdfWorld:
-    """Load an SDF world and return it with its objects in the cell frame; see `load_sdf`.
+    """Load an SDF world and return it with its objects in the cell frame, checked and converted from Gazebo.
 
     Args:
         folders, skip: see `load_sdf`.
@@ -46,7 +46,8 @@ def import_world(
 def write_imported(
     objects: Iterable[CollisionObject], file: Path, robot: str | None, force: bool = False
 ) -> None:
-    """Write imported objects to a file: a cell with a robot, or an objects file without one.
+    """Write objects imported from a Gazebo world to a file: a cell with a robot, or an objects file without
+    one.
 
     The file is written only if it can be loaded. Meshes are written to the same folder. `load_objects` reads
     an objects file.
@@ -64,7 +65,7 @@ def write_imported(
 
 
 def add_to_cell(objects: Sequence[CollisionObject], cell: str | Path) -> Path:
-    """Add objects to a cell file and return the file; other lines and comments stay.
+    """Add a Gazebo world's objects to a cell file and return the file; other lines and comments stay.
 
     Raises:
         InputError: the cell is built in or does not exist, or it already contains an object's name.
@@ -87,7 +88,7 @@ def add_to_cell(objects: Sequence[CollisionObject], cell: str | Path) -> Path:
 
 
 def with_objects(text: str, entries: dict) -> str:
-    """Return the text of a cell file with more entries at the end of its block `objects`."""
+    """Extend a cell file by imported objects: return the text with entries at the end of its block `objects`."""
     block = objects_text(entries).partition("\n")[2]
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
@@ -112,7 +113,8 @@ def with_objects(text: str, entries: dict) -> str:
 
 
 def _write_checked(file: Path, text_of, objects: Iterable[CollisionObject], is_cell: bool) -> None:
-    """Write a temporary file, check that it can be loaded, and rename it to the target file.
+    """Write imported objects safely: write a temporary file, check that it can be loaded, and rename it to
+    the target file.
 
     Args:
         text_of: returns the text of the file for the entries of the objects.
