@@ -32,7 +32,7 @@ ONE_FILE = {".stl", ".obj", ".dae", ".glb", ".ply", ".off"}
 
 
 def installed_share() -> list[Path]:
-    """Return the share folders of robot descriptions that pip installed.
+    """Return the share folders with meshes of robot descriptions that pip installed.
 
     `example-robot-data`, for example, installs its files into `cmeel.prefix/share` of a `sys.path` entry.
     """
@@ -46,7 +46,7 @@ _PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
 
 @dataclass(frozen=True)
 class FoundPackage:
-    """A ROS package that was found on disk.
+    """A ROS package with meshes that was found on disk.
 
     Attributes:
         folder: folder where the search found the package.
@@ -59,7 +59,9 @@ class FoundPackage:
 
 
 def search_folders() -> list[Path]:
-    """Return ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and pip's description folders, in search order."""
+    """Return ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and pip's description folders, in search order for robot
+    assets.
+    """
     named = [
         Path(entry)
         for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
@@ -70,12 +72,15 @@ def search_folders() -> list[Path]:
 
 
 def package_above(path: Path) -> Path | None:
-    """Return the nearest folder above `path` that contains a package.xml, or None."""
+    """Return the nearest folder above `path` that is a ROS package (package.xml), to resolve `package://`, or
+    None.
+    """
     return next((folder for folder in path.parents if (folder / PACKAGE_FILE).is_file()), None)
 
 
 def find_package(package: str, base: Path) -> FoundPackage:
-    """Find a ROS package by name near `base`, in the ROS search path, or among pip packages.
+    """Resolve the package of a `package://` URI by name near `base`, in the ROS search path, or among pip
+    packages.
 
     The search starts with the folders above and beside `base`. There, only a folder with a package.xml counts
     as a package; otherwise a file below /home/me could claim /home as its package.
@@ -100,7 +105,7 @@ def find_package(package: str, base: Path) -> FoundPackage:
 
 
 def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders that may be a ROS package of a given name, nearest first.
+    """Yield the candidate folders of a `package://` URI's package, nearest first.
 
     Each folder comes with a flag: whether it is from the ROS search path or from pip's folders.
     """
@@ -209,7 +214,7 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
 def _read_mesh(
     path: Path, scale: tuple[float, float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices (v, 3) [m] and faces (f, 3) of a mesh file, see `load_mesh`."""
+    """Return the vertices (v, 3) [m] and faces (f, 3) of a mesh file."""
     import trimesh  # imported late, here and below: the import takes 0.5 s, which only new meshes need
 
     try:

@@ -11,7 +11,7 @@ from armcell.model.robot import EndEffector, Group, Joint, Link, Mimic, MjcfPart
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One robot to be composed with others: its model, its name prefix and its mounting pose.
+    """Part: one robot to be composed with others: its model, its name prefix and its mounting pose.
 
     `parent_link` is "world" or a link of an earlier part; `T_parent_root` is the pose of this part's root
     link in the frame of `parent_link`.

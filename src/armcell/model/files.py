@@ -25,7 +25,7 @@ MAX_KEY_DIGITS = 18  # longest integer key: an attacker can choose larger keys w
 
 
 class SafeLoader(yaml.CSafeLoader):
-    """A YAML loader for plain data that rejects integer keys with more than 18 digits.
+    """YAML loader for plain data of untrusted files that rejects integer keys with more than 18 digits.
 
     An attacker can choose large integer keys with equal hashes, which makes a dictionary slow to build.
     """
@@ -39,7 +39,7 @@ class SafeLoader(yaml.CSafeLoader):
 
 
 class _Loader(SafeLoader):
-    """A YAML loader with YAML 1.2 booleans that rejects duplicate keys.
+    """YAML loader of untrusted files, with YAML 1.2 booleans that rejects duplicate keys.
 
     Only `true` and `false` (also capitalized) are booleans, so a key named `on` stays a string. Plain YAML
     loaders keep the last of two equal keys without a warning.
@@ -66,7 +66,7 @@ _Loader.add_implicit_resolver(
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
-    """Return the text of a UTF-8 file.
+    """Read an untrusted UTF-8 file safely and return its text.
 
     Raises:
         InputError: the file is missing, a folder, larger than `limit` bytes or not UTF-8.
@@ -93,7 +93,7 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
 
 
 class Bounded:
-    """A binary file wrapper that never requests more bytes from the file than it has left.
+    """Wrapper of an untrusted binary file that never requests more bytes from the file than it has left.
 
     A corrupt file can declare a length of gigabytes, and the ordinary `read` allocates that much memory
     before it reads.
@@ -111,7 +111,7 @@ class Bounded:
 
 
 def parse_xml(text: str, file: Path | str) -> etree._Element:
-    """Parse XML text and return its root element.
+    """Parse untrusted XML text safely and return its root element.
 
     `docinfo.URL` of the element's tree contains the file name.
 
@@ -155,7 +155,7 @@ def check_yaml_events(text: str, path: Path) -> None:
 
 
 def yaml_value(text: str) -> Any:
-    """Parse one YAML value from a string, by the same rules as for YAML files.
+    """Parse one YAML value from a string, safely, by the same rules as for YAML files.
 
     Raises:
         yaml.YAMLError: `text` is not valid YAML.
@@ -164,7 +164,7 @@ def yaml_value(text: str) -> Any:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the content of a YAML file whose top level is a mapping.
+    """Read a YAML file safely whose top level is a mapping.
 
     Raises:
         InputError: the file is missing, not YAML (with the line), not a mapping, or uses too many aliases.

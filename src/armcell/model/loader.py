@@ -48,7 +48,7 @@ def load_robot(
     allow_env: bool | None = None,
     xacro_args: XacroArgs = None,
 ) -> RobotModel:
-    """Load a robot model from the library, a folder, or a URDF, xacro or MJCF file.
+    """Load a robot model (`load_robot`) from the library, a folder, or a URDF, xacro or MJCF file.
 
     Args:
         robot: a library name (see `robot_names()`), a folder with robot.yaml, a MoveIt configuration package,
@@ -88,14 +88,14 @@ def _load_file(path: Path, allow_env: bool | None, xacro_args: XacroArgs) -> Rob
 
 
 def is_mjcf(path: Path) -> bool:
-    """Return whether a file is MJCF: suffix .mjcf, or .xml with the root element <mujoco>."""
+    """Return whether a robot file to load is MJCF: suffix .mjcf, or .xml with the root element <mujoco>."""
     if path.suffix.lower() != ".xml":
         return path.suffix.lower() == ".mjcf"
     return parse_xml(read_text(path), path).tag == "mujoco"
 
 
 def load_mjcf_file(path: Path) -> RobotModel:
-    """Load a robot from an MJCF file and disable collision checks of adjacent links.
+    """Load a robot model from an MJCF file and disable collision checks of adjacent links.
 
     Adjacent links share a joint. See also `load_mjcf`.
     """
@@ -105,7 +105,7 @@ def load_mjcf_file(path: Path) -> RobotModel:
 
 
 def with_keyframes(model: RobotModel) -> RobotModel:
-    """Return the robot with MJCF's keyframes as named states of its planning groups.
+    """Return a loaded robot with MJCF's keyframes as named states of its planning groups.
 
     The positions are clipped to the joint limits.
 
@@ -171,7 +171,7 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
 
 
 def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
-    """Return the robot with the IK solvers that robot.yaml names for its planning groups."""
+    """Return a loaded robot with the IK solvers that robot.yaml names for its planning groups."""
     if not isinstance(names, dict) or not all(isinstance(name, str) for name in names.values()):
         raise InputError("is not a mapping of groups to solver names", file=file, element="ik_solvers")
     for group in names:
@@ -182,7 +182,7 @@ def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:
-    """Return the part of a robot from a link down, for example without a URDF's "world" link."""
+    """Return the part of a loaded robot from a link down, for example without a URDF's "world" link."""
     keep = set(model.subtree(link))
     return replace(
         model,
@@ -193,7 +193,7 @@ def rerooted(model: RobotModel, link: str) -> RobotModel:
 
 
 def with_adjacent_disabled(model: RobotModel) -> RobotModel:
-    """Return the robot with collision checks disabled between links that share a joint.
+    """Return a loaded robot with collision checks disabled between links that share a joint.
 
     A robot without an SRDF needs at least these pairs, because adjacent links touch at their joint.
     """
@@ -202,7 +202,7 @@ def with_adjacent_disabled(model: RobotModel) -> RobotModel:
 
 
 def xacro_texts(value: Any, file: Path) -> dict[str, str]:
-    """Convert xacro arguments from YAML values to texts; booleans become `true` and `false`.
+    """Convert a loaded robot's xacro arguments from YAML values to texts; booleans become `true` and `false`.
 
     Raises:
         InputError: `value` is not a mapping of names to numbers, texts or booleans.

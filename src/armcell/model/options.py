@@ -20,7 +20,7 @@ _NAME = re.compile(r"[^\s:=]+")
 
 
 def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, str]:
-    """Parse words such as `dof:=7` into a mapping.
+    """Parse xacro argument options such as `dof:=7` into a mapping.
 
     Args:
         separator: ":=" or "=".

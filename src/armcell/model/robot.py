@@ -35,7 +35,7 @@ class Collision:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """A link's visual geometry: a mesh file, loaded when it is drawn, or a primitive shape."""
+    """A robot link's visual geometry: a mesh file, loaded when it is drawn, or a primitive shape."""
 
     T_link_visual: SE3
     shape: Shape | None = None
@@ -55,7 +55,7 @@ class Link:
 @dataclass(frozen=True)
 @checked("lower", "upper", "velocity", "acceleration", "jerk", "effort")
 class JointLimits:
-    """Limits of one joint: position [rad or m], velocity, acceleration, jerk, effort [Nm or N]."""
+    """Limits of one robot joint: position [rad or m], velocity, acceleration, jerk, effort [Nm or N]."""
 
     lower: float = -np.inf
     upper: float = np.inf
@@ -68,7 +68,7 @@ class JointLimits:
 @dataclass(frozen=True)
 @checked()
 class Mimic:
-    """A mimic rule of a joint: `position = multiplier * position(other joint) + offset`."""
+    """Mimic rule of a robot joint: `position = multiplier * position(other joint) + offset`."""
 
     joint: str
     multiplier: float = 1.0
@@ -78,7 +78,7 @@ class Mimic:
 @dataclass(frozen=True)
 @checked()
 class Servo:
-    """Gains of a joint's position servo: force = kp (target - q) + kv (target speed - speed)."""
+    """Gains of a robot joint's position servo: force = kp (target - q) + kv (target speed - speed)."""
 
     kp: float  # [Nm/rad or N/m]
     kv: float = 0.0  # [Nm s/rad or N s/m]
@@ -118,7 +118,7 @@ class MjcfPart:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Joint:
-    """A joint between two links: fixed, or with one degree of freedom.
+    """A robot's joint between two links: fixed, or with one degree of freedom.
 
     The movable types are revolute, continuous and prismatic.
     """
@@ -146,7 +146,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Group:
-    """A planning group of a robot: its actuated joints, its links, and its base and tip link.
+    """Planning group of a robot model: its actuated joints, its links, and its base and tip link.
 
     Attributes:
         ik_solver: name of the inverse kinematics solver; empty: armcell chooses one.
@@ -162,7 +162,7 @@ class Group:
 
 @dataclass(frozen=True)
 class EndEffector:
-    """An end effector of the SRDF: a gripper group mounted on a link of the robot.
+    """End effector of a robot model (from the SRDF): a gripper group mounted on a link of the robot.
 
     Attributes:
         group: planning group of the gripper.
@@ -179,7 +179,7 @@ class EndEffector:
 @dataclass(frozen=True)
 @checked()
 class Gripper:
-    """A parallel gripper: two fingers that move symmetrically along the y axis of the tcp frame.
+    """A robot's parallel gripper: two fingers that move symmetrically along the y axis of the tcp frame.
 
     The z axis of the tcp frame points out of the hand, between the fingertips. `width` [m] is the gap between
     the finger pads: `width = width_per_joint * q + width_offset`, with `q` the position of the driven joint.
@@ -208,7 +208,7 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A robot: tree of links and joints, planning groups, end effectors, allowed collisions.
+    """Robot model: tree of links and joints, planning groups, end effectors, allowed collisions.
 
     `joint_names` is the canonical order of the actuated joints: depth first from the root, children in file
     order. Every position vector `q` without names has this order.
@@ -232,17 +232,17 @@ class RobotModel:
 
     @cached_property
     def movable_joint_names(self) -> tuple[str, ...]:
-        """Return the names of all joints that are not fixed: actuated and mimic joints."""
+        """Return the names of all robot joints that are not fixed: actuated and mimic joints."""
         return tuple(j.name for j in self.joints.values() if j.movable)
 
     @cached_property
     def parent_joint(self) -> Mapping[str, Joint]:
-        """Return each link's parent joint by link name; the root link has none."""
+        """Return a robot's parent joint of each link by link name; the root link has none."""
         return {j.child: j for j in self.joints.values()}
 
     @cached_property
     def _column(self) -> Mapping[str, int]:
-        """Return the index of each actuated joint in `joint_names`, by joint name."""
+        """Return the index of each actuated joint in a robot's `joint_names`, by joint name."""
         return {name: i for i, name in enumerate(self.joint_names)}
 
     @property
@@ -306,7 +306,7 @@ class RobotModel:
         return np.array([self.joints[n].limits.upper for n in self.joint_names])
 
     def limits(self, joint_names: Iterable[str], kind: str) -> Array:
-        """Return one kind of limit, such as "velocity", for each of the given joints, (n,).
+        """Return a robot's joint limits of one kind, such as "velocity", for each of the given joints, (n,).
 
         Args:
             joint_names: the n joints.
@@ -315,7 +315,7 @@ class RobotModel:
         return np.array([getattr(self.joint(n).limits, kind) for n in joint_names])
 
     def neutral(self) -> Array:
-        """Return zero joint positions (dof,), or mid-range positions where zero is out of limits."""
+        """Return a robot's zero positions (dof,), or mid-range positions where zero is out of limits."""
         low = np.where(np.isfinite(self.lower), self.lower, -np.inf)
         high = np.where(np.isfinite(self.upper), self.upper, np.inf)
         bounded = np.isfinite(low) & np.isfinite(high)
@@ -323,7 +323,7 @@ class RobotModel:
         return np.where((low <= 0) & (high >= 0), 0.0, middle)
 
     def named_state(self, group: str, name: str) -> JointState:
-        """Return a named state of a planning group (`group_state` in the SRDF).
+        """Return a named state of a robot's planning group (`group_state` in the SRDF).
 
         Raises:
             UnknownNameError: the group or the state does not exist.
@@ -335,7 +335,7 @@ class RobotModel:
         return JointState.from_mapping(states[name])
 
     def default_positions(self) -> Array:
-        """Return the default joint positions [rad or m], (dof,).
+        """Return a robot's default joint positions [rad or m], (dof,).
 
         The positions are `neutral()`, with each group's "home" state applied; a group without "home" uses
         "ready", "default" or "open" instead, if one exists.
@@ -353,7 +353,8 @@ class RobotModel:
     def check_positions(
         self, q: ArrayLike, joint_names: Iterable[str] | None = None, margin: float = 1e-9
     ) -> Array:
-        """Return joint positions [rad or m] as an array (n,) after checking them against the limits.
+        """Return a robot's joint positions [rad or m] as an array (n,) after checking them against the
+        limits.
 
         Args:
             q: the positions.
@@ -379,7 +380,7 @@ class RobotModel:
         return values
 
     def enforce_bounds(self, q: ArrayLike, joint_names: Iterable[str] | None = None) -> Array:
-        """Clip joint positions [rad or m] to the limits; wrap continuous joints to (-pi, pi].
+        """Clip a robot's joint positions [rad or m] to the limits; wrap continuous joints to (-pi, pi].
 
         Raises:
             InputError: wrong length or a non-finite value.
@@ -393,7 +394,7 @@ class RobotModel:
         return np.clip(values, self.limits(names, "lower"), self.limits(names, "upper"))
 
     def subtree(self, link: str) -> tuple[str, ...]:
-        """Return the names of a link and of all links below it, the link itself first."""
+        """Return the names of a robot link and all links below it, the link itself first."""
         self.link(link)
         found = [link]
         for joint in self.joints.values():  # one pass is enough: joints are in topological order
@@ -402,7 +403,7 @@ class RobotModel:
         return tuple(found)
 
     def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
-        """Return the joints on the path from link `base` down to link `tip`, base first.
+        """Return a robot's joints on the path from link `base` down to link `tip`, base first.
 
         Raises:
             InputError: `tip` is not below `base`.
@@ -420,7 +421,7 @@ class RobotModel:
 
     @cached_property
     def rigid_groups(self) -> tuple[frozenset[str], ...]:
-        """Return the sets of links that fixed joints connect rigidly."""
+        """Return a robot's sets of links that fixed joints connect rigidly."""
         of: dict[str, set[str]] = {self.root_link: {self.root_link}}
         for joint in self.joints.values():
             if joint.movable:

@@ -31,7 +31,7 @@ LINEAR = 0.05  # largest deviation from a line that is not reported, as a fracti
 
 @dataclass
 class Couplings:
-    """Linear rules between MJCF joints, by joint id: q[joint] = multiplier * q[driver] + offset.
+    """Couplings: linear rules between MJCF joints, by joint id: q[joint] = multiplier * q[driver] + offset.
 
     Attributes:
         actuated: joints that an actuator drives, directly or by a tendon.
@@ -95,7 +95,9 @@ def couplings(model: Any, name: str) -> Couplings:
 
 
 def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
-    """Return the joints and coefficients of a fixed MuJoCo tendon; empty for other tendons."""
+    """Return the joints and coefficients of a fixed MJCF tendon, for joint couplings; empty for other
+    tendons.
+    """
     first = int(model.tendon_adr[tendon])
     parts = range(first, first + int(model.tendon_num[tendon]))
     return [
@@ -115,7 +117,7 @@ def _joint_equality(model: Any, i: int, found: Couplings) -> None:
 
 
 def _tendon_equality(model: Any, i: int, found: Couplings) -> None:
-    """Couple the two joints of a fixed tendon that an equality keeps at a constant length.
+    """Couple as mimic joints the two joints of a fixed tendon that an equality keeps at a constant length.
 
     MJCF models couple opposed fingers like this.
     """
@@ -131,7 +133,7 @@ def _tendon_equality(model: Any, i: int, found: Couplings) -> None:
 
 
 def _driven_tendon(model: Any, tendon: int, found: Couplings) -> None:
-    """Couple the joints that one actuator drives by a fixed tendon.
+    """Couple as mimic joints the joints that one actuator drives by a fixed tendon.
 
     All joints move through their ranges together.
     """
@@ -156,7 +158,7 @@ def _range(model: Any, joint: int) -> tuple[float, float]:
 
 
 def _close_linkages(model: Any, found: Couplings, name: str) -> None:
-    """Fit a linear rule to each passive joint of a closed linkage, for each driving joint."""
+    """Fit a linear rule (mimic coupling) to each passive joint of a closed linkage, for each driving joint."""
     from scipy.optimize import least_squares  # imported late: few models have linkages
 
     model = copy.copy(model)
@@ -204,7 +206,9 @@ def _close_linkages(model: Any, found: Couplings, name: str) -> None:
 
 
 def _rest(model: Any, joints: list[int]) -> tuple[Array, Array]:
-    """Return the rest positions of joints and the weights of their springs, (n,) each."""
+    """Return, for couplings of MJCF joints, the rest positions of joints and the weights of their springs,
+    (n,) each.
+    """
     stiffness = np.array([float(np.ravel(model.jnt_stiffness[j])[0]) for j in joints])
     strongest = max(float(stiffness.max()), 1e-12)
     weight = REST_WEIGHT + SPRING_WEIGHT * np.sqrt(stiffness / strongest)
@@ -235,7 +239,7 @@ def _middle(model: Any, joint: int) -> float:
 
 
 def _equality_rows(model: Any, data: Any) -> Any:
-    """Return a function for the residuals [m] of a model's connect and weld equalities."""
+    """Return a function for the coupling residuals [m] of a model's connect and weld equalities."""
 
     def rows() -> Array:
         mujoco.mj_fwdPosition(model, data)

@@ -25,7 +25,7 @@ _NAME = re.compile(r"(?:name|Object name)[ =]+'?([^\s',]+)'?")
 
 @dataclass
 class MjcfText:
-    """The text of an MJCF file with expanded includes, and the file and line of each element.
+    """Text of an MJCF file with expanded includes, and the file and line of each element.
 
     Attributes:
         file: the main file.
@@ -38,7 +38,9 @@ class MjcfText:
     places: list[tuple[Path, int]] = field(default_factory=list)
 
     def failed(self, message: str) -> InputError:
-        """Return an `InputError` for a message of MuJoCo, with the file and line that it refers to."""
+        """Return an `InputError` for MuJoCo's message about an MJCF file, with the file and line that it
+        refers to.
+        """
         reason = " ".join(message.split()).removeprefix("Error: ")
         place = self._of_line(message) or self._of_name(message)
         file, line = place or (self.file, None)
@@ -141,7 +143,7 @@ def _without_textures(root: etree._Element) -> None:
 
 
 def _with_full_paths(root: etree._Element, folder: Path) -> None:
-    """Replace the relative paths of MJCF assets by absolute paths.
+    """Replace in MJCF text the relative paths of MJCF assets by absolute paths.
 
     The compiler's folder attributes determine the paths.
 

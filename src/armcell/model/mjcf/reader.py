@@ -96,7 +96,8 @@ class _Reader:
         )
 
     def disabled(self) -> dict[frozenset[str], str]:
-        """Return the link pairs that need no collision check: adjacent bodies and MJCF's excludes.
+        """Return the MJCF robot's link pairs that need no collision check: adjacent bodies and MJCF's
+        excludes.
 
         Contact masks do not count: a model whose links never touch each other in MuJoCo may still collide.
         """
@@ -106,7 +107,7 @@ class _Reader:
         return {frozenset((m.body(a).name, m.body(b).name)): why for why, a, b in pairs if a and b and a != b}
 
     def root(self) -> str:
-        """Return the root link's name: that of a fixed base body at the origin, or a new name."""
+        """Return an MJCF robot's root link name: that of a fixed base body at the origin, or a new name."""
         m = self.m
         bases = [b for b in range(1, m.nbody) if m.body_parentid[b] == 0]
         if len(bases) == 1 and not m.body_jntnum[bases[0]]:
@@ -195,7 +196,7 @@ class _Reader:
         )
 
     def servo(self, joint: int) -> tuple[Servo | None, float]:
-        """Return the position servo of a joint's actuator, or None, and the joint's largest effort.
+        """Return the position servo of an MJCF joint's actuator, or None, and the joint's largest effort.
 
         An actuator with gear g and gain k on the length g q acts on the joint as a servo of gain g^2 k.
         """
@@ -219,7 +220,7 @@ class _Reader:
         return found, min((v for v in limits if v > 0), default=np.inf)
 
     def gear(self, actuator: int, joint: int) -> float:
-        """Return an actuator's change of length per unit of a joint; 0 if it drives another joint."""
+        """Return an MJCF actuator's change of length per unit of a joint; 0 if it drives another joint."""
         m = self.m
         kind, target = int(m.actuator_trntype[actuator]), int(m.actuator_trnid[actuator, 0])
         gear = float(m.actuator_gear[actuator, 0])

@@ -16,7 +16,7 @@ HAND_AFTER = 3  # minimum number of serial joints before a branch counts as fing
 
 @dataclass(frozen=True)
 class Chain:
-    """One detected robot arm: base link, tip link, actuated joints, and palm of its gripper.
+    """Chain: one detected robot arm: base link, tip link, actuated joints, and palm of its gripper.
 
     `palm` is None if the arm carries no gripper.
     """
@@ -97,7 +97,7 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
 
 # --- the tree ---
 def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
-    """Append to `found` the arm chains that start at or below a link."""
+    """Detect arms: append to `found` the chains that start at or below a link."""
     starts = _next_movable(model, link)
     if len(starts) > 1 and all(JAW.search(j.name + j.child) for j in starts):
         return  # fingers without an arm
@@ -119,7 +119,7 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
-    """Return a serial chain of movable joints, and the joints after the chain's next branch."""
+    """Detect an arm: return a serial chain of movable joints, and the joints after the chain's next branch."""
     row = [first]
     while len(ends := _next_movable(model, row[-1].child)) == 1:
         row.append(ends[0])
@@ -127,7 +127,7 @@ def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
 
 
 def _next_movable(model: RobotModel, link: str) -> list[Joint]:
-    """Return the first movable joints below a link, skipping fixed joints."""
+    """Detect arms: return the first movable joints below a link, skipping fixed joints."""
     found: list[Joint] = []
     rigid = {link}
     for joint in model.joints.values():
@@ -140,12 +140,12 @@ def _next_movable(model: RobotModel, link: str) -> list[Joint]:
 
 
 def _depth(model: RobotModel, joint: Joint) -> int:
-    """Return the number of movable joints on the longest branch below a joint, inclusive."""
+    """Detect arms: return the number of movable joints on the longest branch below a joint, inclusive."""
     return 1 + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
 
 
 def _rigid_below(model: RobotModel, link: str) -> list[str]:
-    """Return a link and all links fixed to it further down, in tree order."""
+    """Return a link and all links fixed to it further down, in tree order, to detect grippers."""
     rigid = [link]
     for joint in model.joints.values():
         if not joint.movable and joint.parent in rigid:
@@ -154,7 +154,7 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
 
 
 def _common_link(model: RobotModel, links: list[str]) -> str:
-    """Return the lowest common ancestor of some links; a link counts as its own ancestor."""
+    """Return the lowest common ancestor of a gripper's links; a link counts as its own ancestor."""
     trails = []
     for link in links:
         trail = [link]
@@ -165,7 +165,7 @@ def _common_link(model: RobotModel, links: list[str]) -> str:
 
 
 def _fixed_hand(model: RobotModel, last: str) -> str | None:
-    """Return the palm of a gripper whose fingers are fixed in the URDF, or None.
+    """Detect the palm of a gripper whose fingers are fixed in the URDF, or None.
 
     The palm is the first link fixed below `last` with at least two branches that have collision geometry.
     """
@@ -181,7 +181,7 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
 
 
 def _tip(model: RobotModel, last: str, palm: str | None) -> str:
-    """Return an arm's tip link: a tool frame if there is one, else the palm or the last link."""
+    """Return a detected arm's tip link: a tool frame if there is one, else the palm or the last link."""
     rigid = _rigid_below(model, last)
     frames = [n for n in rigid if n != last and not model.links[n].collisions and TOOL.search(n)]
     if palm is not None:
@@ -195,7 +195,7 @@ def _tip(model: RobotModel, last: str, palm: str | None) -> str:
 
 # --- names ---
 def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the planning group names (arm, gripper) of each arm chain, with unique prefixes.
+    """Return the planning group names (arm, gripper) of each detected arm chain, with unique prefixes.
 
     A single chain needs no prefix.
 
@@ -210,7 +210,7 @@ def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _prefix(joints: tuple[str, ...], robots: Sequence[str]) -> str:
-    """Return the name prefix of an arm's robot, or the common beginning of its joint names."""
+    """Return the name prefix of a detected arm, or the common beginning of its joint names."""
     for robot in sorted(robots, key=len, reverse=True):
         if robot and joints[0].startswith(robot):
             return robot

@@ -15,7 +15,7 @@ from armcell.core import InputError
 
 
 def check_folder(folder: Path, force: bool = False) -> None:
-    """Check in advance that `write_folder` can write a folder.
+    """Check in advance that a folder can be written atomically.
 
     Raises:
         InputError: the folder is not empty (without `force`), is a file, has no parent folder, or its parent
@@ -71,7 +71,9 @@ def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) ->
 
 
 class _Dumper(yaml.SafeDumper):
-    """A YAML writer in the style of MoveIt's files: lists indented below their key, no aliases."""
+    """YAML writer of generated files in the style of MoveIt's files: lists indented below their key, no
+    aliases.
+    """
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)
@@ -81,6 +83,6 @@ class _Dumper(yaml.SafeDumper):
 
 
 def yaml_text(data: Any, *comments: str) -> str:
-    """Return data as YAML text that begins with comment lines."""
+    """Return data as YAML text of a generated file that begins with comment lines."""
     head = "".join(f"# {line}\n" for line in comments)
     return head + yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)

@@ -70,7 +70,7 @@ install(FILES .setup_assistant DESTINATION share/${{PROJECT_NAME}})
 
 @dataclass(frozen=True, eq=False)
 class MoveItConfig:
-    """The content of a MoveIt configuration package, and the robot model that it describes.
+    """Content of a MoveIt configuration package, and the robot model that it describes.
 
     Attributes:
         folder: the package's folder.
@@ -115,7 +115,7 @@ class MoveItConfig:
     # --- settings for planners and controllers ---
     @property
     def planner_configs(self) -> dict[str, dict[str, Any]]:
-        """Return OMPL planner configurations by name: `type` and parameters.
+        """Return a MoveIt package's OMPL planner configurations by name: `type` and parameters.
 
         Numeric strings are converted to numbers.
         """
@@ -124,7 +124,7 @@ class MoveItConfig:
 
     @property
     def group_planning(self) -> dict[str, dict[str, Any]]:
-        """Return OMPL settings by planning group, such as the list `planner_configs`."""
+        """Return a MoveIt package's OMPL settings by planning group, such as the list `planner_configs`."""
         return {
             group: {k: _number(v) for k, v in entry.items()}
             for group, entry in self._ompl().items()
@@ -133,17 +133,17 @@ class MoveItConfig:
 
     @property
     def controllers(self) -> dict[str, dict[str, Any]]:
-        """Return MoveIt controllers by name, with `type`, `action_ns`, `default` and `joints`."""
+        """Return a MoveIt package's controllers by name, with `type`, `action_ns`, `default` and `joints`."""
         return _controllers(_unwrapped(self.files.get("controllers", {})))
 
     @property
     def kinematics(self) -> Data:
-        """Return the inverse kinematics settings from kinematics.yaml, by planning group."""
+        """Return a MoveIt package's inverse kinematics settings (kinematics.yaml), by planning group."""
         return _unwrapped(self.files.get("kinematics", {}), "robot_description_kinematics")
 
     @property
     def cartesian_limits(self) -> dict[str, float]:
-        """Return the Cartesian limits of the Pilz planners LIN and CIRC.
+        """Return a MoveIt package's Cartesian limits of the Pilz planners LIN and CIRC.
 
         The keys are those of pilz_cartesian_limits.yaml.
         """
@@ -203,12 +203,13 @@ def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
 
 
 def is_moveit_config(folder: Path) -> bool:
-    """Return whether a folder contains `config/*.srdf*` or a `.setup_assistant` file."""
+    """Return whether a folder is a MoveIt package: contains `config/*.srdf*` or a `.setup_assistant` file."""
     return any((folder / "config").glob("*.srdf*")) or (folder / SETUP_FILE).is_file()
 
 
 def _unwrapped(data: Data, *inner: str) -> Data:
-    """Return a ROS parameter file's content without the node names and namespaces around it.
+    """Return the content of a MoveIt package's ROS parameter file without the node names and namespaces
+    around it.
 
     ROS 2 files wrap parameters in a node name, `ros__parameters` and possibly a namespace in `inner`.
     """
@@ -221,7 +222,7 @@ def _unwrapped(data: Data, *inner: str) -> Data:
 
 
 def _number(value: Any) -> Any:
-    """Return a numeric string from YAML as a float, any other value unchanged.
+    """Return a numeric string from a MoveIt package's YAML as a float, any other value unchanged.
 
     YAML 1.1 parses a number such as 10e-10 as a string.
     """
@@ -256,7 +257,7 @@ def load_ompl_planning(file: Path, model: RobotModel) -> Data:
 
 
 class _Reader:
-    """A reader for one MoveIt configuration package; error messages contain the file and key."""
+    """Reader of one MoveIt configuration package; error messages contain the file and key."""
 
     def __init__(
         self, folder: Path, allow_env: bool | None = None, xacro_args: Mapping[str, str] | None = None
@@ -351,7 +352,7 @@ class _Reader:
         return urdf_text(file, self.allow_env, self.folder, xacro_args)
 
     def own_xacro_args(self, setup: Data) -> dict[str, str]:
-        """Return the URDF's xacro arguments that MoveIt's Setup Assistant has stored.
+        """Return a MoveIt package's xacro arguments that MoveIt's Setup Assistant has stored.
 
         The text has the form `a:=1 b:=2`.
         """
@@ -390,7 +391,7 @@ class _Reader:
         return value
 
     def known_group(self, name: str, file: Path, model: RobotModel) -> bool:
-        """Return whether the SRDF defines a planning group; if not, log a warning.
+        """Return whether a MoveIt package's SRDF defines a planning group; if not, log a warning.
 
         Like MoveIt, armcell ignores settings of undefined groups.
         """
@@ -421,7 +422,8 @@ class _Reader:
         return self.mapping(inner["joint_limits"] or {}, file, "joint_limits")
 
     def limited(self, model: RobotModel, data: Data, file: Path) -> RobotModel:
-        """Return the robot with limits from joint_limits.yaml that are tighter than the URDF's.
+        """Return a MoveIt package's robot with limits from joint_limits.yaml that are tighter than the
+        URDF's.
 
         A wider velocity, acceleration or jerk limit is ignored with a warning. Joints without any velocity or
         acceleration limit get MoveIt's defaults.
@@ -545,7 +547,7 @@ class _Reader:
 
 
 def _with_full_paths(text: str, file: Path) -> str:
-    """Return the URDF text with absolute paths for meshes relative to the URDF's folder."""
+    """Return a MoveIt package's URDF text with absolute paths for meshes relative to the URDF's folder."""
     root = parse_xml(text, file)
     find_meshes(root, file.resolve().parent)
     return xml_text(root)

@@ -17,7 +17,7 @@ Attributes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class Element:
-    """One XML element as a value: tag, attributes in file order, child elements and text."""
+    """One SRDF element as a value: tag, attributes in file order, child elements and text."""
 
     tag: str
     attributes: Attributes = ()

@@ -24,7 +24,9 @@ NOWHERE = Path("/")
 
 @dataclass(frozen=True)
 class UrdfPart:
-    """A URDF or xacro file to merge: its name prefix and the pose of its root link in the world."""
+    """URDF part: a URDF or xacro file to merge as text: its name prefix and the pose of its root link in the
+    world.
+    """
 
     file: Path
     prefix: str = ""
@@ -77,7 +79,7 @@ def merged_urdf(
 
 
 def xml_text(root: etree._Element) -> str:
-    """Return an XML document as indented text, one element per line."""
+    """Return a merged URDF document as indented text, one element per line."""
     etree.indent(root, "  ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
 
@@ -102,7 +104,7 @@ def _names(root: etree._Element) -> set[str]:
 
 
 def _prefix(root: etree._Element, prefix: str) -> None:
-    """Put a prefix before every name in a URDF, and remove simulator and driver elements.
+    """Put a prefix before every name in a URDF to merge, and remove simulator and driver elements.
 
     The removed elements are `gazebo`, `transmission` and `ros2_control`.
     """
@@ -119,7 +121,7 @@ def _prefix(root: etree._Element, prefix: str) -> None:
 
 
 def find_meshes(root: etree._Element, folder: Path) -> None:
-    """Replace URDF mesh paths that only one folder can resolve by absolute paths.
+    """Replace mesh paths of a URDF to merge that only one folder can resolve by absolute paths.
 
     A merged URDF is stored in another folder, where relative paths would not work. `package://` URIs of
     installed packages stay unchanged.

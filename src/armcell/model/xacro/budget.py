@@ -29,7 +29,7 @@ class XacroError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """A function that xacro expressions may call as `run(budget, *arguments, **keywords)`.
+    """Function with a work budget that xacro expressions may call as `run(budget, *arguments, **keywords)`.
 
     Attributes:
         name: name of the function in messages.
@@ -46,7 +46,7 @@ class Function:
 
 
 class Budget:
-    """A limit on the number of operations for expanding one xacro robot file."""
+    """Budget: a limit on the number of operations for expanding one xacro robot file."""
 
     def __init__(self, steps: int = MAX_STEPS):
         self.left = steps
@@ -74,7 +74,7 @@ class Budget:
 
 
 def size(value: Any) -> int:
-    """Return the number of items in a xacro value, including nested items.
+    """Return the number of items in a xacro value that the budget pays for, including nested items.
 
     64 characters of a string count as one item. An item that occurs twice counts twice, because printing and
     comparing it takes twice as long.
@@ -108,7 +108,7 @@ def size(value: Any) -> int:
 
 
 def check_key(key: Any) -> None:
-    """Reject xacro dictionary keys that are large integers, also inside tuples.
+    """Limit xacro's work: reject dictionary keys that are large integers, also inside tuples.
 
     An attacker can choose large integers with equal hashes, which makes a dictionary slow.
 
@@ -123,7 +123,7 @@ def check_key(key: Any) -> None:
 
 
 def check_repeated(items: Sequence[Any], times: int) -> None:
-    """Check that a repeated string or list in a xacro expression is not too long.
+    """Limit xacro's memory: check that a repeated string or list in a xacro expression is not too long.
 
     Raises:
         XacroError: `items`, repeated `times` times, would be too long.

@@ -55,7 +55,7 @@ def expand_xacro(
     allow_env: bool | None = None,
     home: Path | None = None,
 ) -> str:
-    """Expand a xacro file and return the URDF text.
+    """Process (expand) a xacro file and return the URDF text.
 
     Args:
         file: the xacro file.
@@ -92,7 +92,9 @@ def expand_xacro(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """Return a xacro file's arguments without a value: `name`, and all used but undeclared ones."""
+    """Return the arguments without a value of a xacro file to expand: `name`, and all used but undeclared
+    ones.
+    """
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
     return list(dict.fromkeys([name, *(n for n in ARGUMENT.findall(text) if n not in known)]))
@@ -104,14 +106,14 @@ def _is_xacro_tag(element: Element, tag: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Macro:
-    """The definition of a xacro macro: its body and its parameters."""
+    """Definition of a xacro macro during the expansion: its body and its parameters."""
 
     body: Element
     parameters: tuple[Parameter, ...]
 
 
 class _Expansion:
-    """The state of one xacro file's expansion; macros and properties are in `Scope` objects."""
+    """State of one xacro file's expansion; macros and properties are in `Scope` objects."""
 
     def __init__(self, file: Path, arguments: dict[str, str], allow_env: bool, home: Path | None):
         self.file = file
@@ -155,7 +157,9 @@ class _Expansion:
         return self.substitution.resolve(inside, self.reading[-1].parent)
 
     def _names(self, names: Scope) -> dict[str, Any]:
-        """Return the functions, constants and namespaces that every xacro expression can use."""
+        """Return the functions, constants and namespaces that every xacro expression can use during an
+        expansion.
+        """
 
         def say(level: int) -> Any:
             def run(budget: Budget, /, *arguments: Any, **_: Any) -> str:
@@ -189,7 +193,7 @@ class _Expansion:
         return {**MATH, **BASIC, **functions, **spaces}
 
     def _path(self, name: str) -> Path:
-        """Resolve a path in a xacro file relative to the file that is being read."""
+        """Resolve a path in an expanded xacro file relative to the file that is being read."""
         if "\0" in name:
             raise XacroError(f"{name!r} is not a path")
         return self.reading[-1].parent / name
@@ -400,7 +404,7 @@ _DIRECTIVES = {
 
 @contextmanager
 def _deep_calls() -> Iterator[None]:
-    """Raise Python's recursion limit while xacro macros call themselves recursively.
+    """Raise Python's recursion limit while expanding xacro macros that call themselves.
 
     Each level of a recursive macro takes about ten Python frames.
     """
@@ -420,7 +424,7 @@ def _pushed(stack: list[Any], item: Any) -> Iterator[None]:
 
 
 def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Macro]:
-    """Find a xacro macro by its name, which may contain namespaces, as in `ns.macro`.
+    """Find the xacro macro to expand by its name, which may contain namespaces, as in `ns.macro`.
 
     Returns:
         The macro scope and the property scope in which the macro must be expanded, and the macro.
@@ -443,7 +447,8 @@ def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Mac
 
 
 def _parent_of(scope: Scope) -> Scope:
-    """Return the scope to which xacro's `scope="parent"` refers: the scope of a macro's caller.
+    """Return the scope to which xacro's `scope="parent"` refers in an expansion: the scope of a macro's
+    caller.
 
     For an included file with a namespace, the caller is the file that includes it.
     """
@@ -467,7 +472,7 @@ def _is_xacro(element: Element, attribute: str) -> bool:
 
 
 def _spaces(source: Element) -> Any:
-    """Return the XML namespaces of an element, without xacro's namespace."""
+    """Return the XML namespaces of an element to expand, without xacro's namespace."""
     return {prefix: uri for prefix, uri in source.nsmap.items() if prefix != "xacro"}
 
 
@@ -489,7 +494,7 @@ def _append_text(out: Element, text: str) -> None:
 
 
 def _move(made: Element, out: Element) -> None:
-    """Move the text and children of one XML element to the end of another XML element."""
+    """Move in a xacro expansion the text and children of one element to the end of another."""
     if made.text:
         _append_text(out, made.text)
     out.extend(list(made))
@@ -502,6 +507,6 @@ def _label(element: Element) -> str:
 
 
 def _one_line(text: str) -> str:
-    """Return a text as one printable line of at most 600 characters, for error messages."""
+    """Return a text as one printable line of at most 600 characters, for errors of a xacro expansion."""
     line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
     return line if len(line) <= MAX_REASON else line[: MAX_REASON - 3] + "..."

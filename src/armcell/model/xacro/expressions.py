@@ -29,7 +29,7 @@ MAX_EXPRESSION = 10_000  # characters
 
 
 class Names(Protocol):
-    """The names that a xacro expression can use, with their values."""
+    """Names that a xacro expression can use, with their values."""
 
     def lookup(self, name: str) -> Any:
         """Return the value of a name in a xacro expression, or raise KeyError."""
@@ -37,7 +37,7 @@ class Names(Protocol):
 
 
 class Dotted(dict[Any, Any]):
-    """A dictionary from YAML whose keys xacro expressions can use as attributes: `limits.lower`."""
+    """Dictionary from YAML whose keys xacro expressions can use as attributes: `limits.lower`."""
 
 
 class NameSpace:
@@ -51,7 +51,7 @@ class NameSpace:
 
 
 class _Local:
-    """The names in a comprehension of a xacro expression: loop variables, then outer names."""
+    """Names in a comprehension of a xacro expression: loop variables, then outer names."""
 
     def __init__(self, around: Names):
         self.around, self.values = around, {}
@@ -61,7 +61,7 @@ class _Local:
 
 
 def evaluate(text: str, names: Names, budget: Budget) -> Any:
-    """Return the value of a xacro expression.
+    """Evaluate a xacro expression `${...}` without Python's `eval`.
 
     Args:
         text: the expression, without `${` and `}`.
@@ -195,7 +195,7 @@ class _Evaluator:
         return answer
 
     def data(self, *values: Any) -> None:
-        """Charge the budget for the size of a xacro operator's operands.
+        """Charge the budget for the size of the operands in a xacro expression.
 
         Raises:
             XacroError: an operand is a namespace or another value that has no operators.

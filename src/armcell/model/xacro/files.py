@@ -39,11 +39,11 @@ SHOWN = 20  # entries of a folder in an error message
 
 
 class MissingFile(XacroError):
-    """Error for a missing file that a xacro file includes or loads."""
+    """Error for a missing file that a robot's xacro file includes or loads."""
 
 
 class RobotFiles:
-    """A reader for the files that a robot description names, restricted to allowed folders.
+    """Reader of the files that a robot description names, restricted to allowed folders.
 
     Args:
         main: the robot file.
@@ -60,7 +60,7 @@ class RobotFiles:
         self._yaml: dict[Path, Any] = {}
 
     def find(self, package: str) -> Path:
-        """Return a ROS package's folder; xacro files may then read files in this package.
+        """Return a ROS package's folder; its xacro files may then be read.
 
         Raises:
             XacroError: the package does not exist.
@@ -73,7 +73,7 @@ class RobotFiles:
         return found.folder
 
     def checked(self, path: Path) -> Path:
-        """Return a path with symlinks resolved, after checking that it is in the robot's packages.
+        """Check file access: return a path with symlinks resolved that is in the robot's packages.
 
         Raises:
             XacroError: the file is outside the robot's packages, or `path` is not a valid path.
@@ -145,7 +145,7 @@ class RobotFiles:
 
     def _loaded(self, text: str, path: Path, evaluate: Any) -> Any:
         class Loader(SafeLoader):
-            """A YAML 1.1 loader like ROS's (`yes` is true) that supports xacro's units."""
+            """YAML 1.1 loader of robot files, like ROS's (`yes` is true) that supports xacro's units."""
 
         def with_unit(loader: Any, tag: str, node: yaml.Node) -> float:
             if not isinstance(node, yaml.ScalarNode):
@@ -164,7 +164,9 @@ class RobotFiles:
             raise InputError(f"is not valid YAML: {error}", file=path) from None
 
     def _plain(self, value: Any) -> Any:
-        """Convert YAML data to xacro values: dictionaries become `Dotted`, dates become strings."""
+        """Convert a robot file's YAML data to xacro values: dictionaries become `Dotted`, dates become
+        strings.
+        """
         self.budget.charge(1)
         if isinstance(value, dict):
             found = Dotted((key, self._plain(item)) for key, item in value.items())
@@ -178,7 +180,7 @@ class RobotFiles:
         return value
 
     def matching(self, pattern: Path) -> list[Path]:
-        """Return the sorted files that match a path with wildcards (`*`, `?` or `[...]`).
+        """Return the sorted robot files that match a path with wildcards (`*`, `?` or `[...]`).
 
         Raises:
             XacroError: `..` follows a wildcard, or a match is outside the robot's packages.

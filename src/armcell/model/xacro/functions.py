@@ -36,7 +36,7 @@ def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function
 
 
 def text_of(value: Any) -> str:
-    """Return a xacro value as the text that xacro writes into the URDF.
+    """Xacro function: return a value as the text that xacro writes into the URDF.
 
     Raises:
         XacroError: the value is a function or a namespace, which have no text.
@@ -230,7 +230,7 @@ MATH: dict[str, Any] = {
 
 # --- text ---
 class _Formatter(string.Formatter):
-    """A safe `str.format` that supports plain fields only.
+    """Safe `str.format` for xacro expressions that supports plain fields only.
 
     Fields such as `{0.attribute}` and `{0[item]}` would give access to Python's objects.
     """
@@ -257,7 +257,7 @@ def _format(text: str, /, *arguments: Any, **keywords: Any) -> str:
 
 
 def percent(text: str, values: Any) -> str:
-    """Return Python's `text % values`, after checking the field widths and the result's size.
+    """Xacro function: return Python's `text % values`, after checking the field widths and the result's size.
 
     Raises:
         XacroError: a field is too wide, a key contains parentheses, or the result would be too long.

@@ -21,7 +21,7 @@ Substitute = Callable[[str, "Scope"], str]
 
 
 class Scope:
-    """The properties of a xacro file or macro call, with lookup in the outer scopes.
+    """Xacro scope: the properties of a file or macro call, with lookup in the outer scopes.
 
     Args:
         budget: remaining operations of the robot file.
@@ -63,7 +63,7 @@ class Scope:
         return scope
 
     def lookup(self, name: str) -> Any:
-        """Return the value of a xacro property, from this scope or an outer scope.
+        """Return the value of a xacro property, from a scope or an outer scope.
 
         A lazy property's text is evaluated at its first use, in the scope that holds the property.
 
@@ -87,7 +87,7 @@ class Scope:
         return scope.values[name]
 
     def put(self, name: str, value: Any, lazy: bool = False) -> None:
-        """Set a xacro property in this scope; if `lazy`, its text is evaluated at the first use."""
+        """Set a xacro property in a scope; if `lazy`, its text is evaluated at the first use."""
         value = literal(value)
         self.values[name] = value
         if lazy and isinstance(value, str):
@@ -103,7 +103,7 @@ class Scope:
 
 
 def evaluate_text(text: str, scope: Scope) -> Any:
-    """Evaluate a xacro text with `${...}` and `$(...)`; a single expression keeps its type.
+    """Evaluate in a xacro scope a text with `${...}` and `$(...)`; a single expression keeps its type.
 
     Raises:
         XacroError: an expression fails (see `evaluate`), or a `$` starts neither form.
@@ -131,7 +131,7 @@ def evaluate_text(text: str, scope: Scope) -> Any:
 
 
 def literal(value: Any) -> Any:
-    """Convert a xacro property's text to an int, float or bool if possible."""
+    """Convert the text of a property in a xacro scope to an int, float or bool if possible."""
     if not isinstance(value, str):
         return value
     if len(value) >= 2 and value[0] == value[-1] == "'":
@@ -147,7 +147,7 @@ def literal(value: Any) -> Any:
 
 
 def truth(value: Any, text: str | None = None) -> bool:
-    """Return the boolean value of a condition in a xacro file.
+    """Return the boolean value of a xacro condition, evaluated in a scope.
 
     Args:
         value: the evaluated condition.
@@ -168,7 +168,7 @@ def truth(value: Any, text: str | None = None) -> bool:
 
 
 class Arguments:
-    """The names available in xacro's `$(eval ...)`: built-in names and `$(arg NAME)` values."""
+    """Names available in xacro's `$(eval ...)`: built-in names and `$(arg NAME)` values."""
 
     def __init__(self, scope: Names, values: dict[str, str]):
         self.scope, self.values = scope, values
@@ -181,7 +181,7 @@ class Arguments:
 
 
 def typed(value: str) -> Any:
-    """Convert the value of a xacro `$(arg)` to an int, float or bool if possible."""
+    """Convert a `$(arg)` value in a xacro scope to an int, float or bool if possible."""
     if len(value) <= MAX_DIGITS:
         try:
             return float(value) if "." in value else int(value)

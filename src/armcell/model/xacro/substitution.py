@@ -23,7 +23,7 @@ ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
 
 
 class MissingArgument(XacroError):
-    """Error for an argument of a xacro file that has neither a default nor a given value."""
+    """Error for a xacro substitution argument that has neither a default nor a given value."""
 
     def __init__(self, name: str):
         super().__init__(f"argument {name!r} has no value", missing_hint([name]))
@@ -38,7 +38,7 @@ def missing_hint(names: list[str]) -> str:
 
 
 class Substitution:
-    """An evaluator for the inside of xacro's `$(...)`.
+    """Evaluator of substitution arguments: the inside of xacro's `$(...)`.
 
     Args:
         files: reader of the robot's files, which finds packages.
