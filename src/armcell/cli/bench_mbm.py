@@ -49,7 +49,7 @@ def mbm(
 
 
 def read_problems(file: Path) -> dict[str, Any]:
-    """Return the problems of a MotionBenchMaker file, with the keys that this benchmark uses.
+    """Return the problems of a MotionBenchMaker file, with the keys that `armcell bench mbm` uses.
 
     Raises:
         InputError: the file cannot be read as problems.
@@ -63,7 +63,7 @@ def read_problems(file: Path) -> dict[str, Any]:
 
 
 def find_robot(robot: str, problems: Path) -> str | Path:
-    """Return the URDF file, folder or library name of the robot, for `load_robot`.
+    """Return the URDF file, folder or library name of a MotionBenchMaker robot, for `load_robot`.
 
     The folder `robots/` beside the problems has priority, because it contains the robots of the problems.
 
@@ -104,7 +104,7 @@ def _tasks(data: dict[str, Any], file: Path, model, limit: int) -> Iterator[benc
 
 
 def scene_of(model, fixed: dict[str, float], problem: dict[str, Any]):
-    """Return the planning scene of a problem: the robot, its fixed joints and the obstacles."""
+    """Return the planning scene of a MotionBenchMaker problem: the robot, its fixed joints and the obstacles."""
     from armcell.scene import CollisionObject, PlanningScene
 
     q = model.neutral()

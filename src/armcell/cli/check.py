@@ -17,7 +17,7 @@ def check(
     cell: str = typer.Argument(..., help="Built-in cell, folder with cell.yaml, or YAML file."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the findings as JSON."),
 ) -> int:
-    """Check a cell without running it: files, limits, start state, objects, reach.
+    """`armcell check`: check a cell without running it: files, limits, start state, objects, reach.
 
     Exit status 0 if all checks pass, 1 with the hints if not.
     """
@@ -34,7 +34,7 @@ def check(
 
 
 def findings(name: str) -> Iterator[Finding]:
-    """Yield the results of the checks of a cell: files, limits, start state, objects and task."""
+    """Yield the results of `armcell check` for a cell: files, limits, start state, objects and task."""
     from armcell.cell import load
 
     cell = load(name)  # raises an InputError with file, element and hint
@@ -149,7 +149,7 @@ def _reach(cell, scene, item: str, gripper) -> Finding:
 
 
 def cells() -> None:
-    """List the built-in cells and robots."""
+    """`armcell cells`: list the built-in cells and robots."""
     from armcell.cell import built_in_cells
     from armcell.model import robot_names
 

@@ -20,7 +20,8 @@ def check_state(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Show a state's contacts, the nearest distance, and each joint's distance to its limits.
+    """`armcell check-state`: show a state's contacts, the nearest distance, and each joint's distance to its
+    limits.
 
     Without --to or --joints, the state is the cell's start.
 

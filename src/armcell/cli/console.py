@@ -22,12 +22,12 @@ errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def err(text: str) -> None:
-    """Print one line on standard error."""
+    """Print one line of a command on the console's standard error."""
     errors.print(f"armcell: {text}", markup=False)
 
 
 def check_writable(path: Path) -> None:
-    """Check that a file can be written, before a long run starts.
+    """Check that a command's output file can be written, before a long run starts.
 
     Raises:
         InputError: the folder is missing or not writable, or the path is a folder.
@@ -46,7 +46,7 @@ def check_writable(path: Path) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file atomically: write a temporary file, then rename it."""
+    """Write a command's JSON file atomically: write a temporary file, then rename it."""
     text = json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n"
     handle, temporary = tempfile.mkstemp(dir=path.resolve().parent, prefix=f".{path.name}.")
     try:
@@ -64,7 +64,7 @@ def millimeters(value: float | None, digits: int = 1) -> str:
 
 
 def stage_table(result: dict[str, Any]) -> Table:
-    """Return a table of a run's stages."""
+    """Return a table of a run's stages for the console."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("stage", "planned by", "planning", "motion", "clearance", "slip", "error"):
         number = title in ("planning", "motion", "clearance", "slip")

@@ -19,7 +19,7 @@ DRIVER_FILES = (
 
 
 def of_package(folder: Path) -> Iterator[Line]:
-    """Check a MoveIt package: files, one controller per joint, and controller names."""
+    """`armcell doctor`: check a MoveIt package: files, one controller per joint, and controller names."""
     try:
         config = MoveItConfig.load(folder)
     except InputError as error:
@@ -32,7 +32,8 @@ def of_package(folder: Path) -> Iterator[Line]:
 
 
 def moved_joints(config: MoveItConfig) -> Iterator[Line]:
-    """Check that every joint of each planning group has exactly one controller.
+    """Check of a MoveIt package by `armcell doctor`: every joint of each planning group has exactly one
+    controller.
 
     MoveIt refuses to execute a motion if a joint has no controller. If a joint has several default
     controllers, the choice is arbitrary.
@@ -57,7 +58,9 @@ def moved_joints(config: MoveItConfig) -> Iterator[Line]:
 
 
 def driver_names(config: MoveItConfig) -> Iterator[Line]:
-    """Check that the controller manager's file has the controllers and joints of the package."""
+    """Check of a MoveIt package by `armcell doctor`: the controller manager's file has the controllers and
+    joints of the package.
+    """
     for file in (config.folder / "config" / name for name in DRIVER_FILES):
         if file.is_file() and file.name != config.names.get("controllers"):
             yield from _compared(config, file)
@@ -88,7 +91,7 @@ def _named(config: MoveItConfig) -> str:
 
 
 def _joints_of(data: Any) -> dict[str, list[str]]:
-    """Return the joints by controller from a controller manager's file of ROS 2 or ROS 1.
+    """Return the joints by controller in a MoveIt package's controller manager file (ROS 2 or 1).
 
     ROS 2 nests the joints as `name: {ros__parameters: {joints: []}}`; ROS 1 omits the key `ros__parameters`.
     """

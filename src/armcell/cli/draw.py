@@ -12,5 +12,5 @@ SEED = typer.Option(
 
 
 def drawn(seed: int | None, mode: str) -> int | None:
-    """Return a command's seed: the given seed, else 0; in mode real None (the nominal cell)."""
+    """Draw for a command: return the seed: the given seed, else 0; in mode real None (the nominal cell)."""
     return 0 if seed is None and mode != "real" else seed

@@ -11,7 +11,8 @@ from armcell.core.pauses import no_long_pauses
 
 
 def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
-    """Run opened controllers until a signal ends them, then close them and the trace file.
+    """Run opened emulated controllers (UR, Franka) from the command line until a signal ends them, then close
+    them and the trace file.
 
     Args:
         rack: an `emulators.rack.Rack` whose ports are open.

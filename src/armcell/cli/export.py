@@ -60,7 +60,9 @@ def unity(
         None, min=0, help="Draw of the randomised values; the cell's nominal ones by default."
     ),
 ) -> None:
-    """Write a cell for Unity: armcell's C# package, the robot, its meshes and the scene."""
+    """`armcell export unity`: write a cell for Unity: armcell's C# package, the robot, its meshes and the
+    scene.
+    """
     from armcell.cell import load
     from armcell.ros.unity import export_unity
 
@@ -83,7 +85,7 @@ def urdf(
         ..., "--output", "-o", metavar="FOLDER", help="Folder (made when missing) for robot.urdf and meshes/."
     ),
 ) -> None:
-    """Write a cell's robot as one flattened URDF, with its meshes beside the file."""
+    """`armcell export urdf`: write a cell's robot as one flattened URDF, with its meshes beside the file."""
     from armcell.cell import load
     from armcell.core import InputError
     from armcell.ros.unity import write_urdf

@@ -16,7 +16,8 @@ WITHOUT_GATE = typer.Option(
 
 
 def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
-    """Check the gate record of a cell in mode real; return {"gate": entry for the run's record}.
+    """Check a cell's gate record before a command runs in mode real; return {"gate": entry for the run's
+    record}.
 
     In other modes, return an empty dict.
 
@@ -49,7 +50,7 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
 
 
 def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Return {"gate": entry} in mode real for motions without a campaign, e.g. of clients.
+    """Return {"gate": entry} in mode real as gate record for motions without a campaign, e.g. of clients.
 
     Such motions have no gate record, so a reason is required. In other modes, return an empty dict.
 
@@ -84,7 +85,7 @@ def gate_words(passed: dict[str, Any]) -> str:
 
 
 def tell_unwatched(driver: Any, cell: str) -> None:
-    """Print a warning if real arms move without a comparison with their simulated twin."""
+    """Print a warning if a command moves real arms without a comparison with their simulated twin."""
     if driver.guard is not None and not driver.guard.compares:
         from armcell.twin import UNWATCHED
 

@@ -60,7 +60,7 @@ Triple = tuple[float, float, float]
 
 
 def arm_group(model: Any) -> str:
-    """Return the planning group that carries a gripper, else the first chain.
+    """Return as a command's default the planning group that carries a gripper, else the first chain.
 
     Raises:
         InputError: no planning group is a chain.
@@ -76,7 +76,8 @@ def arm_group(model: Any) -> str:
 
 
 def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
-    """Parse joint positions: numbers for all joints of the group, or name=value for some joints.
+    """Parse joint positions on the command line: numbers for all joints of the group, or name=value for some
+    joints.
 
     Raises:
         InputError: a value is not a number, or the number of values is wrong.
@@ -131,7 +132,7 @@ def request_of(
     seed: int | None = None,
     link: str | None = None,
 ) -> PlanRequest | CartesianRequest:
-    """Return the planning request for the options of a command line.
+    """Return the planning request for the goal options of a command line.
 
     Raises:
         typer.BadParameter: the options do not go together.
@@ -158,7 +159,7 @@ def request_of(
 
 
 def checked_json(json_file: Path | None) -> None:
-    """Check that the JSON file can be written, before the command starts its work."""
+    """Check that a planning command's JSON file can be written, before the command starts its work."""
     from armcell.cli.console import check_writable
 
     if json_file is not None:
@@ -173,7 +174,7 @@ def save(json_file: Path | None, data: Any) -> None:
 
 
 def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
-    """Format joint positions (n,): degrees for revolute, millimeters for prismatic joints."""
+    """Format a command's joint positions (n,): degrees for revolute, millimeters for prismatic joints."""
     return " ".join(
         f"{v * 1000:.1f}mm" if model.joint(n).type == "prismatic" else f"{np.rad2deg(v):.1f}"
         for n, v in zip(names, q, strict=True)
@@ -183,7 +184,9 @@ def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
 def state_of(
     model: Any, group: str, scene: Any, to: str | None, joints: str | None, joints_deg: str | None
 ) -> JointState:
-    """Return a named state or given joint positions; without options, the state of the scene."""
+    """Return a named state or given joint positions; from command line options; without options, the state of
+    the scene.
+    """
     given = {"--to": to, "--joints": joints, "--joints-deg": joints_deg}
     if not any(value is not None for value in given.values()):
         return scene.state

@@ -26,7 +26,7 @@ ARGUMENTS = typer.Argument(
 
 @dataclass(frozen=True)
 class Naming:
-    """The namespace and remappings from the command line.
+    """Naming: the ROS namespace and remappings from the command line.
 
     Attributes:
         namespace: the namespace for all names; empty for none.
@@ -40,12 +40,12 @@ class Naming:
 
     @property
     def words(self) -> list[str]:
-        """Return the namespace and remappings as command line options, for the record of a run."""
+        """Return the ROS namespace and remappings as command line options, for the record of a run."""
         space = ["--ns", self.namespace] if self.namespace else []
         return space + [word for pair in self.remap for word in ("--remap", pair)]
 
     def renamed(self, bus: Any, node: str, cell: Any) -> Any:
-        """Return the bus with remapped names; the command line has priority over the cell file.
+        """Return the bus with ROS names remapped; the command line has priority over the cell file.
 
         Raises:
             InputError: a name is invalid, or two names become equal.
@@ -80,7 +80,7 @@ def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None,
 
 
 def unused(bus: Any) -> str:
-    """Return a warning about remappings of names that the cell does not have, or empty text."""
+    """Return a warning about ROS name remappings of names that the cell does not have, or empty text."""
     if bus.names is None:
         return ""
     have = {t.name for t in bus.topics()} | set(bus.services())

@@ -26,14 +26,14 @@ RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]"
 
 
 def records_folder(record: bool | None, mode: str, runs: Path | None) -> Path | None:
-    """Return the folder for the run folders according to the options; None for no record."""
+    """Return the folder for the run folders from the recording options; None for no record."""
     wanted = (mode == "real" or runs is not None) if record is None else record
     return (runs or Path("runs")) if wanted else None
 
 
 @dataclass(frozen=True)
 class Kept:
-    """Options for the record of a run.
+    """Recording options of a run: its folder and pictures.
 
     Attributes:
         runs: folder of run folders; None for no record.
@@ -49,7 +49,8 @@ class Kept:
 def begin_record(
     cell: Any, scene: Any, seed: int | None, mode: str, kept: Kept, values: dict[str, Any], **more: Any
 ) -> Any:
-    """Return a recorder with a new run folder, for a `with` block; None if no record is wanted.
+    """Return a recorder for a command's run with a new folder, for a `with` block; None if no record is
+    wanted.
 
     Args:
         more: further data about the run for the record.
@@ -63,7 +64,7 @@ def begin_record(
 
 
 def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
-    """Add the observers that take pictures of a connected cell, as the record options request."""
+    """Add the observers that take pictures of a connected cell, as the recording options request."""
     from armcell.cell.pictures import Pictures
 
     if recorder is not None and mode == "sim" and cell.cameras:
@@ -73,14 +74,14 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
 
 
 def in_words(error: BaseException | None) -> str:
-    """Return the reason for a run's failure from its exception; empty without an exception."""
+    """Return the reason for a run's failure from its exception, for the record; empty without an exception."""
     if error is None or isinstance(error, ArmcellError):
         return "" if error is None else str(error)
     return f"{type(error).__name__}: {error}"
 
 
 class LedRun:
-    """The record of a run that a script, clients of a served cell, or a browser user controls.
+    """Record of a run that a script, clients of a served cell, or a browser user controls.
 
     If `end` was called, the end of the `with` block writes the result and the report. The record is closed in
     any case.
@@ -107,11 +108,11 @@ class LedRun:
 
     @property
     def observers(self) -> list[Observer]:
-        """Return the observers that record the cell."""
+        """Return the observers that record a run of the cell."""
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
-        """Add observers for pictures, and a note about the gate, to the run.
+        """Add observers for pictures, and a note about the gate, to a recorded run.
 
         Call this method before the `with` block of the live cell.
         """
@@ -121,7 +122,7 @@ class LedRun:
             self.recorder.on_event(Event(0.0, "note", gate_words(self._gate)))
 
     def end(self, call: Callable[[Callable[[], Any]], Any], live: Any, failure: str = "") -> None:
-        """Store the result of the run for its record.
+        """Store the result of a run in its record.
 
         Args:
             call: calls a function in the thread that steps the cell, and returns its result.

@@ -42,7 +42,8 @@ def replay(
     allow_host: list[str] = ALLOW_HOST,
     open_browser: bool = OPEN,
 ) -> int:
-    """Show a recorded run in the browser (time slider), or repeat it and compare bit for bit.
+    """`armcell replay`: show a recorded run in the browser (time slider), or repeat it and compare bit for
+    bit.
 
     With --execute, the exit status is 0 if all recorded states, events and plans are equal, 1 if not.
     A truncated record (killed process, full disk) is shown up to its end.
@@ -91,7 +92,8 @@ def diff(
     second: Path = typer.Argument(..., metavar="RUN2"),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write it as JSON."),
 ) -> int:
-    """Compare two recorded runs: first different state, event and plan, and largest deviation.
+    """`armcell diff`: compare two recorded runs: first different state, event and plan, and largest
+    deviation.
 
     Exit status 0 if the runs are equal, 1 if not. Planning times depend on the wall clock and do not count.
     """

@@ -27,7 +27,7 @@ OWN_MASTER = typer.Option(
 
 
 class Wire(NamedTuple):
-    """A connection of the bus to other programs.
+    """Wire: a command's connection of the bus to ROS 1 or other programs.
 
     Attributes:
         ready: the message to print when the cell is ready.
@@ -50,7 +50,8 @@ Call it when the cell is ready: afterwards, other programs can reach the cell.
 def join(
     stack: ExitStack, bus: Any, name: str, own_master: bool | None, naming: Naming, bind: str | None
 ) -> Join:
-    """Find the ROS 1 master; return a function that joins the graph until the exit stack closes.
+    """Find the ROS 1 master; return a function that joins the graph for a command until its exit stack
+    closes.
 
     Args:
         own_master: True starts a built-in master, False never does, None does if no master is reachable.
@@ -72,7 +73,7 @@ def join(
 
 
 def reserved(stack: ExitStack, transport: Transport) -> Join:
-    """Reserve a transport's port for an exit stack; return a function that opens the transport.
+    """Reserve a transport's port for a command's exit stack; return a function that opens it.
 
     Raises:
         InputError: the port is in use.
@@ -88,7 +89,7 @@ def reserved(stack: ExitStack, transport: Transport) -> Join:
 
 
 def check_own_master(ros1: bool, own_master: bool | None) -> None:
-    """Check that --own-master is used with --ros1.
+    """Check that the ROS 1 option --own-master is used with --ros1.
 
     Raises:
         InputError: --own-master without --ros1.

@@ -107,7 +107,7 @@ def run(
         help="Put a simulated camera's pictures into the record, 5 per second by default; may be repeated.",
     ),
 ) -> int:
-    """Run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
+    """`armcell run`: run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
 
     Prints the stage table and writes runs/<time>-<cell>/ with an HTML report, the numbers (result.json) and
     a record for Foxglove (run.mcap). Exit status 0 if the task succeeded, 1 if not.
@@ -238,7 +238,7 @@ def run(
 
 
 def _tell_failed_layer(health: Any, headless: bool) -> None:
-    """Print the states of the cell's layers if one failed to start.
+    """Print the states of the cell's layers if one failed to start in `armcell run`.
 
     The error message follows separately. If the description failed, print nothing: the error message is
     sufficient.
@@ -283,7 +283,9 @@ def _print(result: dict[str, Any]) -> None:
 
 
 class _Bar:
-    """A progress bar with the running stage; it pulses because the number of stages is unknown."""
+    """Progress bar of `armcell run` with the running stage; it pulses because the number of stages is
+    unknown.
+    """
 
     def __init__(self, progress: Progress):
         self._progress = progress

@@ -71,7 +71,7 @@ def setup(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """Create a cell and a MoveIt package from a URDF: groups, gripper, poses, link pairs.
+    """`armcell setup`: create a cell and a MoveIt package from a URDF: groups, gripper, poses, link pairs.
 
     Exit status 0 if the folder was written.
     """
@@ -137,7 +137,7 @@ def numbers(option: str, text: str) -> tuple[float, float, float]:
 
 @contextmanager
 def _progress(samples: int) -> Iterator[Callable[[str, int], None]]:
-    """Show a progress bar on standard error if it is a terminal."""
+    """Show `armcell setup`'s progress bar on standard error if it is a terminal."""
     if not sys.stderr.isatty():
         yield lambda what, done: None
         return

@@ -31,7 +31,8 @@ def tf(
     domain: int | None = DOMAIN,
     seconds: float = typer.Option(2.0, "--for", metavar="SECONDS", min=0.2, help="How long to listen."),
 ) -> int:
-    """Print the frame tree with rates and ages, then its faults; exit status 1 if it has faults.
+    """`armcell tf`: print the frame tree with rates and ages, then its faults; exit status 1 if it has
+    faults.
 
     Faults: missing frames, two parents, cycles, several trees, stale frames, wrong stamps, bad numbers.
     Without an address, the cell itself runs for the given time (mode fake).
@@ -65,7 +66,7 @@ def _clock_of(bus: Any) -> Any:
 def _joined(
     stack: ExitStack, loaded: Any, connect: str | None, ros1: bool, ros2: bool, domain: int | None
 ) -> Any:
-    """Return a bus that receives /tf until the exit stack closes.
+    """Return a bus on which `armcell tf` receives /tf until the exit stack closes.
 
     The source is an endpoint, a ROS 1 graph, a ROS 2 domain, or the cell itself in mode fake.
 

@@ -28,7 +28,7 @@ WAIT = 3.0  # [s] timeout to connect and to list the topics
 
 @app.command("list")
 def list_topics(connect: str = CONNECT, ros1: bool = ROS1) -> None:
-    """List the topics and their message types."""
+    """`armcell topic list`: list the topics and their message types."""
     with joined_to(connect, ros1=ros1) as (_, client):
         for name, type_name in sorted(_topics(client).items()):
             console.print(f"{name}  {type_name}", soft_wrap=True, markup=False)
@@ -39,7 +39,7 @@ def echo(
     topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
     count: int | None = COUNT,
 ) -> None:  # fmt: skip
-    """Print the messages of a topic as YAML. Ctrl-C ends the command."""
+    """`armcell topic echo`: print the messages of a topic as YAML. Ctrl-C ends the command."""
     for n, message in enumerate(_messages(topic, type_name, connect, ros1, queue_size=100)):
         console.print(
             yaml.safe_dump(plain(message), sort_keys=False), "---", sep="", soft_wrap=True, markup=False
@@ -53,7 +53,7 @@ def hz(
     topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
     count: int | None = COUNT,
 ) -> None:  # fmt: skip
-    """Print the rate of a topic once per second. Ctrl-C ends the command."""
+    """`armcell topic hz`: print the rate of a topic once per second. Ctrl-C ends the command."""
     arrivals: list[float] = []
     reported_at = time.monotonic()
     for n, _ in enumerate(_messages(topic, type_name, connect, ros1, queue_size=10_000)):
@@ -79,7 +79,7 @@ def pub(
     rate: float | None = typer.Option(None, "--rate", "-r", min=0.01, help="Hz; once without."),
     count: int | None = COUNT,
 ) -> None:
-    """Publish a message, once or at a rate."""
+    """`armcell topic pub`: publish a message, once or at a rate."""
     from armcell.ros import schema
 
     message = filled(schema().new(type_name), yaml_values(values))
@@ -99,7 +99,7 @@ def pub(
 
 
 def plain(value: Any) -> Any:
-    """Return a message as dicts, lists and numbers."""
+    """Return a message for `armcell topic echo` as dicts, lists and numbers."""
     if hasattr(value, "_fields"):
         return {name: plain(getattr(value, name)) for name in value._fields}
     if isinstance(value, np.ndarray):
@@ -108,7 +108,7 @@ def plain(value: Any) -> Any:
 
 
 def filled(message: Any, values: Any) -> Any:
-    """Set the fields of a message from a nested mapping, and return the message.
+    """Fill `armcell topic pub`'s message from a nested mapping and return it.
 
     Raises:
         UnknownNameError: a field does not exist.
@@ -143,7 +143,8 @@ def yaml_values(text: str) -> Any:
 def joined_to(
     connect: str, timeout: float = 10.0, ros1: bool = False, **bridge: dict[str, str]
 ) -> Iterator[tuple[Any, Any]]:
-    """Yield a new bus that is joined to a ROS-TCP endpoint or ROS 1 graph, and its client.
+    """Yield a new bus for `armcell topic` that is joined to a ROS-TCP endpoint or ROS 1 graph, and its
+    client.
 
     Raises:
         InputError: no endpoint or master answers.
@@ -193,7 +194,7 @@ def _messages(topic: str, type_name: str | None, connect: str, ros1: bool, queue
 
 
 def _flush(client: Any) -> None:
-    """Wait until the endpoint has received all published messages.
+    """Wait until the endpoint has received from `armcell topic pub` all published messages.
 
     The endpoint answers in order, so a request that it answers proves that all earlier messages arrived.
     """

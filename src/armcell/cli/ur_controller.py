@@ -67,7 +67,8 @@ def ur_controller(
     ),
     off: bool = typer.Option(False, "--off", help="Begin powered off."),
 ) -> int:
-    """Emulate Universal Robots controllers: RTDE, dashboard and script ports, until Ctrl-C.
+    """`armcell ur-controller`: emulate Universal Robots controllers: RTDE, dashboard and script ports, until
+    Ctrl-C.
 
     Runs with real-time priority if permitted (as root on Linux).
     """
@@ -122,7 +123,7 @@ def ur_controller(
 
 
 def _print_notice(host: str, notice: Notice) -> None:
-    """Print a notice that a teach pendant would show."""
+    """Print an emulated UR controller's notice, as the teach pendant would show it."""
     from armcell.emulators.ur.notices import Popup, ScriptFault
 
     if isinstance(notice, Popup | ScriptFault):
@@ -133,7 +134,7 @@ def ur_dashboard(
     host: str = typer.Argument(..., help="The robot's address."),
     command: list[str] = typer.Argument(..., help='What to send, such as "robotmode" or "power on".'),
 ) -> int:
-    """Send a command to a robot's dashboard server (real or emulated) and print its answer.
+    """Command to send a line to a UR robot's dashboard server (real or emulated) and print its answer.
 
     Common commands: robotmode, safetymode, power on, brake release, unlock protective stop, pause, play.
     """
