@@ -35,7 +35,7 @@ SHIMS = {
 
 
 class _MessageModule(types.ModuleType):
-    """Module `<package>.msg` or `<package>.srv` that creates its classes on first access."""
+    """Installed shim module `<package>.msg` or `<package>.srv` that creates its classes on first access."""
 
     def __init__(self, name: str, classes: MessageClasses, package: str, kinds: list[str]):
         super().__init__(name)
@@ -73,7 +73,7 @@ class _MessageModule(types.ModuleType):
 
 
 def _service_class(classes: MessageClasses, name: str) -> type | None:
-    """Return the class that rospy.Service expects: it contains the request and response classes.
+    """Return a service class for an installed module: it contains the request and response classes.
 
     Returns:
         The class, or None if the name is not a service.
@@ -91,7 +91,7 @@ def _service_class(classes: MessageClasses, name: str) -> type | None:
 
 
 def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
-    """Return modules for all message packages, each with its `.msg` and `.srv` submodules."""
+    """Return the shim modules of all message packages, each with its `.msg` and `.srv` submodules."""
     schema = classes.schema
     parts = {f"{s}{end}" for s in schema.services for end in ("Request", "Response")}
     found: dict[str, types.ModuleType] = {}
@@ -111,7 +111,7 @@ def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
 
 @contextmanager
 def installed(classes: MessageClasses) -> Iterator[list[str]]:
-    """Install the shims in `sys.modules` for a `with` block.
+    """Install the ROS shims in `sys.modules` for a `with` block.
 
     The previous modules are restored after the block.
 

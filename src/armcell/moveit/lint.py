@@ -29,7 +29,7 @@ MAX_BYTES = 5_000_000
 
 @dataclass(frozen=True)
 class Finding:
-    """One problem in a script: its line, its effect and the code to write instead."""
+    """Lint finding: one problem in a ROS script: its line, its effect and the code to write instead."""
 
     line: int
     rule: str
@@ -50,7 +50,7 @@ def rule(function: Rule) -> Rule:
 
 
 def lint(file: Path) -> list[Finding]:
-    """Return the problems in a script file, sorted by line.
+    """Lint a ROS script file: return its problems, sorted by line.
 
     Raises:
         InputError: the file cannot be read, is too large, or is not UTF-8 text.
@@ -67,7 +67,7 @@ def lint(file: Path) -> list[Finding]:
 
 
 def lint_text(text: str) -> list[Finding]:
-    """Return the problems in a script's source text, sorted by line."""
+    """Lint a ROS script's source text: return its problems, sorted by line."""
     try:
         tree = ast.parse(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # last two: nested too deeply
@@ -82,7 +82,7 @@ def lint_text(text: str) -> list[Finding]:
 
 
 class Script:
-    """A parsed script, with the variables that hold plans and moveit_commander objects."""
+    """Parsed ROS script to lint, with the variables that hold plans and moveit_commander objects."""
 
     def __init__(self, tree: ast.Module):
         self.tree = tree
@@ -104,7 +104,7 @@ class Script:
                     self.plans[name] = node.lineno
 
     def conditions(self) -> Iterator[ast.expr]:
-        """Yield the expressions that the script uses as conditions (if, while, assert)."""
+        """Yield the expressions that a linted ROS script uses as conditions (if, while, assert)."""
         for node in self.nodes:
             tests: list[ast.expr] = []
             if isinstance(node, ast.If | ast.While | ast.IfExp | ast.Assert):
@@ -119,7 +119,7 @@ class Script:
                     yield test
 
     def calls_of(self, *names: str) -> Iterator[ast.Call]:
-        """Return an iterator over the script's calls of methods with the given names."""
+        """Return an iterator over a linted ROS script's calls of methods with the given names."""
         return (c for c in self.calls if isinstance(c.func, ast.Attribute) and c.func.attr in names)
 
     def uses(self, name: str) -> bool:
@@ -127,7 +127,9 @@ class Script:
 
 
 def dotted(node: ast.AST) -> str:
-    """Return a name or attribute chain such as `self.a.b` as text; empty for other expressions."""
+    """In a linted script, return a name or attribute chain such as `self.a.b` as text; empty for other
+    expressions.
+    """
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):
@@ -137,12 +139,16 @@ def dotted(node: ast.AST) -> str:
 
 
 def method(call: ast.Call) -> str:
-    """Return the name of the called function or method, without the object before the dot."""
+    """In a linted script, return the name of the called function or method, without the object before the
+    dot.
+    """
     return call.func.attr if isinstance(call.func, ast.Attribute) else dotted(call.func)
 
 
 def number(node: ast.AST) -> float | None:
-    """Return the value of a number literal with its sign, or None for any other expression."""
+    """In a linted script, return the value of a number literal with its sign, or None for any other
+    expression.
+    """
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         inner = number(node.operand)
         return None if inner is None else -inner
@@ -384,7 +390,7 @@ def no_gripper(script: Script) -> Iterator[Finding]:
 
 
 def commands_gripper(script: Script) -> bool:
-    """Return whether a script commands a gripper itself."""
+    """Lint check: return whether a ROS script commands a gripper itself."""
     words = [n.value for n in script.nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     names = ("gripper_command", "gripper_cmd", "gripper_controller", "hand_controller", "franka_gripper")
     if any(name in word for word in words for name in names):
@@ -397,7 +403,7 @@ def commands_gripper(script: Script) -> bool:
 
 
 def closes_gripper_itself(file: Path) -> bool:
-    """Return whether the script in a file commands a gripper; True if it cannot be parsed."""
+    """Lint check: return whether the ROS script in a file commands a gripper; True if it cannot be parsed."""
     try:
         return commands_gripper(Script(ast.parse(file.read_text(encoding="utf-8"))))
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):

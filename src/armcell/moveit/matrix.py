@@ -8,7 +8,9 @@ MATRIX = "moveit_msgs/AllowedCollisionMatrix"
 
 
 def set_default(self: Any, obj: str, allow: bool) -> None:
-    """Allow or forbid contacts of a body with all bodies for which the matrix has no entry."""
+    """Allow or forbid contacts of a body with all bodies without an entry in moveit_msgs' allowed collision
+    matrix.
+    """
     if obj in self.default_entry_names:
         self.default_entry_values[self.default_entry_names.index(obj)] = allow
     else:
@@ -17,7 +19,7 @@ def set_default(self: Any, obj: str, allow: bool) -> None:
 
 
 def set_allowed(self: Any, obj: str, other: str | None = None, allow: bool = True) -> None:
-    """Allow or forbid contact between two bodies in the allowed collision matrix.
+    """Allow or forbid contact between two bodies in moveit_msgs' allowed collision matrix.
 
     Without `other`, the setting becomes the default for pairs without an entry. A body that is not in the
     matrix gets a new row, in which all other contacts are forbidden.

@@ -26,7 +26,7 @@ _current: list[Session] = []
 
 
 class Session:
-    """A served cell, together with the state that rospy keeps per process.
+    """Session of a ROS script: a served cell and the state that rospy keeps per process.
 
     Args:
         cell: a live cell that is not connected yet, or a cell whose simulator or robot is another program on
@@ -94,7 +94,7 @@ class Session:
         _current.remove(self)
 
     def shut_down(self, reason: str) -> None:
-        """Shut the session down like rospy.signal_shutdown: end all waits and run the hooks once."""
+        """Shut a ROS script's session down like rospy.signal_shutdown: end all waits and run the hooks once."""
         self.interrupted |= reason == "interrupted"
         self.shutting_down.set()
         if not self._hooks.acquire(blocking=False):
@@ -107,18 +107,20 @@ class Session:
                 logger.exception("a shutdown hook failed")
 
     def interrupt(self) -> None:
-        """Handle a signal: end every wait and set `is_shutdown()`; the shutdown hooks run later."""
+        """Handle a signal in a ROS script's session: end every wait and set `is_shutdown()`; the shutdown
+        hooks run later.
+        """
         self.interrupted = True
         self.shutting_down.set()
 
     def own(self, member: T) -> T:
-        """Register an object of the script, such as a subscriber, to be closed with the session."""
+        """Register an object of a ROS script, such as a subscriber, to be closed with the session."""
         self._members.append(member)
         return member
 
     # --- messages, services and logs ---
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
-        """Create a message of one of the script's message classes.
+        """Create a message of one of the ROS script's message classes in its session.
 
         Args:
             name: message type `pkg/Name`.
@@ -127,7 +129,7 @@ class Session:
         return self.messages[name](*values, **fields)
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a service and return the script's own copy of the response.
+        """Call a service and return a ROS script's own copy of the response.
 
         Raises:
             ServiceError: the service does not exist, or failed.
@@ -135,7 +137,7 @@ class Session:
         return self.messages.local(self.bus.call(service, request))
 
     def say(self, level: str, text: str) -> None:
-        """Write a log line in ROS's format to standard error."""
+        """Write a ROS script's log line in ROS's format to standard error."""
         line = f"[{level}] [{self.bus.clock.now():.3f}]: {text}"
         self.lines.append(line)
         if self.graph is not None:
@@ -144,11 +146,11 @@ class Session:
             print(line, file=sys.stderr, flush=True)  # noqa: T201  (a script's log is output for its user)
 
     def has_said(self, text: str) -> bool:
-        """Return whether one of the last lines of the session's log contains a text."""
+        """Return whether one of the last lines of a ROS script's session log contains a text."""
         return any(text in line for line in self.lines[-RECENT:])
 
     def hint(self, key: str, text: str) -> None:
-        """Log a hint about the user's script, once per key."""
+        """Log a hint about the user's ROS script, once per key."""
         if key not in self._hints:
             self._hints.add(key)
             self.say("HINT", text)
@@ -158,7 +160,7 @@ class Session:
         return self._hints
 
     def hint_at_gripper(self) -> None:
-        """Log a hint if the script claims to close the gripper but has not commanded it."""
+        """Log a hint if a ROS script claims to close the gripper but has not commanded it."""
         if self.claims_to_close and not self.served.has_closed:
             self.hint(
                 "auto-grip", "the script logs that it closes the gripper, but never closes it: publish to "
@@ -166,7 +168,7 @@ class Session:
             )  # fmt: skip
 
     def watch_other_end(self) -> None:
-        """Log a hint, once, if the external simulator or robot sends no more joint states."""
+        """Log a hint in a ROS script's session if its external simulator or robot sends no more joint states."""
         if isinstance(self.served, ServedPlanner) and self.served.cell.silence > SILENT:
             self.hint(
                 "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "
@@ -174,7 +176,7 @@ class Session:
             )  # fmt: skip
 
     def finish(self) -> None:
-        """Wait for the motions that the script started without waiting for them."""
+        """At a ROS session's end, wait for motions that the script left running."""
         goals = [goal for client in self.clients.values() for goal in client.unfinished]
         while self._goes_on() and not all(goal.wait(CHECK) for goal in goals):
             pass
@@ -186,7 +188,8 @@ class Session:
 
 
 class _Warnings:
-    """Observer that logs warnings of the cell: stopped motions, contacts and lost objects.
+    """Observer of a ROS script's session that logs warnings of the cell: stopped motions, contacts and lost
+    objects.
 
     The events include motions that the cell refused.
     """
@@ -208,7 +211,7 @@ class _Warnings:
 
 
 def current_session() -> Session:
-    """Return the open session of the running script.
+    """Return the open session of the running ROS script.
 
     Raises:
         RuntimeError: no session is open.

@@ -17,36 +17,36 @@ from armcell.ros.names import resolve
 
 
 class ROSException(Exception):
-    """Base class of rospy's exceptions."""
+    """Base class of the exceptions of rospy's node."""
 
 
 class ROSInterruptException(ROSException, KeyboardInterrupt):
-    """Error: a blocking call was interrupted because the program shuts down."""
+    """rospy error: a blocking call was interrupted because the program shuts down."""
 
 
 class ROSInitException(ROSException):
-    """Error: the node is not initialized, or cannot be initialized."""
+    """rospy error: the node is not initialized, or cannot be initialized."""
 
 
 class ROSSerializationException(ROSException):
-    """Error: a message cannot be serialized."""
+    """rospy error: a message cannot be serialized."""
 
 
 class TransportException(ROSException):
-    """Error: a connection to another ROS node failed."""
+    """rospy error: a connection to another ROS node failed."""
 
 
 class ServiceException(Exception):
-    """Error: a service call failed."""
+    """rospy error: a service call failed."""
 
 
 class ROSTimeMovedBackwardsException(ROSInterruptException):
-    """Error: ROS time moved backwards (simulation reset) during a sleep."""
+    """rospy error: ROS time moved backwards (simulation reset) during a sleep."""
 
 
 # --- names and errors ---
 def resolved(name: str) -> str:
-    """Return a full graph name; `~private` names are below the node's name."""
+    """Return a name of rospy's node as full graph name; `~private` names are below the node's name."""
     try:
         if name.startswith("~"):
             return resolve(name[1:].lstrip("/"), get_name())
@@ -62,7 +62,7 @@ def check_running() -> None:
 
 @contextlib.contextmanager
 def ros_errors(kind: type[Exception]) -> Any:
-    """Convert armcell's exceptions in a `with` block to an exception of rospy."""
+    """Convert armcell's exceptions in a `with` block to exceptions of rospy's node."""
     try:
         yield
     except (ArmcellError, ServiceError) as error:
@@ -151,7 +151,7 @@ def get_time() -> float:
 
 
 def sleep(duration: float | Duration) -> None:
-    """Sleep by the cell's clock, like ROS with use_sim_time.
+    """rospy.sleep: sleep by the cell's clock, like ROS with use_sim_time.
 
     Args:
         duration: seconds or a Duration.
@@ -178,7 +178,7 @@ def wait_until(seconds: float) -> None:
 
 
 class Rate:
-    """Loop timer that sleeps to keep a loop at a rate [Hz] of the cell's clock."""
+    """rospy.Rate: loop timer that sleeps to keep a loop at a rate [Hz] of the cell's clock."""
 
     def __init__(self, hz: float, reset: bool = False):
         self.sleep_dur = Duration.from_sec(1.0 / hz)
@@ -199,7 +199,7 @@ class Rate:
 
 
 class Timer(threading.Thread):
-    """Timer that calls back with a TimerEvent every period of the cell's clock."""
+    """rospy.Timer: calls back with a TimerEvent every period of the cell's clock."""
 
     def __init__(
         self, period: Duration, callback: Callable[[Any], None], oneshot: bool = False, reset: bool = False
@@ -231,7 +231,7 @@ class Timer(threading.Thread):
 
 
 class TimerEvent:
-    """Expected and actual times of a timer's previous and current calls."""
+    """rospy.TimerEvent: expected and actual times of a timer's previous and current calls."""
 
     def __init__(
         self, last_expected: Any, last_real: Any, current_expected: Any, current_real: Any, last_duration: Any

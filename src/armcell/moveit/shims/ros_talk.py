@@ -25,7 +25,7 @@ QUEUE_SIZE = 100  # default of this shim; without a queue size rospy blocks or q
 
 # --- topics ---
 class Publisher:
-    """Publisher of a topic on the bus."""
+    """rospy.Publisher: publisher of a topic on the bus."""
 
     def __init__(
         self, name: str, data_class: type, subscriber_listener: Any = None, tcp_nodelay: bool = False,
@@ -37,7 +37,7 @@ class Publisher:
             self._publisher = current_session().bus.advertise(self.name, self.type, latch)
 
     def publish(self, *args: Any, **kwds: Any) -> None:
-        """Publish a message, or a message that is created from the given field values."""
+        """rospy.Publisher: publish a message, or a message that is created from the given field values."""
         if len(args) == 1 and not kwds and getattr(args[0], "_type", None) == self.type:
             message = args[0]
         elif len(args) == 1 and not kwds and hasattr(args[0], "_type"):
@@ -58,7 +58,7 @@ class Publisher:
 
 
 class Subscriber:
-    """Subscriber whose thread calls back with the script's own copy of each message."""
+    """rospy.Subscriber, whose thread calls back with the script's own copy of each message."""
 
     def __init__(
         self, name: str, data_class: type, callback: Callable[..., None] | None = None,
@@ -116,7 +116,7 @@ def get_published_topics(namespace: str = "/") -> list[list[str]]:
 
 # --- services ---
 class Service:
-    """Service server on the bus.
+    """rospy.Service: service server on the bus.
 
     The handler may return a response message, a list, tuple or dict of its fields, or the value of its first
     field.
@@ -153,7 +153,7 @@ def _response(cls: Any, given: Any) -> Any:
 
 
 class ServiceProxy:
-    """Client that calls a service like a function."""
+    """rospy.ServiceProxy: client that calls a service like a function."""
 
     def __init__(self, name: str, service_class: Any, persistent: bool = False, headers: Any = None):
         self.resolved_name, self.service_class = resolved(name), service_class

@@ -18,7 +18,7 @@ Exception = TransformException
 
 
 class TransformListener:
-    """Transform listener that returns transforms as (x, y, z), (x, y, z, w)."""
+    """Shim of tf's listener: returns transforms as (x, y, z), (x, y, z, w)."""
 
     def __init__(self, *args: Any, **kwargs: Any):
         self._buffer = tf2_ros.Buffer()
@@ -66,7 +66,7 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Broadcaster that publishes one transform per call."""
+    """Shim of tf's broadcaster: publishes one transform per call."""
 
     def __init__(self, queue_size: int = 100):
         self._broadcaster = tf2_ros.TransformBroadcaster()

@@ -23,27 +23,27 @@ MAX_DEPTH = 200
 
 
 class TransformException(Exception):
-    """Base class of tf2's exceptions."""
+    """Base class of tf2_ros's exceptions."""
 
 
 class LookupException(TransformException):
-    """Error: a frame was never published on /tf or /tf_static."""
+    """tf2_ros error: a frame was never published on /tf or /tf_static."""
 
 
 class ConnectivityException(TransformException):
-    """Error: no chain of transforms connects two frames."""
+    """tf2_ros error: no chain of transforms connects two frames."""
 
 
 class ExtrapolationException(TransformException):
-    """Error: no transform is known for the requested time."""
+    """tf2_ros error: no transform is known for the requested time."""
 
 
 class InvalidArgumentException(TransformException):
-    """Error: an argument of a tf2 call, such as a transform, is invalid."""
+    """tf2_ros error: an argument of a tf2 call, such as a transform, is invalid."""
 
 
 class TimeoutException(TransformException):
-    """Error: no transform between the frames arrived within the timeout."""
+    """tf2_ros error: no transform between the frames arrived within the timeout."""
 
 
 def _seconds(timeout: Any) -> float:
@@ -51,7 +51,7 @@ def _seconds(timeout: Any) -> float:
 
 
 class Buffer:
-    """Buffer with the newest transform of each child frame."""
+    """tf2_ros.Buffer with the newest transform of each child frame."""
 
     def __init__(self, cache_time: Any = None, debug: bool = True):
         self._session = current_session()
@@ -73,7 +73,8 @@ class Buffer:
     def lookup_transform(
         self, target_frame: str, source_frame: str, time: Any = None, timeout: Any = 0.0
     ) -> Any:
-        """Return T_target_source as a TransformStamped; waits for the frames up to `timeout` [s].
+        """tf2_ros.Buffer: return T_target_source as a TransformStamped; waits for the frames up to `timeout`
+        [s].
 
         Raises:
             TransformException: a frame does not exist, or the frames are not connected.
@@ -95,7 +96,7 @@ class Buffer:
     def transform(
         self, object_stamped: Any, target_frame: str, timeout: Any = 0.0, new_type: Any = None
     ) -> Any:
-        """Transform a stamped pose, point or vector to another frame.
+        """tf2_ros.Buffer: transform a stamped pose, point or vector to another frame.
 
         Raises:
             TransformException: a frame is unknown, the frames are not connected, or the type is not
@@ -149,7 +150,7 @@ class Buffer:
 
 
 class TransformListener:
-    """Listener that fills a buffer from /tf and /tf_static."""
+    """tf2_ros.TransformListener: fills a buffer from /tf and /tf_static."""
 
     def __init__(self, buffer: Buffer, queue_size: Any = None, **more: Any):
         session = current_session()
@@ -164,7 +165,7 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Broadcaster for transforms on /tf."""
+    """tf2_ros.TransformBroadcaster for transforms on /tf."""
 
     TOPIC, LATCH = "/tf", False
 
@@ -180,7 +181,7 @@ class TransformBroadcaster:
 
 
 class StaticTransformBroadcaster(TransformBroadcaster):
-    """Broadcaster for static transforms on /tf_static.
+    """tf2_ros.StaticTransformBroadcaster for static transforms on /tf_static.
 
     Each message contains all transforms sent so far, so that late subscribers receive all of them.
     """

@@ -12,12 +12,12 @@ from armcell.ros.codec import ros1
 
 
 def msg_to_string(msg: Any) -> bytes:
-    """Return a message serialized in ROS 1's format."""
+    """Convert a message to bytes in ROS 1's format, like moveit_commander.conversions."""
     return bytes(ros1().encode(msg))
 
 
 def msg_from_string(msg: Any, data: bytes) -> None:
-    """Fill a message from its ROS 1 serialization."""
+    """Convert bytes in ROS 1's format to a message, like moveit_commander.conversions."""
     found = classes().local(ros1().decode(msg._type, data))
     for name in msg._fields:
         setattr(msg, name, getattr(found, name))
@@ -29,7 +29,9 @@ def pose_to_list(pose_msg: Any) -> list[float]:
 
 
 def list_to_pose(pose_list: Any) -> Any:
-    """Return a Pose from x, y, z and a quaternion (7 values) or roll, pitch, yaw (6 values)."""
+    """Shim of moveit_commander.conversions: return a Pose from x, y, z and a quaternion (7 values) or roll,
+    pitch, yaw (6 values).
+    """
     values = [float(v) for v in pose_list]
     if len(values) == 6:
         values = [*values[:3], *quaternion_from_euler(*values[3:]).tolist()]

@@ -11,7 +11,7 @@ from armcell.moveit.shims.moveit_commander.group_targets import GroupTargets
 
 
 class GroupSettings(GroupTargets):
-    """A planning group with targets and planning settings."""
+    """moveit_commander's planning group with planning settings: tolerances, planner, speed."""
 
     # --- tolerances ---
     def get_goal_tolerance(self) -> tuple[float, float, float]:
@@ -48,14 +48,16 @@ class GroupSettings(GroupTargets):
         self._replanning = bool(value)
 
     def get_known_constraints(self) -> list[str]:
-        """Return the names in the constraints database; always empty, because armcell has none."""
+        """Return the names in moveit_commander's constraints database; always empty, because armcell has
+        none.
+        """
         return []
 
     def get_path_constraints(self) -> Any:
         return self._session.messages.local(self._path_constraints or self._new("Constraints"))
 
     def set_path_constraints(self, value: Any = None, *, constraints: Any = None) -> None:
-        """Set path constraints from a Constraints message; None clears them.
+        """Set moveit_commander's path constraints from a Constraints message; None clears them.
 
         Tutorials also pass the argument as `constraints`.
         """
@@ -93,7 +95,7 @@ class GroupSettings(GroupTargets):
 
     # --- planner ---
     def set_planning_time(self, seconds: float) -> None:
-        """Set the planning time [s]; like MoveIt, ignore values that are not above 0."""
+        """Set moveit_commander's planning time [s]; like MoveIt, ignore values that are not above 0."""
         if seconds > 0:
             self._time = float(seconds)
 

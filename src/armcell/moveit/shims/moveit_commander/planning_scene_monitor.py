@@ -21,7 +21,7 @@ HINT = "describe a depth camera under `cameras:` of the cell file"
 
 
 class PlanningSceneMonitor:
-    """Control of the planning scene's updates from the cell's cameras."""
+    """PlanningSceneMonitor: control of the scene's updates from the cell's cameras."""
 
     def __init__(self, robot_description: str = "robot_description", name: str = ""):
         self._session = current_session()
@@ -29,7 +29,8 @@ class PlanningSceneMonitor:
         self._session.hint(NAME, f"MoveIt's Python has no {NAME}; {CLASSES[NAME]}")
 
     def startWorldGeometryMonitor(self, *topics: Any) -> None:
-        """Update the octomap from the cell's cameras, 10 times a second; wait for the first images.
+        """PlanningSceneMonitor: update the octomap from the cell's cameras, 10 times a second; wait for the
+        first images.
 
         The camera `overview`, which renders the report's pictures, is used only if it is the only camera.
         """
@@ -56,13 +57,13 @@ class PlanningSceneMonitor:
                 self._session.say("WARN", f"startWorldGeometryMonitor: no image of {watch.camera.name} yet")
 
     def stopWorldGeometryMonitor(self) -> None:
-        """Stop the updates from the cameras and keep the octomap."""
+        """PlanningSceneMonitor: stop the updates from the cameras and keep the octomap."""
         for watch in self._watches:
             watch.close()
         self._watches.clear()
 
     def startSceneMonitor(self, scene_topic: str = "") -> None:
-        """Do nothing: armcell's move_group always applies scene diffs."""
+        """PlanningSceneMonitor: do nothing, as armcell's move_group always applies scene diffs."""
 
     def startStateMonitor(self, joint_states_topic: str = "", attached_objects_topic: str = "") -> None:
-        """Do nothing: armcell's move_group always tracks the joint states."""
+        """PlanningSceneMonitor: do nothing, as armcell's move_group always tracks the joint states."""

@@ -12,4 +12,4 @@ def roscpp_initialize(args: Any) -> None:
 
 
 def roscpp_shutdown() -> None:
-    """Do nothing: the cell ends with the script."""
+    """Shim of roscpp_shutdown: do nothing, as the cell ends with the script."""
