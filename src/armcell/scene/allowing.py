@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def expanded(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
-    """Return a scene's allowed collision pairs, with per-body defaults expanded to pairs.
+    """Return a scene's allowed collision pairs, with per-body defaults expanded to body pairs.
 
     An entry for a pair takes precedence over defaults. If the defaults of two bodies disagree, their contact
     is not allowed, as in MoveIt's AllowedCollisionMatrix.

@@ -42,7 +42,9 @@ def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]
 
 
 def new_obstacles(before: PlanningScene, now: PlanningScene) -> list[str]:
-    """Return the names of world objects that are new, moved or reshaped since an earlier scene."""
+    """Return the names of world objects that are new, moved or reshaped since an earlier scene, for
+    replanning.
+    """
     found = []
     for name, item in now.objects.items():
         was = before.objects.get(name)

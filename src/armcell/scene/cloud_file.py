@@ -30,7 +30,7 @@ OCTREES = (".bt", ".ot", ".npz")
 
 
 def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud | Octree:
-    """Load an obstacle from a file: a point cloud with a radius [m], or an octomap.
+    """Load an obstacle from a cloud or octomap file: a point cloud with a radius [m], or an octomap.
 
     The suffix determines the format. Octomaps have cells and need no radius.
     """
@@ -79,7 +79,7 @@ def _text(data: bytes, file: Path) -> str:
 
 
 def _table(lines: list[str], columns: list[int], first: int, file: Path) -> F64:
-    """Parse some columns of a text table with commas or white space between the numbers.
+    """Parse some columns of a point cloud's text file with commas or white space between the numbers.
 
     `first` is the line number of the first line, for error messages.
     """
@@ -160,7 +160,7 @@ _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
 def _pcd(data: bytes, file: Path) -> F64:
-    """Parse the points of a file in the Point Cloud Library's format PCD, up to version 0.7."""
+    """Parse the points of a point cloud file in the Point Cloud Library's format PCD, up to version 0.7."""
     header: dict[str, list[str]] = {}
     at, line = 0, 0
     while "DATA" not in header:
@@ -232,7 +232,7 @@ def _unpacked(body: bytes, size: int, file: Path) -> bytes:
 
 @njit(cache=True)
 def _unlzf(data, out):
-    """Decompress LZF data (Marc Lehmann's liblzf); return the number of written bytes.
+    """Decompress a point cloud file's LZF data (Marc Lehmann's liblzf); return the number of written bytes.
 
     The result is -1 if the data are invalid. A control byte n below 32 precedes n + 1 literal bytes. The
     upper three bits of any other control byte are the length of a copy (if 7, the next byte is added); the

@@ -68,7 +68,7 @@ class SceneDiff:
 def _placed_object(
     change: Change, placed: Mapping[str, CollisionObject], scene: PlanningScene
 ) -> CollisionObject | None:
-    """Return the world object that results from a scene change, or None.
+    """Return the world object that results from a scene diff's change, or None.
 
     The change may add the object, move it in the world frame, or set its color or type.
 
@@ -92,7 +92,7 @@ def _placed_object(
 # --- objects ---
 @dataclass(frozen=True, eq=False)
 class AddObject:
-    """A scene change that adds an object or replaces the object of the same name.
+    """A change in a scene diff that adds an object or replaces the object of the same name.
 
     The object's pose is relative to `frame`.
     """
@@ -111,7 +111,7 @@ class AddObject:
 
 @dataclass(frozen=True, eq=False)
 class AppendShapes:
-    """A scene change that adds shapes and subframes to a world object, in its frame."""
+    """A change in a scene diff that adds shapes and subframes to a world object, in its frame."""
 
     name: str
     shapes: tuple[tuple[Shape, SE3], ...] = ()  # (shape, T_object_shape)
@@ -125,7 +125,7 @@ class AppendShapes:
 
 @dataclass(frozen=True, eq=False)
 class MoveObject:
-    """A scene change that gives a world object a new pose, relative to `frame`."""
+    """A change in a scene diff that gives a world object a new pose, relative to `frame`."""
 
     name: str
     T_frame_object: SE3
@@ -137,7 +137,7 @@ class MoveObject:
 
 @dataclass(frozen=True)
 class RemoveObject:
-    """A scene change that removes a world object and its allowed-collision entries.
+    """A change in a scene diff that removes a world object and its allowed-collision entries.
 
     An attached object must be detached first.
     """
@@ -151,7 +151,7 @@ class RemoveObject:
 
 @dataclass(frozen=True)
 class RemoveAllObjects:
-    """A scene change that removes all world objects except the octomap, as in MoveIt.
+    """A change in a scene diff that removes all world objects except the octomap, as in MoveIt.
 
     Attached objects stay, unless `attached` is True; then the change has the effect of moveit_commander's
     `PlanningSceneInterface.clear()`.
@@ -172,7 +172,7 @@ class RemoveAllObjects:
 @dataclass(frozen=True)
 @checked()
 class SetColor:
-    """A scene change that sets the RGBA color (0 to 1) of a world object or attached object."""
+    """A change in a scene diff that sets the RGBA color (0 to 1) of a world object or attached object."""
 
     name: str
     color: Color
@@ -193,7 +193,7 @@ class SetType:
 # --- attached objects ---
 @dataclass(frozen=True, eq=False)
 class AttachObject:
-    """A scene change that attaches an object to a link.
+    """A change in a scene diff that attaches an object to a link.
 
     The object is an existing world object, or the new `object`, whose pose is relative to the link.
     """
@@ -211,7 +211,7 @@ class AttachObject:
 
 @dataclass(frozen=True)
 class DetachObject:
-    """A scene change that detaches an object and leaves it at its current pose in the world.
+    """A change in a scene diff that detaches an object and leaves it at its current pose in the world.
 
     With `remove`, the object is removed from the scene instead.
     """
@@ -227,7 +227,7 @@ class DetachObject:
 # --- allowed collisions and padding ---
 @dataclass(frozen=True)
 class Allow:
-    """A scene change that allows or forbids contact between two bodies."""
+    """A change in a scene diff that allows or forbids contact between two bodies."""
 
     a: str
     b: str
@@ -239,7 +239,7 @@ class Allow:
 
 @dataclass(frozen=True)
 class AllowByDefault:
-    """A scene change that sets whether a body may touch all other bodies by default.
+    """A change in a scene diff that sets whether a body may touch all other bodies by default.
 
     None removes the body's default.
     """
@@ -254,7 +254,7 @@ class AllowByDefault:
 @dataclass(frozen=True)
 @checked()
 class SetPadding:
-    """A scene change that sets link padding [m] and link scale factors for collision checks.
+    """A change in a scene diff that sets link padding [m] and link scale factors for collision checks.
 
     Links that `links` and `scales` do not name keep their individual values.
 
@@ -276,7 +276,7 @@ class SetPadding:
 # --- robot, octomap, frames ---
 @dataclass(frozen=True, eq=False)
 class SetState:
-    """A scene change that sets the positions of some or all robot joints."""
+    """A change in a scene diff that sets the positions of some or all robot joints."""
 
     state: JointState
 
@@ -286,7 +286,7 @@ class SetState:
 
 @dataclass(frozen=True, eq=False)
 class SetOctomap:
-    """A scene change that replaces the octomap, or removes it if `octree` is None."""
+    """A change in a scene diff that replaces the octomap, or removes it if `octree` is None."""
 
     octree: Octree | None
     T_world_octomap: SE3 = SE3.identity()

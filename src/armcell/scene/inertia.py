@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
-    """Return the center of mass (3,) [m] and inertia (3, 3) [m^2] of a uniform solid of 1 kg.
+    """Return the center of mass (3,) [m] and inertia (3, 3) [m^2] of a uniform solid shape of 1 kg.
 
     The inertia is relative to the center of mass. A mesh that is not watertight counts as its convex hull.
     """
@@ -50,7 +50,7 @@ def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
 
 
 def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[Array, Array]:
-    """Return an object's center of mass (3,) [m] and its inertia (3, 3) [kg m^2] about it.
+    """Return an object's center of mass (3,) [m] and its inertia (3, 3) [kg m^2] about the center.
 
     Both are in the object's frame. The mass is distributed evenly over the shapes' volumes; overlaps count
     twice.

@@ -24,7 +24,7 @@ WALL_PIECES = 16  # number of flat segments of a mug's round wall
 @dataclass(frozen=True)
 @checked()
 class Kind:
-    """A kind of library object: a function from sizes to solids, density, friction and color."""
+    """A kind of everyday object in the library: a function from sizes to solids, density, friction and color."""
 
     solids: Callable[..., Solids]
     density: float  # [kg/m^3] mean density of the solids, including the content of a full can
@@ -193,7 +193,7 @@ def _open_box(length: float, width: float, height: float, wall: float) -> Solids
 
 # --- convex meshes ---
 def prism(outline: np.ndarray, height: float) -> Mesh:
-    """Return a closed prism mesh over a convex outline, from z = 0 to a height [m].
+    """Return, for library objects, a closed prism mesh over a convex outline, from z = 0 to a height [m].
 
     Args:
         outline: corners (n, 2) [m], counterclockwise.
@@ -208,7 +208,7 @@ def prism(outline: np.ndarray, height: float) -> Mesh:
 
 
 def frustum(low: float, high: float, height: float, edges: int = 32) -> Mesh:
-    """Return a closed mesh of a conical frustum with radius `low` [m] at z = 0.
+    """Return, for library objects, a closed mesh of a conical frustum with radius `low` [m] at z = 0.
 
     The radius at `height` [m] is `high` [m].
     """

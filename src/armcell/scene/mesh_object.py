@@ -21,7 +21,7 @@ SMALLEST = 5e-4  # [m] along the longest axis
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """Measurements of a mesh: size, closedness, convexity and volume."""
+    """Measurements of a mesh file's object: size, closedness, convexity and volume."""
 
     size: tuple[float, float, float]  # [m] along its axes
     closed: bool  # every edge has two triangles with consistent orientation
@@ -31,7 +31,7 @@ class MeshFacts:
 
 
 def mesh_facts(mesh: Mesh) -> MeshFacts:
-    """Measure a mesh: size, closedness, convexity and volume.
+    """Measure an object's mesh: size, closedness, convexity and volume.
 
     Raises:
         InputError: the mesh is flat, so it has no volume and no inertia.
@@ -50,7 +50,7 @@ def mesh_facts(mesh: Mesh) -> MeshFacts:
 
 
 def check_mesh(mesh: Mesh, movable: bool) -> MeshFacts:
-    """Reject a mesh with an implausible size, and warn if it is not closed.
+    """Check an object's mesh: reject it with an implausible size, warn if it is not closed.
 
     For a movable object with an open mesh, mass and inertia are those of the convex hull.
 
@@ -90,7 +90,7 @@ def mesh_object(
     movable: bool = True,
     **properties,
 ) -> CollisionObject:
-    """Create an object from a mesh file (OBJ, STL, PLY, GLB, DAE or OFF).
+    """Create a collision object from a mesh file (OBJ, STL, PLY, GLB, DAE or OFF).
 
     Args:
         name: name of the object.

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MovingObject:
-    """An object that follows a known motion, given by poses at times (k,) [s].
+    """Moving obstacle: an object with a known motion, given by poses at times (k,) [s].
 
     Between two times the object moves in a straight line and turns evenly; before the first and after the
     last time it is at rest. `object.T_world_object` is ignored.

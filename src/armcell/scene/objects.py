@@ -38,7 +38,7 @@ USE_A_SOLID = "describe what moves by solids or a mesh"
 @dataclass(frozen=True)
 @checked()
 class Material:
-    """Coulomb friction of an object's surface: static, dynamic, torsional and rolling.
+    """Material of a collision object: Coulomb friction: static, dynamic, torsional and rolling.
 
     The coefficients of torsional and rolling friction are lengths [m]. The defaults are those of painted wood
     on rubber.
@@ -67,21 +67,21 @@ class Material:
 
     @property
     def sliding(self) -> float:
-        """Return the friction coefficient of a sliding contact.
+        """Return the friction coefficient of an object's material in a sliding contact.
 
         The result is `dynamic_friction`, or `friction` if that is None.
         """
         return self.friction if self.dynamic_friction is None else self.dynamic_friction
 
     def scaled(self, factor: float) -> Material:
-        """Return the material with static and dynamic friction multiplied by `factor`."""
+        """Return an object's material with static and dynamic friction multiplied by `factor`."""
         dynamic = None if self.dynamic_friction is None else self.dynamic_friction * factor
         return replace(self, friction=self.friction * factor, dynamic_friction=dynamic)
 
 
 @dataclass(frozen=True)
 class ObjectType:
-    """The type of an object as a database key, like object_recognition_msgs/ObjectType."""
+    """The type of a collision object as a database key, like object_recognition_msgs/ObjectType."""
 
     key: str = ""
     db: str = ""
@@ -90,7 +90,7 @@ class ObjectType:
 @dataclass(frozen=True)
 @checked()
 class Thread:
-    """A screw connection: the object turns only about its own z axis and moves along it.
+    """Screw thread of a collision object, which turns only about its own z axis and moves along it.
 
     The thread is right-handed: turned clockwise, as seen from the tip of its z axis, the object moves along
     -z.
@@ -177,12 +177,12 @@ class CollisionObject:
 
     @property
     def has_cloud(self) -> bool:
-        """Return whether one of the object's shapes is a point cloud or an octree."""
+        """Return whether one of a collision object's shapes is a point cloud or an octree."""
         return any(isinstance(shape, PointCloud | Octree) for shape, _ in self.shapes)
 
     @property
     def volume(self) -> float:
-        """Return the sum of the volumes of the object's shapes [m^3]."""
+        """Return the sum of the volumes of a collision object's shapes [m^3]."""
         return sum(shape_volume(shape) for shape, _ in self.shapes)
 
     @property
@@ -190,7 +190,7 @@ class CollisionObject:
         return self.mass if self.mass is not None else DEFAULT_DENSITY * self.volume
 
     def extent(self, direction: NDArray[np.float64]) -> float:
-        """Return the object's size [m] along a unit direction (3,) in the object's frame."""
+        """Return a collision object's size [m] along a unit direction (3,) in the object's frame."""
         ends, direction = [], float_array(direction, (3,), "a direction")
         for shape, T in self.shapes:
             low, high = extent(shape, T.rotation.matrix.T @ direction)
@@ -199,7 +199,7 @@ class CollisionObject:
         return max(e[1] for e in ends) - min(e[0] for e in ends)
 
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the corners (3,), (3,) [m] of the object's bounding box, in the object's frame."""
+        """Return the corners (3,), (3,) [m] of a collision object's bounding box, in the object's frame."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for shape, T in self.shapes:
             center, half = local_bounds(shape)
@@ -210,7 +210,7 @@ class CollisionObject:
 
 
 def shape_volume(shape: Shape) -> float:
-    """Return a shape's volume [m^3]; a plane has volume 0.
+    """Return the volume of a collision object's shape [m^3]; a plane has volume 0.
 
     A mesh that is not closed counts as its convex hull. Overlapping points of a cloud count several times.
     """

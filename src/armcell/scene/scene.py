@@ -26,7 +26,9 @@ WORLD = "world"
 
 @dataclass(frozen=True, eq=False)
 class AttachedBody:
-    """An object attached to a robot link; contact with the links in `touch_links` is allowed."""
+    """An object attached to a robot link in a planning scene; contact with the links in `touch_links` is
+    allowed.
+    """
 
     object: CollisionObject
     link: str
@@ -97,7 +99,7 @@ class PlanningScene:
 
     # --- objects ---
     def object(self, name: str) -> CollisionObject:
-        """Return a world object or attached object by name, with its current pose.
+        """Return a planning scene's world object or attached object by name, with its current pose.
 
         Raises:
             UnknownNameError: the scene has no such object.
@@ -128,7 +130,9 @@ class PlanningScene:
         return replace(self, objects={**self.objects, **added})
 
     def check_new_name(self, name: str) -> None:
-        """Raise an InputError if a link, a fixed frame or an attached object has the given name."""
+        """Raise an InputError if a link, a fixed frame or an attached object of the planning scene has the
+        given name.
+        """
         if name in self.model.links or name == WORLD:
             raise InputError(f"object {name!r} has the name of a link", hint="give it another name")
         if name in self.fixed_frames:
@@ -142,7 +146,7 @@ class PlanningScene:
         return replace(self, objects={**self.objects, name: self.objects[name].at(T_world_object)})
 
     def without_object(self, name: str) -> PlanningScene:
-        """Return the scene without a world object and without its allowed-collision entries.
+        """Return the planning scene without a world object and without its allowed-collision entries.
 
         The entries are removed because a later object of the same name is a different object.
 
@@ -154,7 +158,7 @@ class PlanningScene:
         return forgotten(replace(self, objects={k: v for k, v in self.objects.items() if k != name}), name)
 
     def with_attached(self, name: str, link: str, touch_links: Iterable[str] = ()) -> PlanningScene:
-        """Return the scene with a world object attached to a link at its current pose.
+        """Return the planning scene with a world object attached to a link at its current pose.
 
         Args:
             name: the object.
@@ -179,7 +183,7 @@ class PlanningScene:
         return replace(self, objects=rest, attached={**self.attached, name: body})
 
     def with_detached(self, name: str) -> PlanningScene:
-        """Return the scene with an attached object moved back to the world at its current pose.
+        """Return the planning scene with an attached object moved back to the world at its current pose.
 
         Raises:
             UnknownNameError: no attached object has this name.
@@ -229,14 +233,14 @@ class PlanningScene:
 
     @cached_property
     def allowed(self) -> Mapping[frozenset[str], bool]:
-        """Return the allowed (True) and forbidden (False) collision pairs of the scene.
+        """Return the allowed (True) and forbidden (False) collision pairs of the planning scene.
 
         Per-body defaults are expanded to pairs.
         """
         return expanded(self) if self.allowed_defaults else self.allowed_pairs
 
     def is_allowed(self, a: str, b: str) -> bool:
-        """Return whether collision checks ignore contact between two bodies of the scene."""
+        """Return whether collision checks ignore contact between two bodies of the planning scene."""
         pair = frozenset((a, b))
         if pair in self.allowed:
             return self.allowed[pair]
@@ -290,13 +294,14 @@ class PlanningScene:
 
     @property
     def frame_names(self) -> list[str]:
-        """Return the names of all frames: world, links, fixed frames, objects and their subframes."""
+        """Return a planning scene's frame names: world, links, fixed frames, objects and their subframes."""
         items = [*self.objects.values(), *(body.object for body in self.attached.values())]
         own = [name for item in items for name in (item.name, *(f"{item.name}/{s}" for s in item.subframes))]
         return [WORLD, *self.model.links, *self.fixed_frames, *own]
 
     def anchor(self, name: str) -> tuple[str, SE3]:
-        """Return the link that a frame moves with, and the frame's pose relative to the link.
+        """Return the link that a planning scene's frame moves with, and the frame's pose relative to the
+        link.
 
         For a frame that is fixed in the world, the link is the robot's root link.
 
@@ -322,7 +327,8 @@ class PlanningScene:
         raise UnknownNameError("frame", name, self.frame_names)
 
     def frame_pose(self, name: str) -> SE3:
-        """Return the pose T_world_frame of a link, object, subframe ("cup/handle") or fixed frame.
+        """Return from the planning scene the pose T_world_frame of a link, object, subframe ("cup/handle") or
+        fixed frame.
 
         Raises:
             UnknownNameError: the frame does not exist.
@@ -333,7 +339,9 @@ class PlanningScene:
         return kinematic_tree(self.model).link_pose(self.positions, link) @ T_link_frame
 
     def transform(self, target: str, source: str) -> SE3:
-        """Return the transform T_target_source between two frames, like TF's `lookup_transform`."""
+        """Return the transform T_target_source between two frames of the planning scene, like TF's
+        `lookup_transform`.
+        """
         return self.frame_pose(target).inv() @ self.frame_pose(source)
 
     # --- many changes at once ---

@@ -46,12 +46,12 @@ def skipped(element: Element, why: str) -> Skipped:
 
 
 def children(element: Element, tag: str) -> list[Element]:
-    """Return an XML element's children that have a given tag."""
+    """Return an SDF element's children that have a given tag."""
     return [child for child in element if child.tag == tag]
 
 
 def child(element: Element, path: str) -> Element | None:
-    """Return an XML element's first descendant at a path of tags ("surface/friction"), or None."""
+    """Return an SDF element's first descendant at a path of tags ("surface/friction"), or None."""
     at: Element | None = element
     for tag in path.split("/"):
         at = next(iter(children(at, tag)), None) if at is not None else None
@@ -59,7 +59,7 @@ def child(element: Element, path: str) -> Element | None:
 
 
 def local_child(element: Element, name: str) -> Element | None:
-    """Return an XML element's first child with a local name in any namespace, or None.
+    """Return an SDF element's first child with a local name in any namespace, or None.
 
     For example, "mu_static" matches <drake:mu_static>.
     """
@@ -67,7 +67,7 @@ def local_child(element: Element, name: str) -> Element | None:
 
 
 def name_of(element: Element) -> str:
-    """Return the attribute `name` of an XML element.
+    """Return the attribute `name` of an SDF element.
 
     Raises:
         InputError: the attribute is missing or empty.
@@ -79,7 +79,7 @@ def name_of(element: Element) -> str:
 
 
 def text_of(element: Element, path: str, default: str | None = None) -> str:
-    """Return the text of an XML element's descendant at a path of tags ("surface/friction").
+    """Return the text of an SDF element's descendant at a path of tags ("surface/friction").
 
     Raises:
         InputError: the element is missing or empty, and there is no default.

@@ -21,7 +21,7 @@ ABOVE = 4  # number of folders above a file that are searched for sibling models
 
 
 class Library:
-    """A finder for the files of SDF models and meshes, given by URI.
+    """Library (finder) of the files of SDF models and meshes, given by URI.
 
     The search covers the given folders, Gazebo's search path and the folders around the file.
     """

@@ -48,7 +48,7 @@ GAZEBO_COLORS: dict[str, Color] = {
 
 @dataclass(frozen=True)
 class Solid:
-    """One collision of an SDF link: shape, pose, density and friction."""
+    """Solid: one collision of an SDF link: shape, pose, density and friction."""
 
     shape: Shape
     T_link_shape: SE3
@@ -112,7 +112,7 @@ def _mesh(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
 
 
 def collada_unit(file: Path) -> float:
-    """Return the length unit [m] of a COLLADA file, or 1 for any other file.
+    """Return, for SDF meshes, the length unit [m] of a COLLADA file, or 1 for any other file.
 
     Gazebo scales meshes by this unit.
     """

@@ -95,7 +95,7 @@ def _note_gravity(world: Element, tree: Tree) -> None:
 
 @dataclass
 class _Body:
-    """One link of an SDF model, with its pose in the world frame."""
+    """One link in an SDF world, with its pose in the world frame."""
 
     path: str  # "LINK" in the top-level model, "MODEL::LINK" in a nested model
     element: Element
@@ -105,7 +105,7 @@ class _Body:
 
 
 class _Flat:
-    """One top-level SDF model with its nested models, converted to scene objects."""
+    """One top-level model of an SDF world with its nested models, converted to scene objects."""
 
     def __init__(self, tree: Tree, model: Model, T_world_model: SE3, saved: dict[str, SE3]):
         self.tree, self.model, self.T_world_model = tree, model, T_world_model
@@ -141,7 +141,7 @@ class _Flat:
             self.joints.append((joint, ends[0], ends[1]))
 
     def _end(self, model: Model, joint: Element, tag: str, prefix: str) -> str:
-        """Return the path of the link at one end of an SDF joint.
+        """Return the path of the link at one end of a joint in an SDF world.
 
         Raises:
             InputError: the link does not exist.
@@ -175,7 +175,9 @@ class _Flat:
         self._group[self._root(b)] = self._root(a)
 
     def _groups(self) -> Iterator[tuple[list[_Body], bool]]:
-        """Yield the links of each object that an SDF model becomes, and whether the object is fixed."""
+        """Yield the links of each object that a model of an SDF world becomes, and whether the object is
+        fixed.
+        """
         for path, body in self.bodies.items():
             if body.static:
                 self._join("world", path)
@@ -261,7 +263,7 @@ def _is_fixed(joint: Element) -> bool:
 
 
 def _free_name(name: str, objects: Sequence[CollisionObject]) -> str:
-    """Return an unused object name based on a given name, without special characters."""
+    """Return an unused name for an object of an SDF world, without special characters."""
     plain = re.sub(r"[^\w.\-]+", "_", name).strip("_") or "object"
     taken, number = {item.name for item in objects}, 2
     found = plain
