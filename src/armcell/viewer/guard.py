@@ -60,7 +60,7 @@ FULL = f"{MAX_CLIENTS} browsers show this page already; close one of them.\n"
 
 
 class PageGuard:
-    """Secrets of one page, and the accept or reject decision for each of its requests.
+    """Page guard: secrets of one web page, and the accept or reject decision for each of its requests.
 
     The guard fails closed: it rejects requests that it cannot parse.
 
@@ -86,14 +86,14 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Start to serve the web page.
+        """Let the page guard start to accept web page requests.
 
         Before this call, requests with the token get a "starting" page.
         """
         self._open = True
 
     def in_front_of(self, serve: Process) -> Process:
-        """Wrap a `process_request` function of `websockets` so that it sees only accepted requests."""
+        """Wrap a `process_request` function of `websockets` so that the page guard filters its requests."""
 
         def process(connection: ServerConnection, request: Request) -> Any:
             return self._process(serve, connection, request)
@@ -142,7 +142,9 @@ class PageGuard:
         return answer
 
     def _admit(self, connection: ServerConnection) -> Response | None:
-        """Accept a websocket (None), or return a 503 response if the page has too many clients."""
+        """Let the page guard accept a websocket (None), or return a 503 response if the page has too many
+        clients.
+        """
         from websockets.protocol import State
 
         self._clients = {c for c in self._clients if c.state is not State.CLOSED}
@@ -163,7 +165,7 @@ class PageGuard:
             return False
 
     def _refuse(self, text: str, header: str = "", values: Sequence[str] = ()) -> Response:
-        """Return a 403 response; log each foreign host or origin once."""
+        """Let the page guard return a 403 response; log each foreign host or origin once."""
         said = (header, ", ".join(values)[:100])
         if header and said not in self._told and len(self._told) < MAX_TOLD:
             self._told.add(said)
@@ -172,13 +174,13 @@ class PageGuard:
 
 
 def page_url(host: str, port: int, token: str) -> str:
-    """Return the URL, with the token, that opens the page in a browser on this machine."""
+    """Return a guarded page's URL, with the token, that opens the page in a browser on this machine."""
     host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     return f"http://{host_in_url(host)}:{port}/?token={token}"
 
 
 def _name_of(host: str) -> str:
-    """Return the name or address in a Host header without port and brackets; empty if malformed."""
+    """Page guard: return the name or address in a Host header without port and brackets; empty if malformed."""
     match = _HOST.fullmatch(host)
     return match[1].strip("[]") if match else ""
 
@@ -189,7 +191,7 @@ def _cookies(headers: Sequence[str]) -> list[str]:
 
 
 def _same(given: str, secret: str) -> bool:
-    """Compare a given text with a secret in constant time."""
+    """Page guard: compare a request's text with a secret in constant time."""
     return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), secret.encode())
 
 
@@ -206,7 +208,7 @@ def _response(status: int, text: str, more: dict[str, str]) -> Response:
 
 
 def _harden(headers: Any, host: str) -> None:
-    """Add HTTP headers that forbid framing, foreign connections and revealing referrers."""
+    """Page guard: add HTTP headers that forbid framing, foreign connections and revealing referrers."""
     own = f"ws://{host} wss://{host}" if host else ""
     headers["Content-Security-Policy"] = (
         f"frame-ancestors 'none'; connect-src 'self' blob: data: {own}; base-uri 'none'; "

@@ -21,7 +21,7 @@ LABEL = 44  # characters of a suggestion on its button; the tooltip has the full
 
 
 class PlanTab:
-    """Widgets for the planning settings and result of one session; `refresh` updates them.
+    """ "Plan" tab: widgets for the planning settings and result of one session; `refresh` updates them.
 
     Args:
         play: starts the preview from the beginning.
@@ -83,7 +83,7 @@ class PlanTab:
         self.acceleration.on_update(on(lambda: session.set(acceleration_scaling=self.acceleration.value)))
 
     def _choose_pipeline(self) -> None:
-        """Select a pipeline, and keep the current planner if the new pipeline has it.
+        """Select a pipeline in the "Plan" tab, and keep the current planner if the new pipeline has it.
 
         Otherwise select RRTConnect, or else the pipeline's first planner.
         """
@@ -158,7 +158,9 @@ class PlanTab:
         return paragraph("SUCCESS", COLORS["free"], bold=True) + paragraph(numbers) + paragraph(more)
 
     def _show_explanation(self, explanation: Explanation | None) -> None:
-        """Show a button for each suggestion; a click applies the suggestion and plans again."""
+        """Show in the "Plan" tab a button for each suggestion; a click applies the suggestion and plans
+        again.
+        """
         if explanation is self._shown:
             return
         self._shown = explanation
@@ -183,7 +185,7 @@ class PlanTab:
         self._session.plan()
 
     def show_time(self, t: float) -> None:
-        """Move the time slider to the preview's time [s] without starting a seek."""
+        """Move the "Plan" tab's time slider to the preview's time [s] without starting a seek."""
         with quietly():
             self.time.value = min(round(t, 2), self.time.max)
 

@@ -29,7 +29,7 @@ STATUS_COLORS = {"free": GREEN, "collision": PALE_RED, "out of reach": GREY}
 
 
 class PlanningPanel:
-    """Browser front end of a planning session; use it in a `with` block.
+    """Planning panel: browser front end of a planning session; use it in a `with` block.
 
     The panel connects widgets to the session and draws its state. It contains no planning logic.
 
@@ -70,7 +70,7 @@ class PlanningPanel:
         self.close()
 
     def close(self) -> None:
-        """Stop the planning session, its threads and the web server."""
+        """Close the planning panel: stop the session, its threads and the web server."""
         self.session.close()
         self._player.close()
         self._latest.close()
@@ -133,17 +133,17 @@ class PlanningPanel:
 
     # --- the preview ---
     def play(self) -> None:
-        """Play the planned motion from its beginning."""
+        """Play the planning panel's motion from its beginning."""
         result = self.session.result
         if result is not None and result.ok and result.trajectory is not None:
             self._player.play(max(result.trajectory.duration, 1e-3))
 
     def seek(self, t: float) -> None:
-        """Show the planned motion at a time [s]."""
+        """Show the planning panel's motion at a time [s]."""
         self._player.seek(t)
 
     def _show_motion(self, t: float) -> None:
-        """Draw the planned motion at a time [s]; call only from the player's thread.
+        """Draw the planning panel's motion at a time [s]; call only from the player's thread.
 
         Calls from a second thread could draw an older time last.
         """
@@ -162,7 +162,7 @@ class PlanningPanel:
 
     # --- showing ---
     def refresh(self) -> None:
-        """Draw the planning session's current state; safe to call from any thread."""
+        """Refresh the planning panel: draw the session's state; safe to call from any thread."""
         with self._lock, self.viewer.server.atomic():
             session = self.session
             self.plan.refresh()
@@ -211,7 +211,7 @@ class PlanningPanel:
             _move(self.object_control, session.scene.object(name).T_world_object)
 
     def _draw_result(self) -> None:
-        """Draw the tool path of a new plan, or the explanation of a failed one."""
+        """Draw in the planning panel the tool path of a new plan, or the explanation of a failed one."""
         session = self.session
         if session.result is not self._result:
             self._result = session.result

@@ -18,7 +18,7 @@ NO_STAGE = "-"
 
 
 class ReplayView:
-    """Browser page at `url` that replays a recorded run; use it in a `with` block.
+    """Replay page at `url`: shows a recorded run; use it in a `with` block.
 
     Args:
         scene: the cell at the start of the run.
@@ -84,7 +84,7 @@ class ReplayView:
 
     # --- time ---
     def seek(self, time: float) -> None:
-        """Stop playing and show the run at a time [s]."""
+        """Stop playing and show the recorded run at a time [s]."""
         self._stopped()
         self._player.stop()
         self.show(time)
@@ -117,7 +117,7 @@ class ReplayView:
         self.play_button.label = "Play"
 
     def show(self, time: float) -> None:
-        """Draw the cell at a time [s] of the record."""
+        """Draw the replayed cell at a time [s] of the record."""
         with quietly():
             self.time.value = round(time, 2)
         at = max(bisect.bisect_right([t for t, _ in self._scenes], time + 1e-9) - 1, 0)
@@ -133,7 +133,9 @@ class ReplayView:
         self.viewer.on_state(self.record.states[self.record.index_at(time + 1e-9)].sample())
 
     def _said_until(self, time: float) -> list[Event]:
-        """Return the last stage event up to a time [s], and a newer event of another kind, if any."""
+        """Return the replayed run's last stage event up to a time [s], and a newer event of another kind, if
+        any.
+        """
         before = [e for e in self.record.events if e.time <= time + 1e-9]
         stages = [e for e in before if e.kind == "stage"]
         return [*stages[-1:], *(e for e in before[-1:] if e.kind != "stage")]

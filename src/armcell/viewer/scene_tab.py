@@ -19,7 +19,7 @@ NEW_AT = (0.5, 0.0, 0.6)  # [m] in the world
 
 
 class SceneTab:
-    """Widgets that show and edit the objects of the session's scene.
+    """ "Scene" tab: widgets that show and edit the objects of the session's scene.
 
     Args:
         folder: folder for saving and loading scene files.
@@ -67,7 +67,7 @@ class SceneTab:
 
     @property
     def dragged(self) -> str | None:
-        """Return the name of the world object that the drag control moves, or None."""
+        """Return the name of the world object that the "Scene" tab's drag control moves, or None."""
         return (
             self.chosen.value
             if self.drag.value and self.chosen.value in self._session.scene.objects
@@ -181,7 +181,7 @@ class SceneTab:
 
 
 def _offer(dropdown: Any, names: tuple[str, ...]) -> None:
-    """Set the choices of a dropdown, and keep the current choice if it is among them."""
+    """Set the choices of a "Scene" tab dropdown, and keep the current choice if it is among them."""
     options = (NONE, *names)
     if dropdown.options != options:
         if dropdown.value not in options:

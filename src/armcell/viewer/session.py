@@ -55,7 +55,7 @@ CLOSE_S = 5.0
 
 
 class PlanningSession:
-    """Interactive planning in one scene: goal, settings, planning and execution. Thread-safe.
+    """Planning session of the panel in one scene: goal, settings, planning and execution. Thread-safe.
 
     Long operations run in a background thread. Attributes hold immutable values that are replaced on change,
     so they can be read at any time. Register a callback with `listen`: it is called with "goal", "scene",
@@ -110,14 +110,14 @@ class PlanningSession:
                     logger.exception("a listener of the planning session failed")
 
     def say(self, text: str) -> None:
-        """Set the session's status message and notify the listeners."""
+        """Set the planning session's status message and notify the listeners."""
         self.message = text
         self._tell("result")
 
     # --- goal and settings ---
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return the names of the planning groups that have joints."""
+        """Return a planning session's groups that have joints."""
         return tuple(g.name for g in self.scene.model.groups.values() if g.joint_names)
 
     @property
@@ -126,7 +126,7 @@ class PlanningSession:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Return the names of the current group's named states."""
+        """Return the names of the named states of a planning session's group."""
         return tuple(self.scene.model.named_states.get(self.group, {}))
 
     @property
@@ -135,11 +135,11 @@ class PlanningSession:
 
     @property
     def start_positions(self) -> Array:
-        """Return the joint positions (dof,) at which a plan starts."""
+        """Return the joint positions (dof,) at which a planning session's plan starts."""
         return self.scene.positions if self.start is None else self.start
 
     def set_group(self, name: str) -> None:
-        """Select a planning group and reset the goal to the start state.
+        """Select a planning session's group and reset the goal to the start state.
 
         Raises:
             UnknownNameError: the group does not exist.
@@ -152,7 +152,7 @@ class PlanningSession:
         self._tell("settings", "goal", "result")
 
     def set(self, **fields) -> None:
-        """Change some fields of the planning settings.
+        """Change some settings of a planning session.
 
         Raises:
             InputError: a value is invalid; the settings stay unchanged.
@@ -164,14 +164,15 @@ class PlanningSession:
         self._tell("settings")
 
     def set_goal_pose(self, T_world_tip: SE3) -> None:
-        """Set the goal to a pose of the group's tip link; `goal.status` reports the outcome."""
+        """Set a planning session's goal to a pose of the group's tip link; `goal.status` reports the outcome."""
         with self._lock:
             self._given = None
             self.goal = posed(self._start_scene(), self.group, T_world_tip, self.goal.positions, self._seed)
         self._tell("goal")
 
     def set_positions(self, state: JointState, start: bool = False) -> None:
-        """Set some joints of the goal state, or of the start state; other joints stay unchanged.
+        """Set in a planning session some joints of the goal state, or of the start state; other joints stay
+        unchanged.
 
         Raises:
             InputError: a position is outside the joint limits.
@@ -189,7 +190,7 @@ class PlanningSession:
         self._tell("goal")
 
     def set_named(self, name: str, start: bool = False) -> None:
-        """Set the goal state, or the start state, to a named state of the group.
+        """Set a planning session's goal state, or the start state, to a named state of the group.
 
         Raises:
             UnknownNameError: the state does not exist.
@@ -197,7 +198,8 @@ class PlanningSession:
         self.set_positions(self.scene.model.named_state(self.group, name), start)
 
     def set_random(self, start: bool = False) -> None:
-        """Set the goal state, or the start state, to a random collision-free state of the group.
+        """Set a planning session's goal state, or the start state, to a random collision-free state of the
+        group.
 
         Raises:
             InputError: no collision-free sample was found.
@@ -206,7 +208,7 @@ class PlanningSession:
         self.set_positions(JointState(self.joint_names, q), start)
 
     def set_present(self, start: bool = False) -> None:
-        """Set the goal state, or the start state, to the robot's current state."""
+        """Set a planning session's goal state, or the start state, to the robot's current state."""
         with self._lock:
             self._given = None
             if start:
@@ -221,7 +223,7 @@ class PlanningSession:
         self.goal = judged(self._start_scene(), self.group, positions, self.start_positions)
 
     def request(self) -> PlanRequest | CartesianRequest:
-        """Return the planning request for the current goal and settings.
+        """Return a planning session's request for its goal and settings.
 
         Raises:
             InputError: the settings ask for a straight line or an upright tip, but the group has no tip link.
@@ -253,7 +255,7 @@ class PlanningSession:
 
     # --- the world ---
     def change_scene(self, change: Callable[[PlanningScene], PlanningScene], said: str = "") -> None:
-        """Replace the scene by `change(scene)`, e.g. to add, attach or move objects.
+        """Replace a planning session's scene by `change(scene)`, e.g. to add, attach or move objects.
 
         Raises:
             InputError: raised by `change`, or the robot is executing a motion; the scene stays unchanged.
@@ -274,7 +276,8 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def apply(self, suggestion: Suggestion) -> None:
-        """Apply the change that an explanation suggests to the scene, goal, start or settings.
+        """Apply the change that an explanation suggests to a planning session's scene, goal, start or
+        settings.
 
         The next plan uses exactly the suggested request until a goal or setting changes.
         """
@@ -296,7 +299,7 @@ class PlanningSession:
         self._tell("scene", "settings", "goal", "result")
 
     def _adopt_goal(self, request: PlanRequest | CartesianRequest) -> None:
-        """Show the first goal of a planning request as the session's goal."""
+        """Show the first goal of a planning request as the planning session's goal."""
         goal = PoseGoal(request.waypoints[-1]) if isinstance(request, CartesianRequest) else request.goals[0]
         if isinstance(goal, NamedGoal):
             goal = JointGoal(self.scene.model.named_state(request.group, goal.name))
@@ -312,11 +315,14 @@ class PlanningSession:
     # --- planning ---
     @property
     def busy(self) -> str:
-        """Return the current activity: "planning", "explaining", "executing" or an empty string."""
+        """Return a planning session's current activity: "planning", "explaining", "executing" or an empty
+        string.
+        """
         return self._jobs.busy
 
     def plan(self) -> None:
-        """Start planning in the background; the outcome appears in `result`, then in `explanation`.
+        """Start a session's planning in the background; the outcome appears in `result`, then in
+        `explanation`.
 
         Raises:
             InputError: another job is running, or the request is invalid.
@@ -365,7 +371,7 @@ class PlanningSession:
         self.result = self.explanation = self.outcome = None
 
     def positions_at(self, t: float) -> Array:
-        """Return all joint positions (dof,) at a time [s] of the planned motion.
+        """Return joint positions (dof,) at a time [s] of a session's planned motion.
 
         Raises:
             InputError: there is no planned motion.
@@ -379,7 +385,9 @@ class PlanningSession:
     # --- executing ---
     @property
     def why_not_executable(self) -> str:
-        """Return the reason why the last plan cannot be executed; empty if execution is possible."""
+        """Return the reason why a planning session's last plan cannot be executed; empty if execution is
+        possible.
+        """
         result = self.result
         if self._connect is None:
             return "there is no robot to execute it: this is a scene, not a cell"
@@ -396,7 +404,7 @@ class PlanningSession:
         return ""
 
     def execute(self) -> None:
-        """Start executing the last plan in the background.
+        """Start executing a planning session's last plan in the background.
 
         Raises:
             InputError: the plan cannot be executed; the text is `why_not_executable`.
@@ -425,7 +433,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def _connected(self, job: Job) -> LiveCell:
-        """Return the live cell; reconnect if the user has edited the world in the meantime."""
+        """Return a planning session's live cell; reconnect if the user has edited the world in the meantime."""
         if self._live is not None and self._live_with != self._edits:
             self._disconnect()
         if self._live is None:
@@ -450,7 +458,7 @@ class PlanningSession:
         self.message = message
 
     def stop(self) -> None:
-        """Cancel the running planning or explanation, or stop the robot."""
+        """Cancel a session's running planning or explanation, or stop the robot."""
         if self._jobs.stop():
             self._tell("result")
 
@@ -459,14 +467,14 @@ class PlanningSession:
         return self._jobs.wait(timeout)
 
     def close(self) -> None:
-        """Stop all jobs and disconnect from the robot. The session object stays usable."""
+        """Close a planning session: stop all jobs and disconnect from the robot; it stays usable."""
         self.stop()
         self.wait(CLOSE_S)
         self._disconnect()
 
 
 def _first_group(scene: PlanningScene) -> str:
-    """Return the default planning group of the scene's robot.
+    """Return the default planning group of a planning session's robot.
 
     Prefer a gripper's arm group, then the first chain, then the first group with joints.
 
@@ -485,7 +493,7 @@ def _first_group(scene: PlanningScene) -> str:
 
 
 def _asked(scene: PlanningScene, group: str, goal: GoalView) -> Goal:
-    """Return the displayed joint goal; if the joint goal is invalid, return the requested pose.
+    """Return a planning session's joint goal; if the joint goal is invalid, return the requested pose.
 
     Planning to the pose then fails with an explanation of the invalid goal.
     """

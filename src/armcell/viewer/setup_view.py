@@ -30,7 +30,7 @@ class Pair(Protocol):
 
 
 class Proposed(Protocol):
-    """Interface of the shown proposal; implemented by `armcell.cell.setup.Proposal`."""
+    """Interface of a robot setup that the browser page shows, implemented by `armcell.cell.setup.Proposal`."""
 
     @property
     def model(self) -> RobotModel: ...
@@ -138,7 +138,9 @@ class SetupView:
             self._show_pairs()
 
     def _show_pairs(self) -> None:
-        """Show a check box for each pair of the selected link, labeled with the contact frequency."""
+        """Show a check box for each pair of the selected link in the setup page, labeled with the contact
+        frequency.
+        """
         with self._deciding:
             for box in self.boxes.values():
                 box.remove()
@@ -158,7 +160,7 @@ class SetupView:
                     self.boxes[pair.links] = box
 
     def _stands(self, group: str, state: str) -> bool:
-        """Return True if the shown robot is at a named state of a group (within 1e-3)."""
+        """Return True if the setup page's robot is at a named state of a group (within 1e-3)."""
         target = self._model.named_state(group, state)
         here = self._q[self._model.columns(target.joint_names)]
         return bool(np.allclose(here, target.positions, atol=1e-3))

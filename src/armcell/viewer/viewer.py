@@ -31,7 +31,7 @@ PATH_COLOR = (0, 114, 178)
 
 
 class CellViewer:
-    """Browser page that shows a cell's robot, objects, planned tool paths and status.
+    """Cell viewer: browser page with a cell's robot, objects, planned tool paths and status.
 
     The page is served at `url`. The observer callbacks `on_...` only queue their data. The viewer's own
     thread computes the kinematics and sends the updates, so the thread that steps the physics never waits.
@@ -85,7 +85,7 @@ class CellViewer:
 
     @property
     def url(self) -> str:
-        """Return the URL, with the page's token, that opens the page on this machine."""
+        """Return the cell viewer's URL, with the page's token, that opens the page on this machine."""
         return self.page.url
 
     @property
@@ -93,12 +93,12 @@ class CellViewer:
         return self.page.port
 
     def open(self) -> None:
-        """Start to answer browsers that open the page."""
+        """Let the cell viewer answer browsers that open the page."""
         self.page.open()
 
     @property
     def server(self) -> viser.ViserServer:
-        """Return viser's server object, for adding scene nodes and widgets to the page."""
+        """Return the cell viewer's viser server, for adding scene nodes and widgets to the page."""
         return self._server
 
     # --- Observer: called from the thread that steps the cell ---
@@ -118,7 +118,9 @@ class CellViewer:
             self._wake.notify()
 
     def close(self) -> None:
-        """Stop the server and its threads and free the port; repeated calls have no effect."""
+        """Close the cell viewer: stop its server and threads and free the port; repeated calls have no
+        effect.
+        """
         with self._wake:
             if self._closing:
                 return
@@ -158,7 +160,9 @@ class CellViewer:
         _place(self.object_frames[item.name], item.T_world_object)
 
     def show_scene(self, scene: PlanningScene) -> None:
-        """Show another scene with the same robot: update the objects and the robot's state."""
+        """Show in the cell viewer another scene with the same robot: update the objects and the robot's
+        state.
+        """
         with self._wake:  # discard samples of the old scene
             self._sample = None
             old, self._scene = self._scene, scene
@@ -177,7 +181,7 @@ class CellViewer:
             self._place_links()
 
     def _shown(self, what: str, visible: bool) -> None:
-        """Handle a click on a visibility checkbox of the panel."""
+        """Handle a click on a visibility checkbox of the cell viewer's panel."""
         for handle in tuple({"collision": self._collisions, "path": self._paths}[what]):
             handle.visible = visible
 
@@ -223,7 +227,7 @@ class CellViewer:
                 _place(self.object_frames[name], T)
 
     def _draw_path(self, trajectory: JointTrajectory) -> None:
-        """Draw the planned path of each moving tool as a line in the world frame.
+        """Draw in the cell viewer the planned path of each moving tool as a line in the world frame.
 
         The new lines replace those of the previous plan.
         """
@@ -252,7 +256,7 @@ class CellViewer:
 
 
 def _merged(scene: PlanningScene, q: Array, joints: JointState) -> Array:
-    """Return a copy of `q` (dof,) with the actuated joints in `joints` overwritten."""
+    """Return a copy of `q` (dof,) with the actuated joints in `joints` overwritten, for the cell viewer."""
     q, at = q.copy(), {name: i for i, name in enumerate(scene.model.joint_names)}
     for name, value in zip(joints.joint_names, joints.positions, strict=True):
         if name in at:
@@ -266,7 +270,7 @@ def _place(frame: Any, T_world_frame: SE3) -> None:
 
 
 def _tool_links(scene: PlanningScene) -> tuple[str, ...]:
-    """Return the grippers' TCP links; for a robot without grippers, its chains' tip links."""
+    """Return the TCP links whose paths the cell viewer draws; without grippers, the chains' tip links."""
     tips = [g.tcp_link for g in scene.model.grippers.values()]
     tips = tips or [g.tip_link for g in scene.model.groups.values() if g.tip_link]
     return tuple(dict.fromkeys(tips))

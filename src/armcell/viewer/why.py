@@ -64,14 +64,14 @@ def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanatio
 
 
 def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
-    """Return the scene with the joint positions `state`; defaults replace non-finite positions."""
+    """Return an explanation's scene with the joint positions `state`; defaults replace non-finite positions."""
     positions = scene.state.updated(state).positions if state is not None else scene.positions
     usual = scene.model.default_positions()
     return replace(scene, positions=np.where(np.isfinite(positions), positions, usual))
 
 
 def _body(api: Any, scene: PlanningScene, name: str, kind: str, color: Color) -> list[Any]:
-    """Draw a link's collision shapes, or an object, in one color; return viser's handles."""
+    """Draw for an explanation a link's collision shapes, or an object, in one color; return viser's handles."""
     if name in scene.model.links:
         T = kinematic_tree(scene.model).link_pose(scene.positions, name)
         shapes = [(c.shape, T @ c.T_link_shape) for c in scene.model.links[name].collisions]
