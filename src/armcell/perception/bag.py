@@ -34,7 +34,7 @@ class CameraRecord:
     transforms: dict[str, tuple[str, SE3]] = field(default_factory=dict)  # child -> parent, T_parent_child
 
     def pose(self, frame: str) -> SE3:
-        """Return the pose T_world_frame of a recorded frame.
+        """Return the pose T_world_frame of a frame in an MCAP camera record.
 
         The world is the root of the transform tree.
         """
@@ -46,7 +46,7 @@ class CameraRecord:
         return T
 
     def image(self, frame: str | None = None) -> CameraImage:
-        """Return the newest image of a recorded camera, given by its frame.
+        """Return the newest image of a camera in an MCAP record, by frame.
 
         By default, the camera is the only one.
 
@@ -73,7 +73,7 @@ class CameraRecord:
 
 
 def load_record(path: str | Path) -> CameraRecord:
-    """Read camera data from an MCAP file of ROS 2 messages.
+    """Read camera images and clouds from an MCAP file of ROS 2 messages.
 
     Raises:
         InputError: the file is not MCAP or is truncated, or an image's data do not match its size.
@@ -116,7 +116,7 @@ def _image(found: CameraRecord, m: Any) -> None:
 
 
 def depth_pixels(m: Any) -> NDArray[np.float32]:
-    """Return the depths (h, w) [m] of a sensor_msgs/Image message; 0 for missing values.
+    """Return the depths (h, w) [m] of a recorded sensor_msgs/Image; 0 for missing values.
 
     Raises:
         InputError: the encoding has no depth, or the data do not match the size.
@@ -158,7 +158,7 @@ def _cloud(found: CameraRecord, m: Any) -> None:
 
 
 def cloud_points(m: Any) -> F64:
-    """Return the points (n, 3) [m] of a sensor_msgs/PointCloud2; NaN for missing points.
+    """Return the points (n, 3) [m] of a recorded sensor_msgs/PointCloud2; NaN for missing points.
 
     Raises:
         InputError: x, y or z is missing, or the data do not match the size.

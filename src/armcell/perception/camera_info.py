@@ -23,7 +23,7 @@ class CameraInfo:
     pinhole: Pinhole
 
     def rectified(self) -> Pinhole:
-        """Return the camera's intrinsics without distortion, for rectified images."""
+        """Return a calibrated camera's intrinsics without distortion, for rectified images."""
         p = self.pinhole
         return Pinhole(p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
@@ -95,7 +95,7 @@ def save_camera_info(path: str | Path, name: str, pinhole: Pinhole) -> None:
 
 
 def rectified(image: CameraImage) -> CameraImage:
-    """Return a camera image without lens distortion, with the same focal length.
+    """Rectify by a camera calibration: return an image without lens distortion, with the same focal length.
 
     The distortion model is Brown's, as in OpenCV.
 

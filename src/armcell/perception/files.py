@@ -23,7 +23,8 @@ _SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 
 def save_image(path: str | Path, image: CameraImage) -> list[Path]:
-    """Write an image as NAME.yaml, NAME_rgb.png and NAME_depth.png; return the written files.
+    """Write a camera image with depth as NAME.yaml, NAME_rgb.png and NAME_depth.png; return the written
+    files.
 
     Depth is rounded to millimeters, up to 65 m.
     """
@@ -87,12 +88,12 @@ def load_image(
 
 
 def load_rgb(path: str | Path) -> NDArray[np.uint8]:
-    """Load the colors (h, w, 3) uint8 of an image file."""
+    """Load the colors (h, w, 3) uint8 of a camera image file."""
     return np.asarray(_opened(path).convert("RGB"), dtype=np.uint8)
 
 
 def load_depth(path: str | Path) -> NDArray[np.float32]:
-    """Load a depth image (h, w) [m] from a 16-bit PNG in millimeters or a .npy array in meters."""
+    """Load a camera's depth image (h, w) [m] from a 16-bit PNG in millimeters or a .npy array in meters."""
     file = Path(path)
     if file.suffix.lower() == ".npy":
         try:

@@ -42,7 +42,7 @@ class Evidence:
     scale: float  # [m] larger residuals have less and less weight
 
     def thinned(self, points: int, rays: int) -> Evidence:
-        """Return a subset of the evidence with about the given numbers of points and rays.
+        """Return a subset of a solid fit's evidence with about the given numbers of points and rays.
 
         The subset is evenly distributed.
         """
@@ -102,7 +102,7 @@ def judged(e: Evidence, solid: Solid, mode: int, parameters: F64, T0: SE3, cost:
 
 
 def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
-    """Return how well a solid at a pose explains the camera evidence: 0 is perfect, 1 worst."""
+    """Return how well a fitted solid at a pose explains the camera evidence: 0 is perfect, 1 worst."""
     e, s = evidence, solid
     zero = np.zeros(3)
     return float(
@@ -115,7 +115,7 @@ def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
 
 @njit(cache=True)
 def _place(mode, p, base, R, t, size):
-    """Compute a solid's pose (R, t) and size from the parameters of a fit mode, in place."""
+    """Compute a fitted solid's pose (R, t) and size from the parameters of a fit mode, in place."""
     size[:] = 0.0
     if mode == FREE:
         w = p[:3]
@@ -181,7 +181,7 @@ def _point_residuals(points, R, t, kinds, sizes, poses, grid, origin, step):
 
 @njit(cache=True)
 def _depth_of_ray(R, t, eye, ray, free_to, reach, kinds, sizes, poses, grid, origin, step, convex):
-    """Return the depth [m] by which a ray's free part enters a solid, 0 if it passes beside.
+    """Return the depth [m] by which a ray's free part enters a fitted solid, 0 if it passes beside.
 
     The distance to a convex solid is convex along a line, so golden section finds its minimum.
     """
@@ -253,7 +253,7 @@ def _residuals(
 
 @njit(cache=True)
 def _robust(r, scale):
-    """Return the mean of Geman and McClure's loss of residuals, from 0 to 1."""
+    """Return the mean of Geman and McClure's loss of a solid fit's residuals, from 0 to 1."""
     total = 0.0
     for x in r:
         q = (x / scale) ** 2

@@ -24,7 +24,7 @@ def height_map(
     floor: float,
     resolution: float = 0.003,
 ) -> HeightMap:
-    """Compute a height map from a depth image: the highest visible point in each cell.
+    """Compute a bin's height map from a depth image: the highest visible point in each cell.
 
     Points on the robot are ignored.
 

@@ -30,7 +30,7 @@ _TILTED = 0.7  # maximum cost of a tilted fit, relative to the resting fit
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """The estimated pose of a known object in the support's frame, with its errors."""
+    """Match: the estimated pose of a known object in the support's frame, with its errors."""
 
     T: SE3
     cost: float
@@ -39,7 +39,9 @@ class Match:
 
 @lru_cache(maxsize=1)
 def cube_turns() -> tuple[SO3, ...]:
-    """Return the 24 rotations that map the coordinate axes onto each other."""
+    """Return the 24 rotations that map the coordinate axes onto each other, as starts for a known object's
+    pose.
+    """
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -118,7 +120,7 @@ def _starts(
 
 @lru_cache(maxsize=64)
 def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
-    """Return the corners (n, 3) of an object's convex hull."""
+    """Return the corners (n, 3) of a known object's convex hull."""
     from scipy.spatial import ConvexHull
 
     vertices = surface_mesh(shapes).vertices
@@ -127,7 +129,7 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
-    """Return the pose nearest to a prior pose, among the poses that look like T by symmetry.
+    """Return a known object's pose nearest to a prior pose, among those equal to T by symmetry.
 
     Considers single spheres, cylinders and boxes; other objects are treated as asymmetric.
     """
@@ -154,7 +156,7 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """Return a rotation turned so that its z axis is parallel to that of another rotation.
+    """Return a known object's rotation turned so that its z axis is parallel to that of another rotation.
 
     The direction of the z axis may be opposite.
     """
@@ -165,5 +167,5 @@ def _spun(here: SO3, wanted: SO3) -> SO3:
 
 
 def pose_error(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, T_true: SE3) -> tuple[float, float]:
-    """Return the position [m] and rotation [rad] error of an object's pose, up to its symmetry."""
+    """Return the position [m] and rotation [rad] error of a known object's pose, up to its symmetry."""
     return closest_equivalent(shapes, T, T_true).distance_to(T_true)

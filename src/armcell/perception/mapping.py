@@ -20,7 +20,7 @@ from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, wit
 @dataclass(frozen=True)
 @checked()
 class MapSettings:
-    """Settings for converting camera images to obstacles; lengths in meters."""
+    """Settings of an occupancy map from camera images; lengths in meters."""
 
     resolution: float = 0.02  # edge length of a voxel
     max_range: float = 2.5  # farther points only mark free space up to this range
@@ -43,7 +43,7 @@ class MapSettings:
 
 @dataclass(frozen=True)
 class MapUpdate(Outcome):
-    """The result of adding one camera image or point cloud to an occupancy map."""
+    """Update result: adding one camera image or point cloud to an occupancy map."""
 
     hits: int = 0  # number of obstacle points
     robot_points: int = 0
@@ -53,7 +53,7 @@ class MapUpdate(Outcome):
 
 
 class CameraMap:
-    """An occupancy map that is updated with camera images, one by one.
+    """Camera map: an occupancy map updated with camera images, one by one.
 
     `map` and `octree` contain the current state.
     """
@@ -67,7 +67,7 @@ class CameraMap:
         self.octree = self.map.octree()
 
     def update(self, image: CameraImage, scene: PlanningScene, now: float | None = None) -> MapUpdate:
-        """Add a camera image to the occupancy map.
+        """Update the camera map's occupancy with one image.
 
         Rays mark the cells they pass as free, also rays that end on the robot or on an object of the scene.
 
@@ -102,12 +102,12 @@ class CameraMap:
         )  # fmt: skip
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the planning scene with this occupancy map as its octomap."""
+        """Return the planning scene with the camera map as its octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
 
 
 def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Return a pixel mask without connected patches of fewer than `least` pixels.
+    """Return a camera map's pixel mask without connected patches of fewer than `least` pixels.
 
     Pixels are 8-connected.
 

@@ -59,7 +59,7 @@ class SeenMarker:
 
 @dataclass(frozen=True)
 class MarkerSight(Outcome):
-    """The markers detected in one camera image, with their numbers."""
+    """Sight of markers: those detected in one camera image, with their numbers."""
 
     markers: tuple[SeenMarker, ...] = ()
     missing: tuple[int, ...] = ()  # wanted but not visible
@@ -141,7 +141,7 @@ def _why(name: str, family: str, missing: tuple[int, ...], found: list[SeenMarke
 
 
 def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
-    """Return the image of a marker (n, n), with one pixel per cell and a white border.
+    """Return the image of an ArUco or AprilTag marker (n, n), with one pixel per cell and a white border.
 
     The border is `QUIET` cells wide.
 
@@ -159,7 +159,9 @@ def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
 
 
 def picture_size(family: str, size: float) -> float:
-    """Return the edge [m] of a marker's whole image, given the edge [m] of its black square."""
+    """Return the edge [m] of an ArUco or AprilTag marker's whole image, given the edge [m] of its black
+    square.
+    """
     cells = _dictionary(family)[1].markerSize + 2
     return size * (cells + 2 * QUIET) / cells
 
@@ -175,7 +177,7 @@ def _dictionary(family: str) -> tuple[Any, Any]:
 
 
 def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
-    """Refine a marker's corners (4, 2) [px] as intersections of lines through its edges.
+    """Refine an ArUco marker's corners (4, 2) [px] as intersections of lines through its edges.
 
     OpenCV's own refinement is 0.1 to 0.7 px off, depending on its window size, which means millimeters at a
     distance of ten times the marker's size. Here an edge is the center of the transition from black to white,
@@ -223,14 +225,14 @@ def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
 
 
 def _line(points: F64) -> tuple[F64, float]:
-    """Fit a line to points (n, 2) by least squares; return its normal (2,) and offset."""
+    """Fit a line to a marker's edge points (n, 2) by least squares; return its normal (2,) and offset."""
     center = points.mean(axis=0)
     normal = np.linalg.eigh((points - center).T @ (points - center))[1][:, 0]
     return normal, float(normal @ center)
 
 
 def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float, hidden: bool) -> SeenMarker:
-    """Estimate a marker's pose by IPPE (Collins and Bartoli, IJCV 109, 2014), then refine it."""
+    """Estimate an ArUco marker's pose by IPPE (Collins and Bartoli, IJCV 109, 2014), then refine it."""
     h = size / 2
     square = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
     K, distortion = image.pinhole.matrix, np.array(image.pinhole.distortion, float)

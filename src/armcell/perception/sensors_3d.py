@@ -21,7 +21,7 @@ CLOUD, DEPTH = "PointCloudOctomapUpdater", "DepthImageOctomapUpdater"
 @dataclass(frozen=True)
 @checked()
 class Sensor3d:
-    """One updater of the octomap, as configured in sensors_3d.yaml; lengths in meters."""
+    """One octomap updater, as configured in sensors_3d.yaml; lengths in meters."""
 
     point_cloud_topic: str = ""  # sensor_msgs/PointCloud2
     image_topic: str = ""  # sensor_msgs/Image with depth; default camera_info in its namespace
@@ -59,7 +59,7 @@ class Sensor3d:
 
 @dataclass(frozen=True)
 class Sensors3d:
-    """The contents of a sensors_3d.yaml: the updaters of one octomap.
+    """Contents of MoveIt's sensors_3d.yaml: the updaters of one octomap.
 
     Attributes:
         frame: the octomap's frame; must be fixed in the world, in which clouds are mapped.
@@ -71,7 +71,7 @@ class Sensors3d:
 
 
 def load_sensors_3d(file: str | Path) -> Sensors3d:
-    """Read a sensors_3d.yaml in ROS 1 or ROS 2 format.
+    """Read MoveIt's sensors_3d.yaml in ROS 1 or ROS 2 format.
 
     Raises:
         InputError: unknown plugin or key, or a value of the wrong type; the error names file and entry.

@@ -27,7 +27,7 @@ _SAMPLES = 40_000  # number of samples on the surface
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A solid for distance computations: primitive parts, or one grid of distances.
+    """Solid for signed distances: primitive parts, or one grid of distances.
 
     The parts have kinds (k,), sizes (k, 3) and poses (k, 12) as rows of 3x4 matrices; kind GRID has a grid
     (i, j, k).
@@ -44,16 +44,16 @@ class Solid:
 
     @property
     def radius(self) -> float:
-        """Return the radius [m] of the ball around the frame's origin that contains the solid."""
+        """Return the radius [m] of the ball around the frame's origin that contains a fitted solid."""
         return float(np.linalg.norm(np.maximum(np.abs(self.low), np.abs(self.high))))
 
     @property
     def diameter(self) -> float:
-        """Return the diagonal [m] of the solid's bounding box."""
+        """Return the diagonal [m] of a fitted solid's bounding box."""
         return float(np.linalg.norm(self.high - self.low))
 
     def distances(self, points: F64) -> F64:
-        """Return the signed distances (n,) [m] of points (n, 3), in the solid's frame, to the solid."""
+        """Return the signed distances (n,) [m] of points (n, 3) in a fitted solid's frame."""
         return _distances(points, self.kinds, self.sizes, self.poses, self.grid, self.origin, self.step)
 
 
@@ -61,7 +61,7 @@ NO_GRID = np.zeros((1, 1, 1))
 
 
 def primitive(kind: int, size: tuple[float, float, float]) -> Solid:
-    """Create a solid from one primitive in its own frame.
+    """Create a solid for signed distances from one primitive in its own frame.
 
     The size is a box's half extents, a cylinder's radius and half length, or a sphere's radius.
     """
@@ -116,7 +116,7 @@ def _part(shape: Shape) -> tuple[int, tuple[float, float, float]] | None:
 
 
 def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
-    """Return the triangle mesh of an object's shapes, in the object's frame."""
+    """Return the triangle mesh of the shapes of an object to fit, in the object's frame."""
     import trimesh
 
     from armcell.core import Capsule, Cone
@@ -155,7 +155,7 @@ def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
 
 
 def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """Return a solid with a grid of signed distances to an object's shapes.
+    """Return a solid for fits with a grid of signed distances to an object's shapes.
 
     A node's distance is that to the plane of the nearest of many samples on the surface. Near the surface, a
     node is inside if it is behind the sample's triangle; elsewhere, if it is not connected to the outside.
@@ -208,7 +208,7 @@ def part_distance(kind, size, x, y, z, grid, origin, step):
 
 @njit(cache=True)
 def _interpolated(x, y, z, grid, origin, step):
-    """Interpolate a signed distance [m] at a point in a grid of distances.
+    """Interpolate a signed distance [m] at a point in a solid's distance grid.
 
     Beyond the grid, the distance to the grid's edge is added.
     """
@@ -234,7 +234,7 @@ def _interpolated(x, y, z, grid, origin, step):
 
 @njit(cache=True)
 def solid_distance(x, y, z, kinds, sizes, poses, grid, origin, step):
-    """Return the signed distance [m] of a point to a solid, in the solid's frame."""
+    """Return the signed distance [m] of a point to a solid, in the fitted solid's frame."""
     least = np.inf
     for k in range(len(kinds)):
         P = poses[k]
