@@ -32,7 +32,7 @@ def _cross(a, b, out):
 @njit(cache=True)
 def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset, mass, center, inertia,
                  gravity, q, dq, ddq, out):  # fmt: skip
-    """Compute the joint torques of m states q, dq, ddq (m, dof) into `out` (m, dof).
+    """Compute the joint torques of m states q, dq, ddq by inverse dynamics (m, dof) into `out` (m, dof).
 
     Args:
         parent, ..., offset: the tree, see `KinematicTree`.
@@ -169,7 +169,9 @@ class InverseDynamics:
             )
 
     def _add(self, link: int, inertial: Inertial) -> None:
-        """Add a body to a link: sum the masses, and the inertias about the common center of mass."""
+        """Add a body to a link for inverse dynamics: sum the masses, and the inertias about the common center
+        of mass.
+        """
         R = inertial.T_link_com.rotation.matrix
         m0, m1, c0, c1 = self.mass[link], inertial.mass, self.center[link], inertial.T_link_com.translation
         mass = m0 + m1
@@ -182,7 +184,9 @@ class InverseDynamics:
         self.mass[link], self.center[link], self.inertia[link] = mass, center, total
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Return joint torques (m, n) [Nm or N] for positions, velocities, accelerations (m, n)."""
+        """Return by inverse dynamics the joint torques (m, n) [Nm or N] for positions, velocities,
+        accelerations (m, n).
+        """
         at, speed, gain = self._whole(q, self.positions), self._whole(dq, 0.0), self._whole(ddq, 0.0)
         out = np.empty_like(at)
         tree = self._tree
@@ -193,7 +197,7 @@ class InverseDynamics:
         return out[:, self.columns]
 
     def _whole(self, values: ArrayLike, others: float | Array) -> Array:
-        """Expand values (m, n) of the moving joints to all joints (m, dof)."""
+        """Expand values (m, n) of the moving joints to all joints (m, dof), for inverse dynamics."""
         values = np.atleast_2d(float_array(values, None, "joint values"))
         if values.shape[1:] != (len(self.columns),):
             raise InputError(f"joint values must have shape (m, {len(self.columns)}), not {values.shape}")
@@ -203,11 +207,11 @@ class InverseDynamics:
 
     @property
     def limits(self) -> Array:
-        """Effort limits of the moving joints (n,) [Nm or N], from the URDF."""
+        """Torque limits of inverse dynamics for the moving joints (n,) [Nm or N], from the URDF."""
         return self.model.limits(self.joint_names, "effort")
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return the coefficients of the joint torques along a path: tau = a u + b x + c.
+        """Return the coefficients of inverse dynamics' joint torques along a path: tau = a u + b x + c.
 
         u is the path acceleration and x the squared path speed.
 

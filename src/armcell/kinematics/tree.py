@@ -23,7 +23,8 @@ _KINDS = {"fixed": FIXED, "revolute": REVOLUTE, "continuous": REVOLUTE, "prismat
 
 @njit(cache=True)
 def forward(parent, T_parent_joint, kind, axis, column, multiplier, offset, q, out):
-    """Compute all link poses T_root_link into `out` (links, 4, 4) at joint positions q.
+    """Forward kinematics of the kinematic tree: all T_root_link into `out` (links, 4, 4) at joint positions
+    q.
 
     Link 0 is the root, link i+1 the child of joint i.
     """
@@ -69,7 +70,7 @@ def forward(parent, T_parent_joint, kind, axis, column, multiplier, offset, q, o
 
 @njit(cache=True)
 def chain_jacobian(Ts, point, joints, kind, axis, column, multiplier, group_column, out):
-    """Compute the geometric Jacobian of a point into `out` (6, n), one column per group joint.
+    """Compute a kinematic tree's Jacobian of a point into `out` (6, n), one column per group joint.
 
     Rows: velocity of `point` (3,) [root frame], then angular velocity.
     """
@@ -134,7 +135,9 @@ class KinematicTree:
         self._group_columns: dict[tuple[str, ...], NDArray[np.int64]] = {}
 
     def link_transforms(self, q: ArrayLike) -> Array:
-        """Return T_root_link of every link (links, 4, 4), in `link_names` order, at q (dof,)."""
+        """Return T_root_link of every link of a kinematic tree (links, 4, 4), in `link_names` order, at q
+        (dof,).
+        """
         out = np.empty((len(self.link_names), 4, 4))
         q = np.ascontiguousarray(float_array(q, (self.model.dof,), "positions", finite=False))
         forward(
@@ -151,7 +154,9 @@ class KinematicTree:
         return out
 
     def full_positions(self, q: ArrayLike) -> dict[str, float]:
-        """Return the positions of all movable joints by name, including mimic joints, at q (dof,)."""
+        """Return the positions of all movable joints of a kinematic tree by name, including mimic joints, at
+        q (dof,).
+        """
         q = float_array(q, (self.model.dof,), "positions")
         return {
             name: float(self.multiplier[i] * q[self.column[i]] + self.offset[i])
@@ -160,7 +165,7 @@ class KinematicTree:
         }
 
     def link_pose(self, q: ArrayLike, link: str) -> SE3:
-        """Return the pose T_root_link of one link at positions q (dof,).
+        """Return the pose T_root_link of one link of a kinematic tree at positions q (dof,).
 
         Raises:
             UnknownNameError: no such link.
@@ -169,7 +174,7 @@ class KinematicTree:
         return self.link_poses(q, (link,))[0]
 
     def link_poses(self, q: ArrayLike, links: Sequence[str]) -> list[SE3]:
-        """Return the poses T_root_link of several links from one forward-kinematics pass."""
+        """Return the poses T_root_link of several links of a kinematic tree from one forward-kinematics pass."""
         for link in links:
             if link not in self.link_index:
                 raise UnknownNameError("link", link, self.link_index)
@@ -182,7 +187,7 @@ class KinematicTree:
         return poses
 
     def path_to(self, link: str) -> NDArray[np.int64]:
-        """Return the indices of the joints between the root and a link, root first."""
+        """Return the indices of the joints between a kinematic tree's root and a link, root first."""
         if link not in self.link_index:
             raise UnknownNameError("link", link, self.link_index)
         return self._path_to(link).copy()
@@ -197,7 +202,9 @@ class KinematicTree:
         return self._paths[link]
 
     def _group_column(self, names: tuple[str, ...]) -> NDArray[np.int64]:
-        """Return each actuated joint's column (dof,) in `names`, or -1 if it is not in `names`."""
+        """Return a kinematic tree's column of each actuated joint (dof,) in `names`, or -1 if it is not in
+        `names`.
+        """
         if names not in self._group_columns:
             columns = np.full(self.model.dof, -1, dtype=np.int64)
             columns[self.model.columns(names)] = np.arange(len(names))
@@ -211,7 +218,7 @@ class KinematicTree:
         joint_names: tuple[str, ...] | None = None,
         point: ArrayLike = ORIGIN,
     ) -> Array:
-        """Return the geometric Jacobian (6, n) at a point of a link, in the root frame.
+        """Return a kinematic tree's Jacobian (6, n) at a point of a link, in the root frame.
 
         Rows: linear velocity, then angular velocity.
 

@@ -21,7 +21,7 @@ RELEASES = 3  # solves per iteration: the first with all joints, more without jo
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def damped_step(J, n, e, damping, A):
-    """Write the damped least-squares step `J^T (J J^T + damping)^-1 e` to J[:, 6].
+    """Write numeric IK's damped least-squares step `J^T (J J^T + damping)^-1 e` to J[:, 6].
 
     J (n, 7) has a row per joint, A (6, 6) is scratch.
     """
@@ -59,7 +59,7 @@ def damped_step(J, n, e, damping, A):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def jacobian(table, axes, T, scale, J):
-    """Fill J[:, :6] with the tip's Jacobian, one row per joint.
+    """Fill J[:, :6] with the tip's Jacobian for numeric IK's descent, one row per joint.
 
     A row contains the tip's velocity times `scale`, then its angular velocity.
 

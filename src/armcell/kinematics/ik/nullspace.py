@@ -66,7 +66,7 @@ def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rot
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def lean(table, bounds, goal, scale, wish, iterations, position_tolerance, rotation_tolerance, q):
-    """Move q (n,) by the null-space part of `wish` (n,), then bring the tip back to its goal.
+    """Move an IK solution q (n,) by the null-space part of `wish` (n,), then bring the tip back to its goal.
 
     q changes in place.
 

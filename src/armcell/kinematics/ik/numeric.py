@@ -21,7 +21,7 @@ BARREN = 32  # if a solution exists, the search ends after this many seeds witho
 
 @ik_solvers.register("numeric")
 class NumericIK(IKSolver):
-    """A numeric inverse kinematics solver that runs damped least squares from many seeds.
+    """Numeric inverse kinematics solver that runs damped least squares from many seeds.
 
     The seeds are the reference, then the precomputed poses nearest to the goal, then random positions.
     """

@@ -17,7 +17,8 @@ def search(
     table, bounds, turning, goal, scale, reference, seeds, scores, tries, iterations,
     position_tolerance, rotation_tolerance, found, count, want,
 ):  # fmt: skip
-    """Fill `found` from row `count` on with distinct IK solutions, up to `want` in total.
+    """Search IK solutions from many seeds: fill `found` from row `count` on with distinct ones, up to `want`
+    in total.
 
     Args:
         reference: positions (n,) near which the solutions' full turns are chosen.
@@ -59,7 +60,9 @@ def any_solution(
     table, bounds, turning, goal, scale, reference, seeds, poses, tries, iterations,
     position_tolerance, rotation_tolerance, found,
 ):  # fmt: skip
-    """Write one IK solution to `found` (1, n), from the tabled seeds; return whether one exists."""
+    """Search one IK solution and write it to `found` (1, n), from the tabled seeds; return whether one
+    exists.
+    """
     scores = np.empty(len(seeds), np.float32)
     rank(poses, goal, scale, scores)
     return search(

@@ -24,7 +24,7 @@ _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53)
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """Configurations (COUNT, n) spread over the joint limits, and their tip poses (7, COUNT).
+    """IK seeds: configurations (COUNT, n) spread over the joint limits, and their tip poses (7, COUNT).
 
     A pose is a position and a quaternion.
     """
@@ -55,7 +55,7 @@ def sampling_range(chain: Chain) -> tuple[Array, Array]:
 
 
 def halton(count: int, dimensions: int) -> Array:
-    """Return Halton's low-discrepancy sequence (count, dimensions) in [0, 1).
+    """Return Halton's low-discrepancy sequence (count, dimensions) in [0, 1), for IK seeds.
 
     The sequence's first point is omitted. Dimensions from the 17th on are random.
 
@@ -73,7 +73,8 @@ def halton(count: int, dimensions: int) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def pose_numbers(T, out):
-    """Write the position and quaternion (w, x, y, z) of a pose (12,) to `out` (7,).
+    """Write the position and quaternion (w, x, y, z) of a pose (12,) to `out` (7,), for the table of IK
+    seeds.
 
     Shepperd's method.
     """
@@ -104,7 +105,7 @@ def fill_poses(table, positions, poses):
 
 @njit(cache=True, fastmath=True)
 def rank(poses, goal, scale, scores):
-    """Compute the distance of each tabled pose from the goal (12,) into `scores` (COUNT,).
+    """Rank IK seeds: compute the distance of each tabled pose from the goal (12,) into `scores` (COUNT,).
 
     The unit is about radians squared.
     """
@@ -120,7 +121,7 @@ def rank(poses, goal, scale, scores):
 
 @njit(cache=True)
 def take_nearest(scores):
-    """Return the index of the lowest score and set this score to infinity."""
+    """Return the index of the IK seed with the lowest score and set this score to infinity."""
     best = 0
     for i in range(1, len(scores)):
         if scores[i] < scores[best]:

@@ -34,7 +34,7 @@ AT_LIMIT = 1e-3  # [rad or m] joints nearer to a limit count as being at the lim
 @dataclass(frozen=True)
 @checked()
 class IKSettings:
-    """Settings of the inverse kinematics solvers; the analytic solver needs no search settings."""
+    """Settings of inverse kinematics solvers; the analytic solver needs no search settings."""
 
     position_tolerance: float = 1e-6  # [m]
     rotation_tolerance: float = 1e-6  # [rad]
@@ -51,7 +51,7 @@ class IKSettings:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Precomputed data of an IK solver's chain for fixed positions of the robot's other joints."""
+    """Prepared data of an IK solver's chain for fixed positions of the robot's other joints."""
 
     chain: Chain
     seeds: Seeds
@@ -59,7 +59,7 @@ class Prepared:
 
 
 class IKSolver(ABC):
-    """An inverse kinematics solver for one planning group and tip link of a robot.
+    """Base class of inverse kinematics solvers for one planning group and tip link of a robot.
 
     Apart from a cache, a solver has no state, so calls do not influence each other.
 
@@ -97,7 +97,7 @@ class IKSolver(ABC):
 
     @property
     def prepared(self) -> Prepared:
-        """Precomputed data for the compiled IK functions, from the latest query.
+        """Precomputed data for an IK solver's compiled functions, from the latest query.
 
         The data depends on the positions of the robot's other joints in that query.
         """
@@ -106,7 +106,8 @@ class IKSolver(ABC):
     @abstractmethod
     def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
-        """Yield distinct IK solutions (n,) for a goal (12,), the tip pose in the chain's base frame.
+        """Search distinct solutions of an IK solver (n,) for a goal (12,), the tip pose in the chain's base
+        frame.
 
         The method also counts, in `outside` per joint, the solutions that only this joint's limits forbid.
         """
@@ -122,7 +123,7 @@ class IKSolver(ABC):
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None,
         equivalents: bool = False,
     ) -> Iterator[Array]:  # fmt: skip
-        """Yield distinct inverse kinematics solutions (n,) within the joint limits.
+        """Yield an IK solver's distinct solutions (n,) within the joint limits.
 
         Each solution is turned by full turns to be as near as possible to the reference.
 
@@ -141,7 +142,7 @@ class IKSolver(ABC):
     def nearest(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
     ) -> list[Array]:
-        """Return up to `among` distinct IK solutions (n,), nearest to the reference first.
+        """Return up to `among` distinct solutions (n,) of an IK solver, nearest to the reference first.
 
         See `solutions` for the arguments.
         """
@@ -156,7 +157,7 @@ class IKSolver(ABC):
         is_valid: Validity | None = None,
         rng: np.random.Generator | None = None,
     ) -> IKResult:
-        """Return the valid inverse kinematics solution nearest to the reference.
+        """Solve inverse kinematics: return the valid solution nearest to the reference.
 
         Args:
             T_world_tip: desired pose of the tip link.
@@ -210,7 +211,7 @@ class IKSolver(ABC):
         self, q: Array, T_world_tip: SE3, iterations: int = 60, *, wish: Array | None = None,
         bounds: Array | None = None,
     ) -> tuple[float, float, bool]:  # fmt: skip
-        """Run one numeric IK descent from `q` (dof,), which is changed in place.
+        """Run an IK solver's numeric descent from `q` (dof,), which is changed in place.
 
         Args:
             q: initial positions of all joints; receives the result.
@@ -237,7 +238,7 @@ class IKSolver(ABC):
         return position, angle, ok
 
     def _descend(self, chain: Chain, goal: Array, at: Array, iterations: int) -> tuple[float, float, bool]:
-        """Run one IK descent from `at` (n,), changed in place, as long as it makes progress."""
+        """Run an IK solver's descent from `at` (n,), changed in place, as long as it makes progress."""
         n = len(at)
         return descend(
             chain.table, chain.bounds, goal, chain.scale, iterations, iterations,
@@ -246,7 +247,7 @@ class IKSolver(ABC):
         )[:3]  # fmt: skip
 
     def _question(self, T_world_tip: SE3, reference: ArrayLike) -> tuple[Prepared, Array, Array]:
-        """Check an IK query; return precomputed data, the goal (12,) and the group's reference (n,).
+        """Check an IK solver's query; return precomputed data, the goal (12,) and the group's reference (n,).
 
         The goal is the pose of the tip in the chain's base frame.
 
@@ -274,7 +275,7 @@ class IKSolver(ABC):
     def _closest(
         self, prepared: Prepared, goal: Array, at: Array, reference: Array, outside: dict[str, int]
     ) -> IKResult:
-        """Return the failure result for an unreachable pose, with the nearest reachable pose."""
+        """Return an IK solver's failure result for an unreachable pose, with the nearest reachable pose."""
         chain, seeds = prepared.chain, prepared.seeds
         scores = np.empty(len(seeds.positions), np.float32)
         rank(seeds.poses, goal, chain.scale, scores)
@@ -319,7 +320,7 @@ class IKSolver(ABC):
         )
 
     def at_limit(self, q: Array) -> list[str]:
-        """Return the names of the group's joints that are at a limit (within 1e-3) in `q` (n,)."""
+        """Return the names of an IK solver's joints that are at a limit (within 1e-3) in `q` (n,)."""
         near = np.minimum(q - self.lower, self.upper - q) < AT_LIMIT
         return [name for name, yes in zip(self.joint_names, near, strict=True) if yes]
 
@@ -333,7 +334,7 @@ def _counts(outside: dict[str, int]) -> str:
 
 
 def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
-    """Return the link that an IK solver places: `tip_link`, or by default the group's tip link.
+    """Return the link that an IK solver moves to the pose: `tip_link`, or by default the group's tip link.
 
     Raises:
         UnknownNameError: the group or link does not exist.
@@ -347,7 +348,7 @@ def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
 
 
 def other_columns(model: RobotModel, joint_names: tuple[str, ...], tip_link: str) -> NDArray[np.int64]:
-    """Return the indices of the joints that move the tip link but are not in the group."""
+    """Return the indices of the joints that move the tip link but are not in an IK solver's group."""
     tree = kinematic_tree(model)
     moving = {int(tree.column[j]) for j in tree.path_to(tip_link) if tree.kind[j] != FIXED}
     return np.array(sorted(moving - set(model.columns(joint_names))), dtype=np.int64)

@@ -17,7 +17,7 @@ SLACK = 1e-9  # [rad or m] beyond a limit that counts as rounding
 
 @njit(cache=True, error_model="numpy")
 def nearest_turns(q, reference, bounds, turning):
-    """Change q (n,) by full turns of its joints to be nearest to the reference, in place.
+    """Change IK solution q (n,) by full turns of its joints to be nearest to the reference, in place.
 
     All joints end within their bounds.
 
@@ -81,7 +81,7 @@ def keep_within(found, count, reference, bounds, turning, outside):
 
 
 def whole_turns(q: Array, reference: Array, chain: Chain) -> list[Array]:
-    """Return equivalent positions that differ by full turns, nearest to the reference first.
+    """Return equivalent IK solutions that differ by full turns, nearest to the reference first.
 
     The result contains at most the three nearest positions of each joint within limits, and only the nearest
     position of a joint without limits.

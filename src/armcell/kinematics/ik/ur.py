@@ -77,7 +77,7 @@ def ur_geometry(chain: Chain) -> Array | None:
 
 
 def _flat(x: Array, z: Array, v: Array) -> Array:
-    """Return the coordinates (2,) of a vector v in the arm's plane, with joint 1 at zero.
+    """Return the coordinates (2,) of a vector v in a UR arm's plane, with joint 1 at zero.
 
     The arctan2 of the coordinates is the angle from z, positive about y.
     """
@@ -85,7 +85,7 @@ def _flat(x: Array, z: Array, v: Array) -> Array:
 
 
 def _solves(geometry: Array, chain: Chain) -> bool:
-    """Return whether the closed-form solutions are correct and complete for some test poses.
+    """Return whether UR's closed-form IK solutions are correct and complete for some test poses.
 
     Each solution must reach its pose, and the positions that define the pose must be among the solutions.
     """
@@ -118,7 +118,7 @@ def _wrapped(angle):
 
 @njit(cache=True, error_model="numpy")
 def _turned(goal, at, geometry):
-    """Rotate a direction of the tip (`geometry[at:at + 3]`) to the arm's frame."""
+    """Rotate a UR arm's tip direction (`geometry[at:at + 3]`) to the arm's frame, for closed-form IK."""
     a, b, c = geometry[at], geometry[at + 1], geometry[at + 2]
     vx = goal[0] * a + goal[1] * b + goal[2] * c
     vy = goal[4] * a + goal[5] * b + goal[6] * c
@@ -133,7 +133,7 @@ def _turned(goal, at, geometry):
 
 @njit(cache=True, error_model="numpy")
 def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
-    """Append the IK solutions for one direction of axis 5 (up to two); return the new count."""
+    """Append a UR arm's IK solutions for one direction of axis 5 (up to two); return the new count."""
     v = (-s1, c1, 0.0)
     x, z = c1 * (C[0] - g[22] * axis5[0]) + s1 * (C[1] - g[22] * axis5[1]), C[2] - g[22] * axis5[2]
     upper, fore = g[23], g[24]
@@ -172,7 +172,7 @@ def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
 
 @njit(cache=True, error_model="numpy")
 def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
-    """Append the IK solutions for parallel axes 4 and 6, where joint 6 is free.
+    """Append a UR arm's IK solutions for parallel axes 4 and 6, where joint 6 is free.
 
     Joint 6 takes the reference's position, or else the first of 16 positions that reaches the goal.
     """
