@@ -19,7 +19,7 @@ _FEW = 32  # arrays with fewer numbers are checked faster one by one than by np.
 
 
 def settings_from(cls: type[T], values: Any, what: str) -> T:
-    """Create a settings dataclass from a nested mapping, such as a parsed YAML file.
+    """Create a settings dataclass from a nested mapping, with type checks, such as a parsed YAML file.
 
     Raises:
         InputError: unknown name (lists the valid names), wrong type, missing or invalid value.
@@ -46,7 +46,7 @@ def _number(value: Any) -> bool:
 
 
 def _like(default: Any, value: Any, what: str) -> Any:
-    """Convert a setting's value from a file to the type of the setting's default value."""
+    """Check and convert a setting's value from a file to the type of the setting's default value."""
     if is_dataclass(default) and not isinstance(default, type):
         return settings_from(type(default), value, what)
     if (reads := getattr(type(default), "from_setting", None)) is not None:  # a type with its own parser
@@ -144,7 +144,7 @@ _TUPLE = {
 
 
 def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
-    """Return a class decorator that makes a dataclass reject NaN, infinity and non-numbers.
+    """Return a class decorator that checks a dataclass's fields: reject NaN, infinity and non-numbers.
 
     Apply it below `@dataclass`.
 
@@ -200,6 +200,6 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
 
 
 def require(condition: bool, text: str) -> None:
-    """Raise an InputError unless a given condition holds."""
+    """Check: raise an InputError unless a given condition holds."""
     if not condition:
         raise InputError(text)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Contact:
-    """Two bodies (links or objects) in contact or close to contact.
+    """Contact: two bodies (links or objects) in contact or close to contact.
 
     `distance` [m] is negative in penetration; `position` (3,) is in the world frame [m].
     """

@@ -21,7 +21,7 @@ _TABLES = {"tcp": "0A", "tcp6": "0A", "udp": "", "udp6": ""}
 
 @dataclass(frozen=True, order=True)
 class Endpoint:
-    """A network address at which a socket accepts TCP connections or UDP datagrams.
+    """Endpoint: a network address at which a socket accepts TCP connections or UDP datagrams.
 
     Attributes:
         host: numeric address as bound; 0.0.0.0 and :: mean every interface.
@@ -35,7 +35,7 @@ class Endpoint:
 
     @classmethod
     def of(cls, sock: socket.socket, service: str = "") -> Endpoint:
-        """Return the network address of a bound socket as an `Endpoint`."""
+        """Return the network address of a bound listening socket as an `Endpoint`."""
         host, port = sock.getsockname()[:2]
         return cls("udp" if sock.type == socket.SOCK_DGRAM else "tcp", host, port, service)
 
@@ -95,7 +95,7 @@ def host_in_url(host: str) -> str:
 
 
 def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
-    """List the listening TCP sockets and bound UDP sockets of processes, from /proc.
+    """List endpoints: the listening TCP sockets and bound UDP sockets of processes, from /proc.
 
     Args:
         pids: process IDs; this process by default. Ended processes have no sockets.
@@ -116,7 +116,7 @@ def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
 
 
 def descendants(pid: int) -> list[int]:
-    """List the IDs of a process and all its descendants.
+    """List the IDs of a process and all its descendants, whose sockets to list.
 
     Systems without /proc yield only the process itself.
     """
@@ -144,7 +144,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
-    """Return the sockets in a /proc/net table whose inode is in a set."""
+    """Return listening sockets in a /proc/net table whose inode is in a set."""
     try:
         lines = file.read_text().splitlines()[1:]
     except OSError:  # the process has ended, or the kernel has no IPv6
@@ -159,7 +159,7 @@ def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
 
 
 def _numeric(text: str) -> str:
-    """Decode an IP address of /proc/net: hexadecimal 32-bit words in the machine's byte order."""
+    """Decode a socket's IP address of /proc/net: hexadecimal 32-bit words in the machine's byte order."""
     words = [int(text[i : i + 8], 16) for i in range(0, len(text), 8)]
     raw = b"".join(word.to_bytes(4, sys.byteorder) for word in words)
     return str(ipaddress.ip_address(raw))

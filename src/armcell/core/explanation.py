@@ -102,7 +102,7 @@ class Explanation:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to JSON types.
+    """Convert an explanation's value to JSON types.
 
     Non-finite numbers become None, and a pose becomes a mapping of position and quaternion.
     """

@@ -30,7 +30,7 @@ def _positive(what: str, **sizes: float) -> None:
 @dataclass(frozen=True)
 @checked()
 class Box:
-    """A box with full edge lengths x, y, z [m], centered on its own frame."""
+    """Box shape with full edge lengths x, y, z [m], centered on its own frame."""
 
     x: float
     y: float
@@ -74,7 +74,7 @@ class Cylinder:
 @dataclass(frozen=True)
 @checked()
 class Capsule:
-    """A capsule with the length and radius [m] of its cylindrical part.
+    """Capsule shape with the length and radius [m] of its cylindrical part.
 
     The total length is `length + 2 radius`.
     """
@@ -93,7 +93,7 @@ class Capsule:
 @dataclass(frozen=True)
 @checked()
 class Cone:
-    """A cone with its base at -length/2 and its apex at +length/2 [m]."""
+    """Cone shape with its base at -length/2 and its apex at +length/2 [m]."""
 
     radius: float
     length: float
@@ -108,7 +108,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Plane:
-    """A half space as an obstacle: z <= 0 in its own frame is solid."""
+    """Plane shape: a half space as an obstacle: z <= 0 in its own frame is solid."""
 
     @property
     def half_extents(self) -> Array:
@@ -117,7 +117,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh with vertices (v, 3) [m] and faces (f, 3)."""
+    """Triangle mesh shape with vertices (v, 3) [m] and faces (f, 3)."""
 
     vertices: Array  # (v, 3) [m]
     faces: NDArray[np.int32]  # (f, 3)

@@ -59,12 +59,12 @@ class Pinhole:
 
     @property
     def matrix(self) -> Array:
-        """Return the camera matrix K (3, 3) [px]."""
+        """Return a pinhole camera's matrix K (3, 3) [px]."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     @property
     def fovy_deg(self) -> float:
-        """Return the camera's vertical field of view [deg], for a centered principal point."""
+        """Return a pinhole camera's vertical field of view [deg], for a centered principal point."""
         return float(np.rad2deg(2 * np.arctan(self.height / 2 / self.fy)))
 
     def project(self, points: ArrayLike) -> Array:

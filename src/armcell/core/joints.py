@@ -29,7 +29,7 @@ def _columns(have: Names, want: Iterable[str]) -> list[int]:
 
 
 def all_finite(values: Array) -> bool:
-    """Return whether all values (n,) are finite, faster than NumPy for small n."""
+    """Return whether all values (n,) of a joint state are finite, faster than NumPy for small n."""
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
 
@@ -91,7 +91,7 @@ class JointState:
         return JointState(names, self.positions[cols], pick(self.velocities), pick(self.efforts), self.time)
 
     def columns(self, joint_names: Iterable[str]) -> list[int]:
-        """Return the indices of the given joints in this joint state.
+        """Return the indices of the given joints in a joint state.
 
         Raises:
             UnknownNameError: this state does not have the joint.
@@ -99,7 +99,7 @@ class JointState:
         return _columns(self.joint_names, joint_names)
 
     def updated(self, other: JointState) -> JointState:
-        """Return this joint state with the positions of another state's joints replaced."""
+        """Return a joint state with the positions of another state's joints replaced."""
         positions = self.positions.copy()
         positions[_columns(self.joint_names, other.joint_names)] = other.positions
         return JointState(self.joint_names, positions, time=other.time or self.time)

@@ -30,7 +30,7 @@ _loading = threading.RLock()
 
 
 def load_plugins(group: str) -> None:
-    """Import the plugin modules that installed packages declare for a group, once per process.
+    """Import the plugin modules that installed packages declare for a registry, once per process.
 
     A plugin that fails to import gives a warning that names the plugin, its package and the error; the other
     plugins are loaded.
@@ -78,7 +78,7 @@ class Registry(Generic[T]):
         return add
 
     def imported(self) -> dict[str, T]:
-        """Return the registered components of all imported modules, without loading plugins."""
+        """Return a registry's components of all imported modules, without loading plugins."""
         return dict(self._items)
 
     def _load_plugins(self) -> None:

@@ -50,7 +50,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class IKResult(Outcome):
-    """The result of inverse kinematics: joint positions (dof,) of a planning group.
+    """Result of an inverse kinematics request: joint positions (dof,) of a planning group.
 
     After a failure, `positions` are the closest ones found.
     """
@@ -62,7 +62,7 @@ class IKResult(Outcome):
 
 @dataclass(frozen=True)
 class PlanResult(Outcome):
-    """The result of planning: a path and its trajectory.
+    """Result of a planning request: a path and its trajectory.
 
     After a failure both are None, except for partial Cartesian paths.
     """

@@ -32,7 +32,7 @@ from armcell.core.transforms import SE3
 
 
 class Format(StrEnum):
-    """File and message formats that support only some of the shapes by name.
+    """Shape table's file and message formats that support only some of the shapes by name.
 
     Cell files and records support all shapes.
     """
@@ -46,7 +46,7 @@ class Format(StrEnum):
 
 @dataclass(frozen=True)
 class SolidPrimitive:
-    """A shape's `type` and the order of its `dimensions` in shape_msgs/SolidPrimitive."""
+    """Shape table entry for shape_msgs/SolidPrimitive: a shape's `type` and the order of its `dimensions`."""
 
     type: int
     dimensions: tuple[str, ...]
@@ -54,7 +54,7 @@ class SolidPrimitive:
 
 @dataclass(frozen=True, eq=False)
 class SizedMesh(Mesh):
-    """A mesh made from sizes by a function that `register_shape` registered.
+    """Shape of the table: a mesh made from sizes by a function that `register_shape` registered.
 
     Attributes:
         name: name of the shape in the table.
@@ -93,14 +93,14 @@ class ShapeKind:
         return [float(getattr(shape, size)) for size in self.sizes]
 
     def named(self, shape: Any) -> dict[str, Any]:
-        """Return a shape's sizes [m] by name, or as one list under the key `vector`."""
+        """Return a shape's sizes [m] by the shape table's names, or as one list under the key `vector`."""
         values = self.values(shape)
         return {self.vector: values} if self.vector else dict(zip(self.sizes, values, strict=True))
 
     def from_named(
         self, number: Callable[[str], float], vector: Callable[[str, int], Sequence[float]]
     ) -> Shape:
-        """Create a shape of this kind from a format that stores sizes by name.
+        """Create a shape of a shape table's kind from a format that stores sizes by name.
 
         Args:
             number: reads one number by name.
@@ -149,7 +149,7 @@ def shape_kind(shape: Shape, format: Format | None = None) -> ShapeKind | None:
 
 
 def simpler_parts(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
-    """Return simpler shapes with poses that replace a shape at pose T, or the shape itself.
+    """Return the shape table's simpler shapes with poses that replace a shape at pose T, or the shape itself.
 
     The result is for formats that do not know the shape.
     """
@@ -158,7 +158,7 @@ def simpler_parts(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
 
 
 def named_shapes(format: Format) -> Mapping[str, ShapeKind]:
-    """Return the rows of the shapes that a format knows by name, by shape name."""
+    """Return the shape table's rows of the shapes that a format knows by name, by shape name."""
     return {name: kind for name, kind in shapes.imported().items() if format in kind.formats}
 
 
@@ -166,7 +166,7 @@ MeshFunction = Callable[..., tuple[ArrayLike, ArrayLike]]
 
 
 def register_shape(name: str) -> Callable[[MeshFunction], MeshFunction]:
-    """Register a shape by a function from its sizes [m] to a mesh, as a decorator.
+    """Register a shape in the shape table by a function from its sizes [m] to a mesh, as a decorator.
 
     The function returns vertices (v, 3) and faces (f, 3).
 

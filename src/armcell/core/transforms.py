@@ -23,13 +23,13 @@ QUAT_NORM_TOLERANCE = 1e-3
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the skew-symmetric 3x3 matrix of a vector: `skew(v) @ w == cross(v, w)`."""
+    """Return the skew-symmetric 3x3 matrix of a vector, for rigid transforms: `skew(v) @ w == cross(v, w)`."""
     x, y, z = np.asarray(v, dtype=float)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _length(v: Array) -> float:
-    """Return the length of a vector (n,), in a third of the time of `np.linalg.norm`.
+    """Return, for transforms, the length of a vector (n,), in a third of the time of `np.linalg.norm`.
 
     Both results have the same bits.
     """
@@ -42,7 +42,7 @@ def _finite(values: ArrayLike, count: int, what: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SO3:
-    """A rotation, stored as a 3x3 matrix."""
+    """SO3: a rotation, stored as a 3x3 matrix."""
 
     matrix: Array  # (3, 3)
 
@@ -180,7 +180,7 @@ class SO3:
 
 @dataclass(frozen=True, eq=False)
 class SE3:
-    """A rigid transform between two frames: rotation and translation [m]."""
+    """SE3: a rigid transform between two frames: rotation and translation [m]."""
 
     rotation: SO3
     translation: Array  # (3,)
@@ -281,18 +281,18 @@ class SE3:
         return SE3(SO3(R @ other.rotation.matrix), R @ other.translation + self.translation)
 
     def apply(self, points: ArrayLike) -> Array:
-        """Map points (..., 3) from the child frame to the parent frame."""
+        """Map points by an SE3 transform (..., 3) from the child frame to the parent frame."""
         p = points if isinstance(points, np.ndarray) else float_array(points, None, "points", finite=False)
         if p.shape[-1:] != (3,):
             raise InputError(f"points must have shape (..., 3), not {p.shape}")
         return p @ self.rotation.matrix.T + self.translation
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:
-        """Return the pose translated by x, y, z [m] along the axes of its parent frame."""
+        """Return an SE3 pose translated by x, y, z [m] along the axes of its parent frame."""
         return SE3(self.rotation, self.translation + _finite((x, y, z), 3, "a shift"))
 
     def distance_to(self, other: SE3) -> tuple[float, float]:
-        """Return the distance to another pose in position [m] and in rotation angle [rad]."""
+        """Return the distance between two SE3 poses in position [m] and in rotation angle [rad]."""
         angle = _length((self.rotation.inv() @ other.rotation).log())
         return _length(self.translation - other.translation), angle
 
@@ -301,11 +301,11 @@ class SE3:
         return meters <= position and radians <= rotation
 
     def interpolate(self, other: SE3, fraction: float) -> SE3:
-        """Interpolate between two poses: linear position and constant angular velocity."""
+        """Interpolate between two SE3 poses: linear position and constant angular velocity."""
         return self.interpolated(other, [fraction])[0]
 
     def interpolated(self, other: SE3, fractions: Iterable[float]) -> list[SE3]:
-        """Interpolate between two poses at many fractions, faster than single calls."""
+        """Interpolate between two SE3 poses at many fractions, faster than single calls."""
         fractions = float_array(list(fractions), (None,), "fractions")
         rotvec = (self.rotation.inv() @ other.rotation).log()
         turns = float(np.linalg.norm(rotvec)) > 1e-12  # less is rounding
