@@ -26,7 +26,7 @@ AT_ONCE = NANO // 1000
 
 @dataclass(frozen=True)
 class FirstDivergence:
-    """First difference between two runs."""
+    """First difference between two compared runs."""
 
     time: float  # [s]
     what: str  # "position of elbow_joint", "pose of cube", "time", "length"
@@ -42,7 +42,7 @@ class FirstDivergence:
 
 @dataclass(frozen=True)
 class Distance:
-    """Largest deviation between two runs for one joint or object."""
+    """Largest deviation between two compared runs for one joint or object."""
 
     what: str  # joint or object
     largest: float  # [rad or m]
@@ -132,7 +132,7 @@ def _input_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[s
 def _pairs(
     a: tuple[RecordedState, ...], b: tuple[RecordedState, ...]
 ) -> Iterator[tuple[RecordedState, RecordedState]]:
-    """Yield pairs of states of two runs at the same time.
+    """Yield pairs of states of two compared runs at the same time.
 
     Paced and real runs have irregular sampling times: each state is paired with the nearest state of the
     other run that is within half a sampling period.
@@ -195,7 +195,7 @@ def _known(value: Any) -> str:
 
 
 def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distance, ...]:
-    """Return the deviation of each joint and object that differs, largest first."""
+    """Return the deviation of each joint and object that differs between two compared runs, largest first."""
     found: dict[str, list[tuple[float, float]]] = {}
     for a, b in pairs:
         theirs = dict(zip(b.joints.names, b.joints.positions.tolist()))
@@ -217,7 +217,7 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
 
 # --- events, plans, outcome ---
 def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """Return the first difference between the data of two events.
+    """Return the first difference between the data of two compared runs' events.
 
     Returns:
         Path of the value ("stages[0].passed") and both values, or None.
@@ -242,7 +242,7 @@ def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | N
 
 
 def _compared(event: Event) -> Mapping[str, Any]:
-    """Return an event's data without the planner's search statistics.
+    """Return an event's data without search statistics, to compare runs.
 
     Planners with a time limit evaluate varying numbers of samples; the motion itself is compared separately.
     """

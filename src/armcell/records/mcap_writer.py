@@ -53,12 +53,12 @@ def typestore() -> Any:
 
 
 def schema_text(message_type: str) -> str:
-    """Return a message definition with all nested definitions, in MCAP's `ros2msg` encoding."""
+    """Return the MCAP file's message definition with all nested definitions (`ros2msg` encoding)."""
     return typestore().generate_msgdef(message_type, ros_version=2)[0]
 
 
 def ros_name(name: str) -> str:
-    """Convert a name to a legal ROS topic segment.
+    """Convert a name to a legal ROS topic segment in the MCAP file.
 
     The segment contains letters, digits and underscores and does not begin with a digit.
     """
@@ -108,7 +108,9 @@ class McapWriter:
 
     # --- recording ---
     def write_state(self, sample: StateSample, q: ArrayLike) -> None:
-        """Write the cell's state at one time, with link transforms for joint positions q (dof,)."""
+        """Write to the MCAP file the cell's state at one time, with link transforms for joint positions q
+        (dof,).
+        """
         time, object_poses = sample.time, sample.object_poses
         stamp = self._stamp(time)
         self._write_joints("/joint_states", time, sample.joints)
@@ -153,7 +155,7 @@ class McapWriter:
         )  # fmt: skip
 
     def write_image(self, camera: str, time: float, png: bytes) -> None:
-        """Write a camera image, given as PNG data, into the record."""
+        """Write a camera image, given as PNG data, into the MCAP file."""
         header = self._header(self._stamp(time), camera)
         data = np.frombuffer(png, dtype=np.uint8)
         topic, kind = f"/camera/{ros_name(camera)}/compressed", "sensor_msgs/msg/CompressedImage"
@@ -269,7 +271,9 @@ class McapWriter:
         return self._topics[name]
 
     def _link_transforms(self, q: ArrayLike, joints: list[int], stamp: Any) -> list[Any]:
-        """Return TransformStamped messages, parent link -> child link, of some joints at q (dof,)."""
+        """Return the MCAP file's TransformStamped messages, parent link -> child link, of some joints at q
+        (dof,).
+        """
         Ts = self._tree.link_transforms(q)
         found = []
         for i in joints:
@@ -282,7 +286,7 @@ class McapWriter:
         return found
 
     def _both(self, T: SE3) -> tuple[Any, Any]:
-        """Convert a transform to a geometry_msgs Transform and a Pose."""
+        """Convert for the MCAP file a transform to a geometry_msgs Transform and a Pose."""
         x, y, z = T.translation.tolist()
         qw, qx, qy, qz = T.quat_wxyz.tolist()
         rotation = self._type("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw)
@@ -311,7 +315,7 @@ class McapWriter:
 
 
 def urdf_text(scene: PlanningScene) -> str | None:
-    """Return the robot's URDF text, or None if there is no URDF file or it is too large."""
+    """Return for the MCAP file the robot's URDF text, or None if there is no URDF file or it is too large."""
     source = scene.model.source
     if not source.endswith(".urdf"):
         return None
@@ -323,7 +327,7 @@ def urdf_text(scene: PlanningScene) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """Convert values that JSON does not support.
+    """Convert values for the MCAP file's JSON, which JSON does not support.
 
     Arrays and numpy numbers become lists and numbers; objects, contacts, poses and mappings become
     dictionaries; other values become text.

@@ -43,7 +43,7 @@ def run_metadata(
 
 
 def this_machine() -> str:
-    """Return the computer's name and processor."""
+    """Return for run metadata the computer's name and processor."""
     return f"{platform.node()} {platform.machine()} {platform.processor()}".strip()
 
 
@@ -81,7 +81,8 @@ def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
 
 
 def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
-    """List the parts of a cell and the library versions that have changed since the recording.
+    """Compare with run metadata: list the parts of a cell and the library versions that have changed since
+    the recording.
 
     An empty list means that executing the run again must give bit-identical results.
     """
@@ -96,7 +97,7 @@ def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
 
 
 def checked_metadata(data: Any, file: Path) -> dict[str, Any]:
-    """Validate a record's run metadata and return it.
+    """Check a record's run metadata and return it.
 
     Raises:
         InputError: the record has another format version.

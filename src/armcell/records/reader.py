@@ -30,7 +30,7 @@ _JOINTS = ("/joint_states", "/joint_targets", "/gripper_states")
 
 @dataclass(frozen=True, eq=False)
 class RecordedJoints:
-    """JointState message of a record; arrays are empty where values were unknown."""
+    """JointState message of a record that the reader returns; arrays are empty where values were unknown."""
 
     names: tuple[str, ...]
     positions: Array
@@ -44,7 +44,7 @@ class RecordedJoints:
 
 @dataclass(frozen=True, eq=False)
 class RecordedState:
-    """State of the cell at one time, with the exact recorded values."""
+    """Recorded state of the cell at one time, with the exact recorded values."""
 
     nanoseconds: int  # time of the cell's clock
     joints: RecordedJoints
@@ -120,7 +120,7 @@ def record_file(run: str | Path) -> Path:
 
 
 def read_record(run: str | Path) -> Record:
-    """Read a record from a run folder or an MCAP file.
+    """Read a run's record from a run folder or an MCAP file.
 
     Raises:
         InputError: no record, not an MCAP file, unsupported version, or cut off before the first state.
@@ -140,7 +140,7 @@ def read_record(run: str | Path) -> Record:
 
 
 class _Reading:
-    """Reader state that assembles a file's messages."""
+    """Record reader's state that assembles a file's messages."""
 
     def __init__(self, file: Path):
         self.file = file
@@ -304,7 +304,7 @@ def stage_name(event: Event) -> str:
 
 
 def ends_stage(event: Event) -> bool:
-    """Return True if a stage event marks the end of the stage.
+    """Return True if a stage event in a record marks the end of the stage.
 
     The phase is `data["phase"]`, by default "begin".
     """
@@ -312,7 +312,7 @@ def ends_stage(event: Event) -> bool:
 
 
 def stage_spans(events: Iterable[Event], until: float) -> list[StageSpan]:
-    """Return the time spans of the stages, in time order.
+    """Return the time spans of a recorded run's stages, in time order.
 
     A stage ends with its end event, the start of the next stage or `until` [s], whichever comes first. Empty
     spans are omitted.

@@ -32,7 +32,7 @@ MOST_SAMPLES = 60_000
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Image `rgb` (h, w, 3) uint8 of a key moment of a run."""
+    """Picture for the run recorder: image `rgb` (h, w, 3) uint8 of a key moment of a run."""
 
     time: float  # [s]
     title: str
@@ -41,7 +41,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Sampled values of a run as arrays over time; unknown values are NaN."""
+    """Recorder's series: sampled values of a run as arrays over time; unknown values are NaN."""
 
     times: Array  # (n,) [s]
     joint_names: tuple[str, ...]  # the model's order
@@ -55,12 +55,13 @@ class Series:
 
     @property
     def object_heights(self) -> dict[str, Array]:
-        """Return the world z of each object's origin (n,) [m], by object name."""
+        """Return from the recorder's series the world z of each object's origin (n,) [m], by object name."""
         return {name: xyz[:, 2] for name, xyz in self.object_positions.items()}
 
 
 def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
-    """Create the folder `root/<YYYYmmdd-HHMMSS>-<cell>/`, with a suffix "-2", ... if it exists.
+    """Create the run recorder's folder `root/<YYYYmmdd-HHMMSS>-<cell>/`, with a suffix "-2", ... if it
+    exists.
 
     Args:
         root: usually "runs"; created if missing.
@@ -87,7 +88,7 @@ def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
 
 
 class RunRecorder:
-    """Observer that writes `run.mcap` into a folder and keeps the data for the report.
+    """Run recorder: observer that writes `run.mcap` into a folder and keeps the data for the report.
 
     The MCAP file has a temporary name until `close`. Leaving the `with` block closes it, also after an error.
     If an error occurs before the first state, the folder is removed.
@@ -137,7 +138,7 @@ class RunRecorder:
 
     @property
     def mcap_file(self) -> Path:
-        """Return the path that the MCAP file has after `close`."""
+        """Return the path that the run recorder's MCAP file has after `close`."""
         return self._mcap.file
 
     # --- Observer ---
@@ -162,7 +163,7 @@ class RunRecorder:
 
     # --- additions ---
     def add_picture(self, time: float, title: str, rgb: NDArray[np.uint8]) -> None:
-        """Add an image `rgb` (h, w, 3) uint8 of a key moment to the report."""
+        """Add an image `rgb` (h, w, 3) uint8 of a key moment to the run recorder, for the report."""
         image = np.asarray(rgb)
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
             raise InputError(
@@ -172,7 +173,7 @@ class RunRecorder:
             self.pictures.append(Picture(time, title, image.copy()))
 
     def add_frame(self, time: float, camera: str, rgb: NDArray[np.uint8]) -> None:
-        """Write a camera image `rgb` (h, w, 3) uint8 into the record."""
+        """Write a camera image `rgb` (h, w, 3) uint8 into the run recorder's MCAP file."""
         from PIL import Image
 
         file = io.BytesIO()
@@ -181,14 +182,14 @@ class RunRecorder:
             self._keep_on_disk(lambda: self._mcap.write_image(camera, time, file.getvalue()))
 
     def finish(self, result: Mapping[str, Any]) -> None:
-        """Write the run's result and close the record."""
+        """Write the run's result and close the run recorder."""
         with self._lock:
             self._keep_last()
             self._keep_on_disk(lambda: self._mcap.write_result(result))
         self.close()
 
     def series(self) -> Series:
-        """Return the recorded samples, evenly thinned if there are more than `MOST_SAMPLES`."""
+        """Return the run recorder's samples, evenly thinned if there are more than `MOST_SAMPLES`."""
         with self._lock:
             samples, newest = list(self._samples), self._skipped or self._last
         if newest is not None and newest is not samples[-1]:
@@ -196,7 +197,9 @@ class RunRecorder:
         return _series(self.scene.model.joint_names, samples)
 
     def close(self) -> None:
-        """Write the run's last sample and finish the MCAP file; repeated calls have no effect."""
+        """Close the run recorder: write the last sample and finish the MCAP file; repeated calls have no
+        effect.
+        """
         with self._lock:
             if self._closed:
                 return
@@ -222,7 +225,7 @@ class RunRecorder:
             self._keep(self._skipped)
 
     def _keep_on_disk(self, write: Callable[[], None]) -> None:
-        """Call a write function; a disk error ends the recording but not the run.
+        """Call a write function; a disk error ends the run recording but not the run.
 
         A real arm may be moving when the error occurs.
         """
@@ -282,7 +285,7 @@ def _series(joint_names: tuple[str, ...], samples: list[StateSample]) -> Series:
 
 
 def _in_order(joint_names: tuple[str, ...], state: JointState, kind: str) -> Array | None:
-    """Return one kind of joint values in the given joint order, NaN for missing joints."""
+    """Return the recorder's values of one kind in the given joint order, NaN for missing joints."""
     values = getattr(state, kind)
     if values is None or state.joint_names == joint_names:
         return values

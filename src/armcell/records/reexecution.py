@@ -42,7 +42,7 @@ def reexecute(
 
 
 def checked_cell(record: Record, anyway: bool = False) -> Any:
-    """Return a record's cell if executing it must reproduce the run.
+    """Return a record's cell if re-execution must reproduce the run.
 
     Raises:
         InputError: the run is not reproducible; the text gives the cause.

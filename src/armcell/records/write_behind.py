@@ -32,7 +32,7 @@ class WriteBehindFile:
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Queue data for the disk; return the number of bytes.
+        """Queue data for the write-behind file's disk; return the number of bytes.
 
         Raises:
             OSError: the disk is full, or too much data is waiting for it.
@@ -49,14 +49,14 @@ class WriteBehindFile:
 
     @property
     def waiting(self) -> int:
-        """Return the number of bytes that are not on the disk yet."""
+        """Return the number of bytes of a write-behind file that are not on the disk yet."""
         return self._bytes
 
     def tell(self) -> int:
         return self._position
 
     def flush(self) -> None:
-        """Hand all queued data to the writer thread.
+        """Hand all queued data to the write-behind file's thread.
 
         Raises:
             OSError: an earlier write failed.
@@ -70,7 +70,7 @@ class WriteBehindFile:
                 self._wake.notify()
 
     def wait(self) -> None:
-        """Hand over all queued data, and wait until all data is on the disk.
+        """Flush the write-behind file and wait until all data is on the disk.
 
         Raises:
             OSError: a write failed.
@@ -84,7 +84,7 @@ class WriteBehindFile:
         return self._file.fileno()
 
     def close(self) -> None:
-        """Wait until all data is on the disk and close the file; repeated calls have no effect.
+        """Close the write-behind file when all data is on the disk; repeated calls have no effect.
 
         Raises:
             OSError: a write failed.
@@ -103,7 +103,7 @@ class WriteBehindFile:
         self._raise()
 
     def _failed(self, error: OSError) -> None:
-        """Store a write error, discard the waiting data and end the thread."""
+        """Store a write-behind file's error, discard the waiting data and end the thread."""
         with self._wake:
             self._error, self._closing = error, True
             self._waiting.clear()
