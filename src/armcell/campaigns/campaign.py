@@ -28,7 +28,7 @@ Tell = Callable[[Store, int], None]  # (store, trials run in this process)
 
 
 def begin(spec: CampaignSpec, runs: Path) -> Store:
-    """Create a campaign's folder after validating the cell at the ends of all parameter ranges.
+    """Begin a campaign: create its folder after validating the cell at the ends of all parameter ranges.
 
     Raises:
         InputError: the cell or a parameter is invalid; raised before any trial runs.
@@ -132,7 +132,7 @@ def _sure_enough(store: Store) -> bool:
 
 
 def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
-    """Yield the trials numbered `first` up to `last` (excluded) that have no stored result."""
+    """Yield a campaign's trials from `first` to before `last` that have no stored result."""
     spec = store.spec
     ranges = distributions(spec)
     failed = [
@@ -147,7 +147,7 @@ def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
 def trial(
     spec: CampaignSpec, ranges: dict[str, Distribution], number: int, failed: Sequence[Array] = ()
 ) -> Trial:
-    """Return the trial with a given number; sampling depends on seed, number and failures only.
+    """Return a campaign's trial with a given number; sampling depends on seed, number and failures only.
 
     Args:
         failed: draws of failed trials of earlier rounds, for adaptive sampling.

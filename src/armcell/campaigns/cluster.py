@@ -49,7 +49,7 @@ print(json.dumps([address, json.loads(found or b"{}")]))
 
 
 class _Actor:
-    """Ray actor that loads the cell once and runs trials."""
+    """Ray cluster's actor that loads the cell once and runs trials."""
 
     def __init__(self, spec: dict[str, Any], hashes: dict[str, str]):
         self._spec, self._hashes = CampaignSpec(**spec), hashes
@@ -71,7 +71,7 @@ class _Actor:
 
 
 class RayWorker(Worker):
-    """Handle of a Ray actor and of the actor's pending call."""
+    """Worker on a Ray cluster: handle of an actor and its pending call."""
 
     def __init__(self, actor: Any):
         super().__init__()
@@ -84,7 +84,7 @@ class RayWorker(Worker):
 
 
 class RayWorkers(Workers[RayWorker]):
-    """Source of `count` Ray actors; 0 for as many actors as the cluster has cores.
+    """Source of `count` Ray cluster workers (actors); 0 for one per core.
 
     Args:
         hashes: content hashes of the local cell; a node with another cell, armcell or library is rejected.
@@ -126,7 +126,7 @@ class RayWorkers(Workers[RayWorker]):
         return self
 
     def _join(self, found: str | None) -> None:
-        """Connect to the cluster at address `found`, or start a private cluster if it is None."""
+        """Connect to the Ray cluster at address `found`, or start a private cluster if it is None."""
         common = {
             "log_to_driver": False, "logging_level": "error", "runtime_env": {"env_vars": dict(ONE_THREAD)},
         }  # fmt: skip
@@ -148,7 +148,7 @@ class RayWorkers(Workers[RayWorker]):
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets of this process and of the processes of a private cluster."""
+        """Return the sockets of a Ray campaign: of this process and of the processes of a private cluster."""
         pids = [os.getpid()] if self._folder is None else descendants(os.getpid())
         return tuple(replace(found, service="Ray") for found in sorted(open_sockets(pids)))
 
@@ -187,7 +187,7 @@ class RayWorkers(Workers[RayWorker]):
 
 
 def _make_private() -> None:
-    """Enable token authentication for a private cluster, because Ray listens on all addresses.
+    """Enable token authentication for a private Ray cluster, as Ray listens on all addresses.
 
     Ray reads the setting once, when a process imports it for the first time.
     """
@@ -196,7 +196,7 @@ def _make_private() -> None:
 
 
 def _version() -> str:
-    """Return the version of the installed Ray without importing Ray.
+    """Return for the cluster the version of the installed Ray without importing Ray.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -254,7 +254,7 @@ def find_cluster(address: str) -> str | None:
 
 
 def _how(text: str) -> str:
-    """Extract the cause from Ray's long error text about the death of an actor."""
+    """Extract, for a cluster's dead worker, the cause from Ray's long error text."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     for line in lines:
         for cause in ("Worker exit detail: ", "its node has died", "killed by"):

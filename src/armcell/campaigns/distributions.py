@@ -12,7 +12,7 @@ from armcell.core import InputError, UnknownNameError
 
 
 class Distribution(Protocol):
-    """Parameter distribution; `at` is the inverse of its cumulative distribution function.
+    """Parameter distribution of a campaign; `at` is the inverse of its cumulative distribution function.
 
     Samplers draw numbers in [0, 1) and pass them to `at`.
     """
@@ -22,7 +22,7 @@ class Distribution(Protocol):
 
 @dataclass(frozen=True)
 class Uniform:
-    """Uniform distribution from low to high; `whole` restricts it to integers, ends included."""
+    """Uniform parameter distribution from low to high; `whole` restricts it to integers, ends included."""
 
     low: float
     high: float
@@ -37,7 +37,7 @@ class Uniform:
 
 @dataclass(frozen=True)
 class LogUniform:
-    """Log-uniform distribution: values from 1 to 2 are as likely as values from 2 to 4."""
+    """Log-uniform parameter distribution: values from 1 to 2 are as likely as values from 2 to 4."""
 
     low: float
     high: float
@@ -48,7 +48,7 @@ class LogUniform:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal distribution, truncated at `cut` standard deviations on each side."""
+    """Normal parameter distribution, truncated at `cut` standard deviations on each side."""
 
     mean: float
     sd: float
@@ -60,7 +60,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Choice:
-    """Discrete distribution over some values with equal probabilities."""
+    """Discrete parameter distribution over some values with equal probabilities."""
 
     values: tuple[Any, ...]
 
@@ -69,7 +69,7 @@ class Choice:
 
 
 def ends(found: Distribution) -> list[Any]:
-    """Return test values of a distribution: its minimum, maximum and two values between them.
+    """Return test values of a parameter distribution: its minimum, maximum and two values between them.
 
     For a choice, return all values. One of the two inner values is not a round fraction of the range: of the
     range 1 to 3, the other values are all integers.
@@ -83,7 +83,7 @@ KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")
 
 
 def distribution(data: Any, place: str) -> Distribution:
-    """Parse a distribution from a campaign file.
+    """Parse a parameter distribution from a campaign file.
 
     Forms: `{uniform: [low, high]}` or just `[low, high]`, `{whole: [1, 4]}`, `{log_uniform: [low, high]}`,
     `{normal: [mean, sd]}` or `{normal: [mean, sd, cut]}`, `{choice: [a, b, c]}`.

@@ -26,7 +26,7 @@ NO_RUN = ("CRASHED", "TRIAL_TIMED_OUT", "INVALID_CELL")  # errors of trials that
 
 
 def picture_file(folder: Path, number: int) -> Path:
-    """Return the path of a trial's picture; the file may not exist."""
+    """Return the path of a failed trial's picture; the file may not exist."""
     return folder / "pictures" / f"trial_{number}.png"
 
 

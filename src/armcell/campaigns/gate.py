@@ -34,7 +34,7 @@ KEY_BYTES = 32
 
 
 def gate_file(cell: Cell) -> Path:
-    """Return the default path of a cell's gate record.
+    """Return the default path of a cell's signed gate record.
 
     The record is next to the cell file; for a built-in cell it is in the working folder.
     """
@@ -46,7 +46,7 @@ def gate_file(cell: Cell) -> Path:
 def issue(
     cell: Cell, folder: str | Path, file: Path, least: float = LEAST, allow_unvaried: str | None = None
 ) -> dict[str, Any]:
-    """Write a gate record for a finished campaign if its success rate is proven high enough.
+    """Issue a gate record for a finished campaign if its success rate is proven high enough.
 
     Args:
         cell: cell of the record: the campaign's cell with its `values`.
@@ -118,7 +118,7 @@ def issue(
 
 
 def check_reason(allow_unvaried: str | None) -> None:
-    """Reject an empty reason for `--allow-unvaried`.
+    """Gate: reject an empty reason for `--allow-unvaried`.
 
     Raises:
         InputError: the reason contains no words.
@@ -130,7 +130,7 @@ def check_reason(allow_unvaried: str | None) -> None:
 
 
 def check_draws(cell: Cell) -> None:
-    """Reject, before a campaign runs, a cell whose trials would all be identical.
+    """Gate: reject, before a campaign runs, a cell whose trials would all be identical.
 
     Raises:
         InputError: the cell randomizes nothing.
@@ -141,7 +141,7 @@ def check_draws(cell: Cell) -> None:
 
 
 def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the paths of parameters and drawn values that differ between a campaign's trials.
+    """Return for the gate the paths of parameters and drawn values that differ between a campaign's trials.
 
     "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
     count, because it leaves the task unchanged.
@@ -171,7 +171,7 @@ def _unvaried(cell: Cell, what: str, file: Path) -> InputError:
 
 
 def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
-    """Return a cell's gate record if it matches the cell, task, configuration and versions.
+    """Check the gate: return a cell's record if it matches the cell, task, configuration and versions.
 
     Raises:
         InputError: the record is missing or invalid; the error says how to get a new one.
@@ -210,7 +210,7 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """Describe the differences between the content hashes of two cells.
+    """Describe for the gate the differences between the content hashes of two cells.
 
     Args:
         old_versions: library versions of the first cell; if given, the text names both versions.
@@ -229,7 +229,7 @@ def changed_parts(
 
 # --- the key ---
 def key_file() -> Path:
-    """Return the path of the user's signing key; an environment variable can override it."""
+    """Return the path of the user's key that signs gate records; an environment variable overrides it."""
     named = os.environ.get(KEY_VARIABLE)
     if named:
         return Path(named)
@@ -270,7 +270,7 @@ def _asked(spec: CampaignSpec) -> str:
 
 
 def _fewest(least: float, above: int = 0) -> int:
-    """Return how many trials without failure prove a success rate of at least `least`."""
+    """Return how many trials the gate needs without failure to prove a success rate of at least `least`."""
     return next(n for n in range(above + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)
 
 

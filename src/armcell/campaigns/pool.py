@@ -28,7 +28,7 @@ Answer = dict[str, Any]
 
 
 class Worker(ABC):
-    """Interface of workers: run one trial at a time, given as JSON-ready data.
+    """Interface of a trial pool's workers: run one trial at a time, given as JSON-ready data.
 
     The answers arrive through `Workers`.
     """
@@ -45,14 +45,14 @@ class Worker(ABC):
 
     @abstractmethod
     def send(self, data: dict[str, Any]) -> None:
-        """Send a trial; a dead worker is reported by `Workers.heard`, not by this call."""
+        """Send a trial to a pool's worker; a dead worker is reported by `Workers.heard`, not by this call."""
 
 
 W = TypeVar("W", bound=Worker)
 
 
 class Workers(ABC, Generic[W]):
-    """Source of workers; use it in a `with` block, whose end stops all workers.
+    """Source of a trial pool's workers; use it in a `with` block, whose end stops all workers.
 
     Attributes:
         size: number of workers to run.
@@ -70,26 +70,26 @@ class Workers(ABC, Generic[W]):
 
     @abstractmethod
     def start(self) -> W:
-        """Start one more worker for trials."""
+        """Start one more worker of the trial pool."""
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets on which the workers and their runtime listen now."""
+        """Return the sockets on which a trial pool's workers and their runtime listen now."""
         return ()
 
     @abstractmethod
     def heard(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:
-        """Yield (worker, answers) pairs that arrived; None in place of the answers of a dead worker.
+        """Yield a trial pool's (worker, answers) pairs that arrived; None for a dead worker.
 
         Waits up to `seconds` for the first answer.
         """
 
     @abstractmethod
     def end(self, worker: W) -> str:
-        """Stop a worker and return how it ended, as text, e.g. "with status 7"."""
+        """Stop a trial pool's worker and return how it ended, as text, e.g. "with status 7"."""
 
 
 class Pool(Generic[W]):
-    """Scheduler of trials over `workers`; use it inside the `with` block of `workers`."""
+    """Pool: scheduler of trials over `workers`; use it inside the `with` block of `workers`."""
 
     def __init__(self, spec: CampaignSpec, workers: Workers[W]):
         self.spec, self._workers = spec, workers
@@ -104,7 +104,7 @@ class Pool(Generic[W]):
         return how
 
     def _died_at_start(self, how: str) -> None:
-        """Count a worker that died while starting.
+        """Count a trial pool's worker that died while starting.
 
         Raises:
             InputError: too many workers in a row died while starting.
@@ -114,7 +114,7 @@ class Pool(Generic[W]):
             raise InputError(f"workers end {how} as they start", hint=self._workers.help)
 
     def _look_for_ready_ones(self) -> None:
-        """Check that at least one worker is ready to run trials.
+        """Check that at least one worker of the pool is ready to run trials.
 
         Raises:
             InputError: no worker has been ready for `PATIENCE` seconds.
@@ -125,7 +125,7 @@ class Pool(Generic[W]):
             raise InputError(f"no worker is ready after {PATIENCE:g} s", hint=self._workers.help)
 
     def run(self, trials: Iterator[Trial]) -> Iterator[dict[str, Any]]:
-        """Yield the row of each trial exactly once, in the order in which the trials finish.
+        """Run trials in the pool: yield the row of each exactly once, as they finish.
 
         Raises:
             InputError: no worker starts.

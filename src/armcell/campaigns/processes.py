@@ -20,7 +20,7 @@ ONE_THREAD = dict.fromkeys(
 
 
 class ProcessWorker(Worker):
-    """Process that runs `worker.py`, with JSON lines as input and output."""
+    """Local worker process of a campaign that runs `worker.py`, with JSON lines as input and output."""
 
     def __init__(self, spec: CampaignSpec):
         super().__init__()
@@ -47,7 +47,7 @@ class ProcessWorker(Worker):
             pass  # the process is dead; `answers` notices the end of its output
 
     def answers(self) -> list[Answer] | None:
-        """Return the worker's answers since the last call; None if the worker process is dead."""
+        """Return a local worker process's answers since the last call; None if it is dead."""
         data = os.read(self.output, 1 << 16)
         if not data:
             return None
@@ -67,7 +67,7 @@ class ProcessWorker(Worker):
 
 
 class Processes(Workers[ProcessWorker]):
-    """Source of `count` worker processes on this machine."""
+    """Source of `count` campaign worker processes on this machine."""
 
     def __init__(self, spec: CampaignSpec, count: int):
         self.spec, self.size = spec, count
@@ -105,5 +105,5 @@ class Processes(Workers[ProcessWorker]):
 
 
 def cores() -> int:
-    """Return the number of processor cores that this process may use."""
+    """Return the number of processor cores for a campaign's worker processes."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

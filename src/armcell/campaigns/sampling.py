@@ -20,12 +20,12 @@ SPREAD = 0.08  # standard deviation of samples near failures, as a fraction of t
 
 
 def random_draw(seed: int, number: int, dimensions: int) -> Array:
-    """Return independent uniform numbers in [0, 1), shape (dimensions,)."""
+    """Sample a trial's parameters: independent uniform numbers in [0, 1), shape (dimensions,)."""
     return np.random.default_rng([seed, number]).random(dimensions)
 
 
 def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
-    """Return a Latin hypercube sample (dimensions,) in [0, 1).
+    """Sample a trial's parameters: Latin hypercube point (dimensions,) in [0, 1).
 
     In each block of 100 trials, every hundredth of every parameter range occurs exactly once.
 
@@ -37,7 +37,7 @@ def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
 
 
 def adaptive_draw(seed: int, number: int, failed: Sequence[Array], dimensions: int) -> tuple[Array, bool]:
-    """Return a sample (dimensions,) in [0, 1) and whether it was placed near a failure.
+    """Sample a trial's parameters (dimensions,) in [0, 1) and whether it was placed near a failure.
 
     Args:
         failed: draws of the failed trials of earlier rounds.

@@ -74,7 +74,7 @@ class CampaignSpec:
         distributions(self)  # raises errors of the distributions early
 
     def _check_places(self) -> None:
-        """Reject parameter paths that set the same value of the cell, or a value and a part of it.
+        """Reject campaign parameter paths that set the same value twice, or a value and a part of it.
 
         A parameter may vary a part of a fixed value, e.g. the force of a push.
         """
@@ -90,7 +90,7 @@ class CampaignSpec:
 
     @staticmethod
     def read(file: str | Path) -> CampaignSpec:
-        """Read a specification from a YAML file; a relative `cell` is relative to the file.
+        """Read a campaign's specification from a YAML file; a relative `cell` is relative to the file.
 
         Raises:
             InputError: the file is invalid; the error names the file and the cause.
@@ -115,7 +115,7 @@ class CampaignSpec:
 
 
 def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
-    """Return the distributions of a specification's parameters, by path."""
+    """Return a campaign's distributions of the specified parameters, by path."""
     return {path: distribution(data, f"parameters/{path}") for path, data in spec.parameters.items()}
 
 
@@ -142,7 +142,7 @@ def checked_cell(spec: CampaignSpec) -> Cell:
 
 
 def _cured(error: InputError, cell: Cell, path: str, found: Distribution, value: Any) -> InputError:
-    """Return the error of a parameter value, with a hint if an integer would be valid."""
+    """Return a campaign specification's parameter error, with a hint if an integer would be valid."""
     if not isinstance(found, Uniform) or found.whole or float(value).is_integer():
         return error
     try:

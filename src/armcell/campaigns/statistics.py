@@ -21,7 +21,7 @@ ALPHA = 0.05  # significance level; all intervals are 95 % intervals
 
 @dataclass(frozen=True)
 class Share:
-    """Proportion `count` of `total`, with two kinds of 95 % confidence interval."""
+    """Campaign statistic: proportion `count` of `total`, with two kinds of 95 % confidence interval."""
 
     count: int
     total: int
@@ -32,7 +32,7 @@ class Share:
 
     @property
     def wilson(self) -> tuple[float, float]:
-        """Return the Wilson score interval, whose coverage is 95 % on average.
+        """Return a success rate's Wilson score interval, whose coverage is 95 % on average.
 
         Wilson (1927), J. Am. Stat. Assoc. 22.
         """
@@ -40,7 +40,7 @@ class Share:
 
     @property
     def clopper_pearson(self) -> tuple[float, float]:
-        """Return the exact confidence interval, whose coverage is never below 95 %.
+        """Return a success rate's exact confidence interval, whose coverage is never below 95 %.
 
         Clopper and Pearson (1934), Biometrika 26.
         """
@@ -63,12 +63,12 @@ class Share:
 
 
 def fairly_drawn(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows without the trials that adaptive sampling placed near failures."""
+    """Return a campaign's result rows without the trials that adaptive sampling placed near failures."""
     return [row for row in rows if not row["near_failure"]]
 
 
 def success(rows: Sequence[Row]) -> Share:
-    """Return the success rate over trials drawn from the specified distributions.
+    """Return a campaign's success rate over trials drawn as specified.
 
     Trials placed near failures by adaptive sampling are excluded, because they would bias the rate.
     """
@@ -78,7 +78,7 @@ def success(rows: Sequence[Row]) -> Share:
 
 @dataclass(frozen=True)
 class Cause:
-    """Group of failures with the same error code, stage and pair of bodies."""
+    """Cause: group of a campaign's failures with the same error code, stage and pair of bodies."""
 
     code: str
     stage: str
@@ -88,7 +88,7 @@ class Cause:
 
 
 def causes(rows: Sequence[Row]) -> list[Cause]:
-    """Group failures by error code, stage and pair of bodies, most frequent first."""
+    """Group a campaign's failures by error code, stage and pair of bodies, most frequent first."""
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if not row["success"]:
@@ -99,7 +99,7 @@ def causes(rows: Sequence[Row]) -> list[Cause]:
 
 @dataclass(frozen=True)
 class Effect:
-    """Influence of one parameter on success.
+    """Effect of one campaign parameter on success.
 
     Attributes:
         auc: for numeric parameters, the probability that a successful trial has a higher value than a failed
@@ -124,7 +124,7 @@ class Effect:
 
 
 def drawn(row: Row) -> dict[str, Any]:
-    """Return a trial's varied values by path: parameters and draws of the cell's `randomize`.
+    """Return a trial's varied values for statistics, by path (parameters and randomize draws).
 
     A trial whose values gave an invalid cell has no `randomize` draws.
     """
@@ -133,7 +133,7 @@ def drawn(row: Row) -> dict[str, Any]:
 
 
 def effects(rows: Sequence[Row]) -> list[Effect]:
-    """Return the effect of every varied parameter on success, most significant first.
+    """Return the effect of every varied campaign parameter on success, most significant first.
 
     The result is empty if all trials succeeded or all failed. Tests: for numbers Mann-Whitney (is one side of
     the range better?) and Kolmogorov-Smirnov (is any part of the range better?), for choices chi-squared. The
@@ -212,7 +212,9 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
 
 
 def summary(values: Sequence[float | None]) -> dict[str, float] | None:
-    """Return minimum, median, 95th percentile and maximum of the values; None without values."""
+    """Return campaign statistics: minimum, median, 95th percentile and maximum of the values; None without
+    values.
+    """
     numbers = np.array([v for v in values if v is not None], float)
     if not len(numbers):
         return None
@@ -221,7 +223,7 @@ def summary(values: Sequence[float | None]) -> dict[str, float] | None:
 
 
 def _p(result: Any) -> float:
-    """Return the p-value of a scipy test result.
+    """Return the p-value of a scipy test on campaign statistics.
 
     The argument is typed Any because scipy creates its result classes at run time.
     """

@@ -34,7 +34,7 @@ ROW = {
 
 
 class Store:
-    """Folder of one campaign, locked by one process at a time.
+    """Store: folder of one campaign, locked by one process at a time.
 
     Attributes:
         spec: the campaign's specification.
@@ -64,7 +64,7 @@ class Store:
 
     @staticmethod
     def new(root: Path, spec: CampaignSpec, hashes: Mapping[str, str]) -> Store:
-        """Create a new campaign folder below `root`, usually "runs"."""
+        """Create a new campaign folder (store) below `root`, usually "runs"."""
         folder = new_run_folder(root, f"campaign-{Path(spec.cell).stem}")
         asked = {"format": FORMAT, "spec": spec.as_dict(), "hashes": dict(hashes)}
         try:
@@ -91,7 +91,7 @@ class Store:
             os.ftruncate(self._file, size)
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Store a finished trial; a trial that is already stored is ignored.
+        """Store a campaign's finished trial; a trial that is already stored is ignored.
 
         Raises:
             InputError: the disk is full or missing; earlier rows stay intact.
@@ -117,7 +117,7 @@ class Store:
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a file atomically: it appears complete, or the old file stays unchanged.
+    """Write a campaign folder's file atomically: it appears complete, or the old file stays unchanged.
 
     Raises:
         InputError: the file is not writable, e.g. because the disk is full.
@@ -150,7 +150,7 @@ def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
 
 
 def _row(line: bytes) -> dict[str, Any]:
-    """Parse and validate a line of trials.jsonl.
+    """Parse and validate in a campaign's folder a line of trials.jsonl.
 
     Raises:
         ValueError, KeyError, TypeError: the line is not a valid trial row.
@@ -171,7 +171,7 @@ def _row(line: bytes) -> dict[str, Any]:
 
 
 def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
-    """Read the complete lines of a trials file; return the rows and their length in bytes.
+    """Read the complete lines of a campaign folder's trials file; return the rows and their length in bytes.
 
     Raises:
         InputError: a complete line is not a valid trial row.

@@ -32,7 +32,7 @@ class Trial:
 
 
 def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
-    """Run a trial in simulation.
+    """Run one campaign trial in simulation and return its result row.
 
     Returns:
         A JSON-ready row. Repeating a trial gives the same row except for `wall_s`, `cpu_s` and `planning_s`.
@@ -54,7 +54,7 @@ def run_trial(cell: Cell, trial: Trial) -> dict[str, Any]:
 
 
 def row_of(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the result row of a trial from the result of its run."""
+    """Return the result row of a campaign trial from the result of its run."""
     failed_at = result["failed_at"] or {"stage": "", "pair": ""}
     return _row(
         trial,
@@ -73,7 +73,7 @@ def row_of(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def failed(trial: Trial, error_name: str, message: str) -> dict[str, Any]:
-    """Return the result row of a trial that ended without a run result."""
+    """Return the result row of a campaign trial that ended without a run result."""
     return _row(trial, success=False, error_name=error_name, message=message) | {"wall_s": 0.0, "cpu_s": 0.0}
 
 
@@ -94,7 +94,7 @@ def _row(trial: Trial, **found: Any) -> dict[str, Any]:
 
 
 def replay_command(cell: str, row: Mapping[str, Any], values: Mapping[str, Any]) -> str:
-    """Return the shell command that runs a trial again, with report and record."""
+    """Return the shell command that runs a campaign's trial again, with report and record."""
     sets = [
         part
         for path, value in {**values, **row["values"]}.items()

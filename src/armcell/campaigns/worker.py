@@ -26,7 +26,7 @@ def cell_of(spec: CampaignSpec) -> Cell:
 
 
 def _lines(source: TextIO) -> queue.Queue[dict[str, Any]]:
-    """Read JSON lines into a queue; at the end of input, exit the process at once.
+    """Read a worker process's JSON lines into a queue; at the end of input, exit the process at once.
 
     No process waits for the running trial after the input has ended.
     """
