@@ -9,7 +9,7 @@ from armcell import _interrupts, _streams
 
 
 def main() -> None:
-    """Run the command line, then end the process with its exit status."""
+    """Entry point of `python -m armcell`: run the command line, then end the process with its exit status."""
     _streams.install()
     _interrupts.install()
     code = 1

@@ -17,7 +17,7 @@ logger = logging.getLogger(__name__)
 
 
 def key_of(*parts: NDArray | str) -> str:
-    """Return a cache key that depends only on the content of its arguments."""
+    """Return a key for the array disk cache that depends only on the content of its arguments."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
@@ -26,7 +26,7 @@ def key_of(*parts: NDArray | str) -> str:
 
 
 def recall(kind: str, key: str) -> dict[str, NDArray] | None:
-    """Return arrays from the disk cache, or None if no readable and trusted cache file exists.
+    """Return computed arrays from the disk cache, or None if no readable and trusted cache file exists.
 
     A file is trusted if only the current user can have written it.
     """
@@ -41,7 +41,7 @@ def recall(kind: str, key: str) -> dict[str, NDArray] | None:
 
 
 def keep(kind: str, key: str, **arrays: NDArray) -> None:
-    """Write arrays to the disk cache atomically.
+    """Write computed arrays to the disk cache atomically.
 
     If the folder is not writable, the function logs the error, and the next process computes the arrays
     again.

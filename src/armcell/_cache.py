@@ -35,7 +35,7 @@ log = logging.getLogger("armcell")
 
 
 def chosen_root() -> Path:
-    """Return the configured cache folder, without a check that it is trusted.
+    """Return the configured folder of the kernel cache, without a check that it is trusted.
 
     The folder is `ARMCELL_CACHE_DIR`, or `armcell` in the user's cache folder.
     """
@@ -46,7 +46,7 @@ def chosen_root() -> Path:
 
 
 def cache_root() -> Path:
-    """Return the root folder of all caches: the configured folder, or a safe private one.
+    """Return the root folder of armcell's caches: the configured folder, or a safe private one.
 
     The configured folder is unsafe if other users can write there.
     """
@@ -66,7 +66,7 @@ def _trusted_root(chosen: Path) -> Path:
 
 @cache
 def private_folder() -> Path:
-    """Return a temporary folder that only this user can write; later runs reuse it if possible."""
+    """Return a temporary cache folder that only this user can write; later runs reuse it if possible."""
     folder = Path(tempfile.gettempdir()) / f"armcell-{_user()}"
     if writable(folder) and doubt(folder) is None:
         return folder.resolve()
@@ -88,7 +88,7 @@ def _user() -> int:
 
 
 def doubt(folder: Path, contents: bool = False) -> str | None:
-    """Return the reason why another user may have written into a folder, or None.
+    """Return the reason why another user may have written into a cache folder, or None.
 
     Links are resolved first. The folder and all its parents must belong to this user or root, and no other
     user may have write access; for the parents, the sticky bit (as on /tmp) is sufficient.
@@ -158,7 +158,9 @@ def trusted_file(file: Path) -> bool:
 
 
 def source_hash() -> str:
-    """Return a hash of Python, Numba, the processor, and all sources with compiled functions."""
+    """Return the kernel cache's hash of Python, Numba, the processor, and all sources with compiled
+    functions.
+    """
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         source = file.read_bytes()
@@ -174,7 +176,7 @@ def source_hash() -> str:
 
 
 def writable(folder: Path) -> bool:
-    """Return whether files can be created in a folder; create the folder if it does not exist.
+    """Return whether files can be created in a cache folder; create a missing folder.
 
     Only this user has access to a created folder.
     """
@@ -187,14 +189,14 @@ def writable(folder: Path) -> bool:
 
 
 def make(folder: Path) -> None:
-    """Create a folder and its missing parents, with access for this user only."""
+    """Create a cache folder and its missing parents, with access for this user only."""
     if not folder.is_dir():
         make(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)
 
 
 def _drop_old(used: Path) -> None:
-    """Delete kernels of other source versions that no process has used for `KEPT_DAYS`."""
+    """Delete cached kernels of other source versions that no process has used for `KEPT_DAYS`."""
     try:
         if time.time() - used.stat().st_mtime < 86400 and any(used.iterdir()):
             return  # already checked today

@@ -19,7 +19,7 @@ from numba.core.typed_passes import NativeLowering
 
 
 class _LinkedLibrary(JITCodeLibrary):
-    """Code library that is linked into other libraries and never executed by itself."""
+    """Numba code library of an inner function, linked into others and never executed by itself."""
 
     def _optimize_final_module(self) -> None:
         pass  # the outermost caller's library is optimized
@@ -31,7 +31,9 @@ class _LinkedLibrary(JITCodeLibrary):
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _OfferToCallers(LoweringPass):
-    """Compiler pass that lets compiled functions call the function; Python calls raise an error."""
+    """Numba compiler pass of `inner_njit` that lets compiled functions call the result; Python calls raise an
+    error.
+    """
 
     _name = "offer_to_callers"
 
@@ -52,7 +54,7 @@ class _OfferToCallers(LoweringPass):
 
 
 class _InnerCompiler(CompilerBase):
-    """Numba's nopython compiler without optimization, wrappers and machine code."""
+    """`inner_njit`'s compiler: nopython mode without optimization, wrappers and machine code."""
 
     def define_pipelines(self) -> list:
         state = self.state

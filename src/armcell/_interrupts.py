@@ -36,11 +36,11 @@ WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGP
 
 
 class Interrupted(KeyboardInterrupt):
-    """Exception in the main thread after a signal has asked the program to end."""
+    """Interrupted: exception in the main thread after a signal has asked the program to end."""
 
 
 class _Will:
-    """Action that must still run if the orderly shutdown does not finish."""
+    """Last will: action that must run if the orderly shutdown does not finish."""
 
     def __init__(self, act: Callable[[], object], urgent: bool):
         self.act, self.urgent = act, urgent
@@ -77,7 +77,7 @@ def install() -> None:
 
 
 def uninstall() -> None:
-    """Let SIGINT and SIGTERM end the process at once, because the command has finished."""
+    """Let SIGINT and SIGTERM end the process at once, after a finished command."""
     if _state.wake >= 0:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_DFL)
@@ -113,7 +113,7 @@ def check() -> None:
 
 
 def sleep(seconds: float) -> None:
-    """Sleep like `time.sleep`, but end the sleep when a signal arrives.
+    """Sleep like `time.sleep`, but end the sleep when SIGINT or SIGTERM arrives.
 
     Raises:
         Interrupted: see `check`.
@@ -130,7 +130,7 @@ def sleep(seconds: float) -> None:
 
 
 def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bool:
-    """Call `condition(seconds)`, such as `Event.wait`, until it is true or a timeout passes.
+    """Call `condition(seconds)`, such as `Event.wait`, until true, a timeout or an interrupt.
 
     Signals interrupt the wait.
 
@@ -150,7 +150,7 @@ def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bo
 
 # --- requests and declarations of the program ---
 def ask(number: int) -> None:
-    """Ask the program to end as if by a signal, from any thread.
+    """Ask the program to shut down as if by a signal, from any thread.
 
     Without a command line, the function has no effect.
     """
@@ -254,7 +254,7 @@ class SteadyLock:
 
 
 def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], None]:
-    """Register an action that runs if the orderly shutdown takes too long.
+    """Register a last will: an action that runs if the orderly shutdown takes too long.
 
     Without a command line, nothing is registered.
 
@@ -291,7 +291,7 @@ def end(number: int | None = None) -> None:
 
 # --- the handler ---
 def _handler(number: int, frame: FrameType | None) -> None:
-    """Handle a signal in the main thread: raise `Interrupted`, or defer it (see `deferred`)."""
+    """Handle SIGINT or SIGTERM in the main thread: raise `Interrupted`, or defer it (see `deferred`)."""
     if not _state.wills and _importing(frame):  # libraries with optional imports swallow all exceptions
         end(number)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs the interrupts that it swallows
@@ -316,7 +316,7 @@ def _wake() -> None:
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Return whether the interrupted code is inside an import statement."""
+    """Return whether code interrupted by a signal is inside an import statement."""
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
             return True
@@ -368,12 +368,12 @@ def _watch(wakes: int) -> None:
 
 
 def _ours(number: int) -> bool:
-    """Return whether a byte from the wake-up pipe is a signal with armcell's own handler."""
+    """Return whether a byte from the signal wake-up pipe is a signal with armcell's own handler."""
     return number in SIGNALS and signal.getsignal(number) is _handler
 
 
 def _count(wakes: int) -> None:
-    """End the process when a second signal arrives; signals of `_raise_again` do not count."""
+    """Shutdown: end the process when a second signal arrives; signals of `_raise_again` do not count."""
     while True:
         for number in os.read(wakes, 64):
             if _ours(number):

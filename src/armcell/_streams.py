@@ -20,7 +20,7 @@ from armcell import _interrupts
 
 
 class _Raw(io.FileIO):
-    """File descriptor that stores the first write error and discards all later output."""
+    """Standard output's file descriptor that stores the first write error and discards all later output."""
 
     error: OSError | None = None
 
@@ -56,7 +56,7 @@ def install() -> None:
 
 
 def close() -> int:
-    """Flush the output streams; return the exit status for a failed output, or 0."""
+    """Flush standard output and standard error; return the exit status for a failed output, or 0."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(Exception):
             stream.flush()
@@ -71,7 +71,7 @@ def close() -> int:
 
 
 def _stream(number: int, before: TextIO | None) -> tuple[_Raw, io.TextIOWrapper]:
-    """Return a text stream on a file descriptor, with the encoding that Python chose.
+    """Return a standard text stream on a file descriptor, with the encoding that Python chose.
 
     A character that the terminal does not have is written as "?".
     """
