@@ -158,9 +158,7 @@ def trusted_file(file: Path) -> bool:
 
 
 def source_hash() -> str:
-    """Return the kernel cache's hash of Python, Numba, the processor, and all sources with compiled
-    functions.
-    """
+    """Return the kernel cache's hash of Python, Numba, the processor, and all sources with compiled code."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         source = file.read_bytes()

@@ -31,9 +31,7 @@ class _LinkedLibrary(JITCodeLibrary):
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _OfferToCallers(LoweringPass):
-    """Numba compiler pass of `inner_njit` that lets compiled functions call the result; Python calls raise an
-    error.
-    """
+    """Numba compiler pass of `inner_njit`: compiled code can call the function, Python calls fail."""
 
     _name = "offer_to_callers"
 

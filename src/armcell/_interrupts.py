@@ -66,7 +66,7 @@ _state = _State()
 
 
 def install() -> None:
-    """Install the handlers of SIGINT and SIGTERM for the command line, in the main thread."""
+    """Install signal handlers for an orderly shutdown (SIGINT, SIGTERM) in the main thread."""
     wakes, _state.wake = os.pipe()
     os.set_blocking(_state.wake, False)
     threading.Thread(target=_watch, args=(wakes,), name="armcell-signals", daemon=True).start()
@@ -85,7 +85,7 @@ def uninstall() -> None:
 
 # --- queries of the program ---
 def asked() -> int:
-    """Return the number of the signal that asked the program to end, or 0."""
+    """Return the number of the signal that asked the program to shut down, or 0."""
     return _state.signal
 
 
@@ -277,7 +277,7 @@ def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], N
 
 
 def end(number: int | None = None) -> None:
-    """Print why the program ends, and end the process without libraries' exit handlers.
+    """Print which interrupt ends the program, and end the process without libraries' exit handlers.
 
     An exit handler could block.
     """

@@ -196,7 +196,7 @@ def _make_private() -> None:
 
 
 def _version() -> str:
-    """Return for the cluster the version of the installed Ray without importing Ray.
+    """Return the version of the Ray installed for the cluster, without importing Ray.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -254,7 +254,7 @@ def find_cluster(address: str) -> str | None:
 
 
 def _how(text: str) -> str:
-    """Extract, for a cluster's dead worker, the cause from Ray's long error text."""
+    """Extract the cause from Ray's long error text about a dead worker on the cluster."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     for line in lines:
         for cause in ("Worker exit detail: ", "its node has died", "killed by"):

@@ -66,7 +66,7 @@ def _wanted(store: Store) -> list[dict[str, Any]]:
 
 
 def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
-    """Run a failed trial again and return a picture of its first contact, else of its end.
+    """Run a failed trial again and return a picture (frame) of its first contact, else of its end.
 
     Returns:
         None if the trial does not fail again (e.g. a processor time limit ended it) or cannot be drawn.

@@ -141,7 +141,7 @@ def check_draws(cell: Cell) -> None:
 
 
 def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return for the gate the paths of parameters and drawn values that differ between a campaign's trials.
+    """Return the parameters and drawn values, by path, that the gate finds different between trials.
 
     "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
     count, because it leaves the task unchanged.
@@ -210,7 +210,7 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """Describe for the gate the differences between the content hashes of two cells.
+    """Describe the differences between the content hashes of two cells, for the gate's refusal.
 
     Args:
         old_versions: library versions of the first cell; if given, the text names both versions.

@@ -203,9 +203,7 @@ def _causes(data: dict[str, Any]) -> str:
 
 
 def _moments(data: dict[str, Any], folder: Path) -> str:
-    """Return for a campaign's report HTML figures of failed trials at the moment of first contact, else at
-    their end.
-    """
+    """Return HTML figures for a campaign's report: failed trials at first contact, else at their end."""
     figures = []
     for failure in data["failures"]:
         file, number = picture_file(folder, failure["trial"]), failure["trial"]
@@ -242,6 +240,6 @@ def _drawn(values: dict[str, Any]) -> str:
 
 
 def _linked(number: int, folder: Path) -> str:
-    """Return a trial's number as HTML of a campaign's report, linked to its picture if there is one."""
+    """Return a trial's number as HTML for a campaign's report, linked to its picture if there is one."""
     there = picture_file(folder, number).exists()
     return f'<a href="#trial_{number}">{number}</a>' if there else str(number)

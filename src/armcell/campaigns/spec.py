@@ -120,7 +120,7 @@ def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
 
 
 def checked_cell(spec: CampaignSpec) -> Cell:
-    """Load a campaign's cell and test it with the extreme values of all parameters.
+    """Load a campaign specification's cell and test it with the extreme values of all parameters.
 
     Raises:
         UnknownNameError: the cell has no such parameter.

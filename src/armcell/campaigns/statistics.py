@@ -78,7 +78,7 @@ def success(rows: Sequence[Row]) -> Share:
 
 @dataclass(frozen=True)
 class Cause:
-    """Cause: group of a campaign's failures with the same error code, stage and pair of bodies."""
+    """Cause of failures in campaign statistics: same error code, stage and pair of bodies."""
 
     code: str
     stage: str
@@ -88,7 +88,7 @@ class Cause:
 
 
 def causes(rows: Sequence[Row]) -> list[Cause]:
-    """Group a campaign's failures by error code, stage and pair of bodies, most frequent first."""
+    """Group a campaign's failures statistically by error code, stage and bodies, most frequent first."""
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if not row["success"]:
@@ -212,9 +212,7 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
 
 
 def summary(values: Sequence[float | None]) -> dict[str, float] | None:
-    """Return campaign statistics: minimum, median, 95th percentile and maximum of the values; None without
-    values.
-    """
+    """Return minimum, median, 95th percentile and maximum of campaign values; None without values."""
     numbers = np.array([v for v in values if v is not None], float)
     if not len(numbers):
         return None

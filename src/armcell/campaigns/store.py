@@ -117,7 +117,7 @@ class Store:
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a campaign folder's file atomically: it appears complete, or the old file stays unchanged.
+    """Write a file of a campaign's store atomically: it appears complete, or the old one stays.
 
     Raises:
         InputError: the file is not writable, e.g. because the disk is full.
@@ -136,7 +136,7 @@ def write_whole(file: Path, data: bytes) -> None:
 
 
 def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
-    """Read a campaign folder's specification and the cell's content hashes of that time."""
+    """Read from a campaign's store the specification and the cell's content hashes of that time."""
     file = folder / ASKED
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
@@ -150,7 +150,7 @@ def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
 
 
 def _row(line: bytes) -> dict[str, Any]:
-    """Parse and validate in a campaign's folder a line of trials.jsonl.
+    """Parse and validate a line of trials.jsonl in a campaign's store.
 
     Raises:
         ValueError, KeyError, TypeError: the line is not a valid trial row.
@@ -171,7 +171,7 @@ def _row(line: bytes) -> dict[str, Any]:
 
 
 def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
-    """Read the complete lines of a campaign folder's trials file; return the rows and their length in bytes.
+    """Read the complete lines of trials.jsonl in a campaign's store; return rows and length in bytes.
 
     Raises:
         InputError: a complete line is not a valid trial row.

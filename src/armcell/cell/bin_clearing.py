@@ -25,8 +25,7 @@ def clear_with(
     ctx: TaskContext, scene: PlanningScene, gripper: Gripper, bin: str, tray: str, table: str,
     eye: LiveCamera, eye_on_tray: LiveCamera, settings: ClearSettings = ClearSettings(),
 ) -> Outcome:  # fmt: skip
-    """Clear a bin into a tray with the cell's arm; in physics, count the objects in the tray, the bin and
-    elsewhere.
+    """Clear a bin into a tray with a cell's arm; in physics, count the objects in tray, bin and elsewhere.
 
     The evidence has the true counts `cleared`, `left` and `beside`. In physics, the outcome is also a FAILURE
     if the cameras see no more objects but an object is not in the tray.

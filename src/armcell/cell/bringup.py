@@ -36,7 +36,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Step:
-    """One bring-up step of real arms, as the record stores it."""
+    """One step of a cell's bring-up, as the record stores it."""
 
     name: str
     arm: str
@@ -154,8 +154,7 @@ class BringUp:
         return kind_of(arm).power_on(name, arm)
 
     def _geometry(self, name: str) -> str:
-        """Compare the flange position of the robot's calibration with that of the cell's model, in the
-        bring-up.
+        """Compare the flange position by a robot's calibration with the cell's model, as a bring-up step.
 
         Both positions are computed for the same measured joint positions.
 

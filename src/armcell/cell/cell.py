@@ -99,17 +99,17 @@ class Cell:
         return settings
 
     def _sensors(self) -> Sensors3d | None:
-        """Load the 3D sensors (sensors_3d.yaml) of a loaded cell, or of the robot's MoveIt package."""
+        """Load the 3D sensors (sensors_3d.yaml) of a `Cell`, or of the robot's MoveIt package."""
         file = self._moveit_file(self.spec.ros.sensors, "sensors_3d.yaml")
         return None if file is None else load_sensors_3d(file)
 
     def _planner_configs(self) -> Mapping[str, Any]:
-        """Load the planner settings (ompl_planning.yaml) of a loaded cell or the robot's MoveIt package."""
+        """Load the planner settings (ompl_planning.yaml) of a `Cell` or the robot's MoveIt package."""
         file = self._moveit_file(self.spec.ros.planners, "ompl_planning.yaml")
         return {} if file is None else load_ompl_planning(file, self.model)
 
     def _moveit_file(self, named: str | None, name: str) -> Path | None:
-        """Return a configuration file that a loaded cell names, else that of the robot's MoveIt package."""
+        """Return a configuration file that a `Cell` names, else that of the robot's MoveIt package."""
         if named is not None:
             return self.file.parent / named
         model = self.spec.robot.model
@@ -135,7 +135,7 @@ class Cell:
             raise self._fail(f"markers/{name}", error.reason, error.hint) from None
 
     def _check_names(self) -> None:
-        """Check the names in a loaded cell's blocks randomize, start, perception, drop and task.
+        """Check the names in a `Cell`'s blocks randomize, start, perception, drop and task.
 
         Raises:
             UnknownNameError: a name does not exist.
@@ -192,7 +192,7 @@ class Cell:
 
     # --- the world ---
     def draw(self, seed: int) -> dict[str, dict[str, float]]:
-        """Return the random values that a seed selects for a loaded cell's objects.
+        """Return the random values that a seed selects for a `Cell`'s objects.
 
         Returns:
             Per object, those of dx, dy [m], yaw_deg [deg], mass [kg] and friction that are randomized.
@@ -205,7 +205,7 @@ class Cell:
         return values
 
     def scene(self, seed: int | None = None) -> PlanningScene:
-        """Return a loaded cell's planning scene at the start of a run: randomized by a seed, else nominal."""
+        """Return a `Cell`'s planning scene at the start of a run: randomized by a seed, else nominal."""
         draw = self.draw(seed) if seed is not None else {}
         scene = PlanningScene.of(self.model).with_padding(self.spec.padding)
         for group, state in self.spec.start.items():
@@ -241,7 +241,7 @@ class Cell:
         scene: PlanningScene | None = None,
         watch: bool = True,
     ) -> LiveCell:
-        """Connect a loaded cell: create a `LiveCell` for use in a `with` block, which connects the driver.
+        """Connect a `Cell`: create a `LiveCell` for use in a `with` block, which connects the driver.
 
         Args:
             mode: "sim" (physics), "fake" (joints follow commands exactly, no physics) or "real" (the arms of

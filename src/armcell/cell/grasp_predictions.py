@@ -32,9 +32,7 @@ IN_VAIN = 3  # draws per wanted trial: some grasps are unreachable
 
 @dataclass(frozen=True)
 class Held:
-    """Result of one simulated pick that validates a grasp prediction: whether and how firmly the hand held
-    the object.
-    """
+    """Result of one simulated pick for a grasp prediction: whether and how firmly the object was held."""
 
     to_the_end: bool
     slip_m: float | None = None  # of the object's point between the pads, since the hand closed
@@ -43,9 +41,7 @@ class Held:
 
     @property
     def firmly(self) -> bool:
-        """Return whether the object was held to the end of a prediction's pick, within the slip and turn
-        limits of proofs.
-        """
+        """Return whether a prediction's object was held to the end, within the slip and turn limits."""
         if not self.to_the_end or self.slip_m is None or self.turn_rad is None:
             return False
         return self.slip_m <= MAX_SLIP and self.turn_rad <= MAX_TURN
@@ -66,8 +62,7 @@ def predictions(
     scene: PlanningScene, item: CollisionObject, gripper: Gripper, grasps: Sequence[Grasp],
     settings: TaskSettings, count: int, duration: float, seed: Sequence[int],
 ) -> list[Prediction]:  # fmt: skip
-    """Validate grasp predictions: run up to `count` pick trials with randomly drawn grasps; skip unreachable
-    grasps.
+    """Validate grasp predictions: pick up to `count` times with random grasps; skip unreachable grasps.
 
     Args:
         scene: the believed planning scene, with the object.
@@ -149,9 +144,7 @@ class _Hand:
         return self._world.link_pose(self._gripper.tcp_link).inv() @ self._world.object_pose(self._item)
 
     def held(self, outcome: Outcome) -> Held:
-        """Return whether the object is held after lift and hold, with slip and turn, to compare with the
-        prediction.
-        """
+        """Return whether a predicted grasp held its object through lift and hold, with slip and turn."""
         if self._closed is None:
             return Held(False, reason=outcome.message)
         moved = self._now() @ self._closed.inv()  # in the TCP frame

@@ -45,7 +45,7 @@ AT_REST = 5e-4  # [m] and 10 [rad] of motion in 0.5 s: an object below both is a
 
 @dataclass(frozen=True)
 class TrialOptions:
-    """Options of the grasp benchmark."""
+    """Options of the grasp benchmark's trials in physics."""
 
     robot: str = "panda"
     candidates: int = 16  # grasps tried in physics before one is chosen
@@ -57,7 +57,7 @@ class TrialOptions:
 
 @dataclass
 class Row:
-    """Benchmark results of one object: grasps, attempts, predictions and times."""
+    """Result row of one object in the grasp benchmark's trials: grasps, attempts, predictions, times."""
 
     name: str
     scale: float
@@ -80,7 +80,7 @@ class Row:
 
 # --- objects ---
 def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
-    """Yield the objects of armcell's library for the grasp benchmark: name, object, scale 1."""
+    """Yield the library objects for the grasp benchmark's trials: name, object, scale 1."""
     for kind in object_names():
         yield kind, library_object(kind), 1.0
 
@@ -88,7 +88,7 @@ def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
 def objects_of(
     folder: Path, gripper: Gripper, count: int, scale: float = 1.0, skip: int = 0
 ) -> Iterator[tuple[str, CollisionObject | InputError, float]]:
-    """Yield objects from a folder's URDF or mesh files, scaled down to fit the gripper.
+    """Yield objects for grasp trials from a folder's URDF or mesh files, scaled to fit the gripper.
 
     If the folder has URDFs, mesh files are ignored. An unreadable file yields its error as the object.
 
@@ -144,7 +144,7 @@ def _scaled(item: CollisionObject, scale: float) -> CollisionObject:
 
 # --- one object ---
 class Bench:
-    """The grasp benchmark: a robot at a table that picks and places one object after the other."""
+    """Grasp benchmark in physics: a robot at a table picks and places one object after the other."""
 
     def __init__(self, options: TrialOptions):
         self.options = options
@@ -161,7 +161,7 @@ class Bench:
         )  # fmt: skip
 
     def run(self, name: str, item: CollisionObject | InputError, scale: float) -> Row:
-        """Run the grasp benchmark for one object: grasps, attempts and predictions."""
+        """Run the grasp trials of one object in the benchmark: grasps, attempts and predictions."""
         if isinstance(item, InputError):
             return Row(name, scale, False, str(item))
         began = time.process_time()
@@ -203,17 +203,13 @@ class Bench:
     def _predictions(
         self, scene: PlanningScene, item: CollisionObject, name: str, grasps: Sequence[Grasp]
     ) -> list[Prediction]:
-        """Run pick trials with randomly drawn grasps of one object in the grasp benchmark; its name
-        determines the seed.
-        """
+        """Run a benchmark object's grasp trials with random grasps; its name determines the seed."""
         o, settings = self.options, replace(self.settings, prove_grasps=0)
         seed = o.seed, zlib.crc32(name.encode())
         return predictions(scene, item, self.gripper, grasps, settings, o.predictions, HOLD, seed)
 
     def _attempt(self, scene: PlanningScene, settings: TaskSettings, tries: int = 1) -> Outcome:
-        """Grasp benchmark attempt: pick, lift, hold and place an object by friction only; return measurements
-        as evidence.
-        """
+        """Grasp trial of the benchmark: pick, lift, hold and place by friction only; return measurements."""
         driver = drivers["sim"](scene, DriverOptions(self.options.seed, physics=PhysicsSettings()))
         with LiveCell("grasp trial", scene, driver, settings, (), self.options.seed) as live:
             outcome = Outcome(ErrorCode.FAILURE, "not tried")
@@ -253,17 +249,14 @@ class Bench:
         return Outcome(ErrorCode.SUCCESS, "", evidence)
 
     def _picked(self, ctx: TaskContext) -> Outcome:
-        """Pick the grasp benchmark's object with a grasp that also reaches the goal placement, else with any
-        grasp.
-        """
+        """Pick a grasp trial's object with a grasp that also reaches the goal, else with any grasp."""
         s = self.settings
         goal = ChoosePlacement(OBJECT, TABLE, self.gripper, s.near, s.lower_distance, self.goal)
         picked = pick(ctx, OBJECT, self.gripper, ahead=[goal])
         return picked if picked.code is not ErrorCode.PLANNING_FAILED else pick(ctx, OBJECT, self.gripper)
 
     def _at_rest(self, item: CollisionObject) -> CollisionObject | None:
-        """Return the grasp benchmark's object at its resting pose in physics, on one of its three most stable
-        sides.
+        """Return a grasp trial's object at rest in physics, on one of its three most stable sides.
 
         Returns:
             The object at rest; None if it rolls away from all three sides.
@@ -286,7 +279,7 @@ class Bench:
 
 # --- results ---
 def summary(rows: Sequence[Row], recovery: bool = True) -> dict[str, Any]:
-    """Summarize grasp benchmark rows: success rates with intervals, times, prediction scores.
+    """Summarize grasp trial rows: success rates with intervals, times, prediction scores.
 
     Args:
         recovery: whether failed first attempts were repeated with recovery.

@@ -40,7 +40,7 @@ class Health:
 
     @contextmanager
     def layer(self, name: str) -> Iterator[list[str]]:
-        """Start a cell's layer in a `with` block and report its result.
+        """Start a cell's layer in a `with` block and report its health.
 
         Texts that the block appends to the yielded list become part of the report.
 
@@ -71,7 +71,7 @@ class Health:
 
 
 def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tuple[Cell, Health]:
-    """Start and report the cell layers that need no connection: description and controllers.
+    """Start and report the health of the cell layers that need no connection: description, controllers.
 
     Raises:
         InputError: see `check_description` and `check_controllers`.

@@ -39,7 +39,7 @@ ADDRESSES = ("host", "port", "own_host")  # network addresses of a real arm; no 
 
 
 def content_hashes(cell: Cell) -> dict[str, str]:
-    """Return, for a cell's identity, the content hash of every part of a cell that influences a run, by name.
+    """Return, for a cell's identity, the content hash of every part that influences a run, by name.
 
     The names are the cell file's keys (`task`, `objects.cube`, `physics`), `robot` (with its meshes), `code`
     (armcell's source) and `versions.<library>`. The hash of a script includes the file content. The hashes

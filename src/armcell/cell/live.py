@@ -66,7 +66,7 @@ from armcell.tasks.steps import Motion, perform_all
 
 
 class Arm:
-    """One arm of a connected cell, with methods that command it.
+    """One arm of a live cell, with methods that command it.
 
     Each command returns an `Outcome`, which is true if the command succeeded.
     """
@@ -87,7 +87,7 @@ class Arm:
         up: tuple[float, float, float] | None = None,
         lean: float | None = None,
     ) -> Outcome:
-        """Place with an arm of a live cell a held object on another object.
+        """Place a held object on another object with an arm of a live cell.
 
         Args:
             on: the object that supports the placed object.
@@ -106,8 +106,7 @@ class Arm:
         look: Callable[[], Outcome] | None = None,
         settings: RecoverySettings = RecoverySettings(),
     ) -> Outcome:
-        """Transfer with a live cell's arm: pick an object and place it on another one; recover from failures
-        such as a drop.
+        """Transfer an object to another one with a live cell's arm; recover from failures such as a drop.
 
         Args:
             on: the object that supports the placed object.
@@ -119,7 +118,7 @@ class Arm:
         return transfer(self._ctx, item, gripper, on, at, up, look, settings)
 
     def move_to(self, target: Target) -> Outcome:
-        """Move a live cell's arm to a named state, a tip pose (world frame), joint values, or any other goal."""
+        """Move a live cell's arm to a named state, a tip pose (world frame), joint values or another goal."""
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
 
     def execute(self, motion: PlanResult | JointTrajectory) -> Outcome:
@@ -141,14 +140,12 @@ class Arm:
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
-        """Grasp with a live cell's arm an object that moves at constant speed, e.g. on a conveyor belt, and
-        lift it.
-        """
+        """Grasp an object in constant motion, e.g. on a conveyor, with a live cell's arm, and lift it."""
         gripper = self._ctx.scene().model.gripper(arm_group=self.group)
         return pick_moving(self._ctx, item, gripper, settings)
 
     def grasp(self, item: str) -> Outcome:
-        """Grasp with a live cell's arm an object at its present pose without lifting it."""
+        """Grasp an object at its present pose with a live cell's arm, without lifting it."""
         return grasp(self._ctx, item, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def let_go(self, item: str) -> Outcome:
@@ -158,9 +155,7 @@ class Arm:
     def screw(
         self, item: str, turns: float, force: float = 8.0, settings: ScrewSettings = ScrewSettings()
     ) -> Outcome:
-        """Screw with a live cell's arm a held object: turn it clockwise about the tool axis, pressing with
-        `force` [N].
-        """
+        """Screw a held object with a live cell's arm: turn it clockwise and press with `force` [N]."""
         return screw(self._ctx, item, turns, force, settings)
 
     @property
@@ -185,15 +180,14 @@ class Arm:
         return self._ctx.reserve(zone)
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return for a live cell's arm the first item whose zone the other arm neither occupies nor
-        approaches.
+        """Return the first item whose zone the other arm of a live cell neither occupies nor approaches.
 
         If the other arm occupies or approaches all zones, return the first item.
         """
         return self._ctx.choose(items, zone)
 
     def rendezvous(self, name: str) -> None:
-        """Wait in an arm's program of a live cell until the other reaches the same rendezvous."""
+        """Wait in one arm's program of a live cell until the other arm reaches the same rendezvous."""
         self._ctx.rendezvous(name)
 
 
@@ -263,7 +257,7 @@ class LiveCell:
 
     @property
     def arms(self) -> dict[str, Arm]:
-        """Return a live cell's arms by planning group: those with a gripper, or every chain without grippers."""
+        """Return a live cell's arms by planning group: those with a gripper, or every chain without one."""
         groups = [g.arm_group for g in self.model.grippers.values()]
         groups = groups or [g.name for g in self.model.groups.values() if g.tip_link]
         return {name: Arm(self.ctx, name) for name in groups}
@@ -303,7 +297,7 @@ class LiveCell:
     def orders(
         self, to: Callable[[str], str], cycle_times: CycleTimes = CycleTimes(), **streams: Sequence[str]
     ) -> dict[str, list[str]]:  # fmt: skip
-        """Return for each arm of a live cell an order of its objects such that both arms finish early.
+        """Return an order of its objects for each arm of a live cell such that both arms finish early.
 
         With these orders, the arms rarely wait for each other at a zone.
 
@@ -340,7 +334,7 @@ class LiveCell:
         return hand_over(self.ctx, item, self.model.gripper(arm_group=to), at)
 
     def move_together(self, **targets: Target) -> Outcome:
-        """Move two arms of a live cell to one target each, such that both start and arrive at the same time."""
+        """Move two arms of a live cell to one target each, such that both start and arrive together."""
         scene = self.ctx.scene()
         goals = {group: goal_of(scene.model, group, target) for group, target in targets.items()}
         return move_together(self.ctx, self._both(targets), goals)

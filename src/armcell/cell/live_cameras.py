@@ -49,13 +49,13 @@ class LiveCamera:
         return self.camera.name
 
     def due(self) -> bool:
-        """Return whether a live camera's image newer than the last taken one is available."""
+        """Return whether a live camera has an image newer than the last taken one."""
         if self.frozen and self._newest is not None:
             return False
         return self._newest is None or self._number(self._driver.now) > self._number(self._newest.time)
 
     def ask(self, key: Hashable, give: Give, rgb: bool = True, depth: bool = True) -> None:
-        """Request a live camera's image of the present state for a function, without waiting for the image.
+        """Request a live camera's image of the present state for a function, without waiting for it.
 
         In lock-step, `give` runs at once. In real time, `give` runs in another thread when the picture is
         drawn; a new request replaces a waiting one with the same key (`CellRenderer.ask`).
@@ -113,7 +113,7 @@ class LiveCamera:
         return rgb and not self.frozen and self._newest is not None and self._newest.rgb is None
 
     def image(self, rgb: bool = True) -> CameraImage:
-        """Return a live camera's newest image; draw it in the calling thread, at most once per camera period."""
+        """Return a live camera's newest image; draw it in this thread, at most once per camera period."""
         newest = self._newest
         if newest is None or self.due() or self._lacks(rgb):
             newest = self._newest = self.draw(rgb)
@@ -211,7 +211,7 @@ class CameraWatch:
             self.ctx.emit("error", f"octomap: {message}", code=code)
 
     def _ask(self) -> None:
-        """Request a live camera's image of the present state, to be inserted into the octomap when drawn."""
+        """Request a live camera's image of the present state, to insert it into the octomap when drawn."""
         now, scene = self.ctx.driver.now, self.ctx.scene()
         self._since = min(self._since, now)
 

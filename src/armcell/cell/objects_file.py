@@ -67,7 +67,7 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
 
 
 def material_of(friction: float | FrictionSpec) -> Material:
-    """Return the material for the `friction` value of an object in a cell's objects file.
+    """Return the material for the `friction` value of an entry in a cell's objects file.
 
     Raises:
         InputError: see `Material`.
@@ -113,7 +113,7 @@ def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
 
 
 def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> CollisionObject:
-    """Return an object with a screw thread, of an objects file with its pose converted to the world frame.
+    """Return an objects file's object with a screw thread, its pose converted to the world frame.
 
     The given pose is in the frame of the object into which it is screwed, as in a cell file.
 

@@ -65,7 +65,7 @@ class Seen:
 
 
 class PerceivingDriver(DriverProxy):
-    """Driver that reports objects at their last detected poses, or in the gripper holding them.
+    """Driver with perceived objects at their last detected poses, or in the gripper holding them.
 
     As with a real gripper, the held object is inferred from the gripper's width and force and from the last
     detected poses.
@@ -115,7 +115,7 @@ class PerceivingDriver(DriverProxy):
             self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object
 
     def _near(self, gripper: str) -> str | None:
-        """Return the perceived object that contains a gripper's TCP or is nearest to it, or None if too far."""
+        """Return the perceived object that contains a gripper's TCP or is nearest to it; None if too far."""
         tcp, best, found = self._tcp(gripper).translation, _REACH, None
         for name, T in self._seen.poses.items():
             low, high = self._seen.known[name].bounds()
@@ -133,7 +133,7 @@ class PerceivingDriver(DriverProxy):
 def look_with(
     camera: LiveCamera, ctx: TaskContext, seen: Seen | None, settings: LookSettings | None
 ) -> Sight:
-    """Detect objects with a camera and update the planning scene; held objects are skipped."""
+    """Perceive objects with a camera and update the planning scene; held objects are skipped."""
     scene = ctx.scene()
     settings = settings or LookSettings(surface=seen.surface if seen is not None else None)
     known = {n: o for n, o in scene.objects.items() if o.movable and n != OCTOMAP}

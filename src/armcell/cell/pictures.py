@@ -24,9 +24,7 @@ FIELD = 45.0  # [deg]
 
 
 def overview(scene: PlanningScene) -> Camera:
-    """Return a camera for a run's pictures, in front and to the side, that shows the robot and all objects
-    near it.
-    """
+    """Return a camera for pictures of a run, which shows the robot and all objects near it."""
     middle, radius = extent(scene)
     away = 1.3 * radius / np.sin(np.deg2rad(FIELD / 2))
     eye = middle + away * FROM / np.linalg.norm(FROM)

@@ -24,8 +24,7 @@ RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the l
 def scores(
     objects: Sequence[str], probability: Sequence[float], epsilon: Sequence[float], success: Sequence[bool]
 ) -> dict[str, Any]:
-    """Score three predictors (predicted P against observed success) of grasp success: P of proofs, quality
-    epsilon alone, base rate.
+    """Score three predictors of grasp success: P of proofs, quality epsilon alone, base rate.
 
     `brier_lead` is the Brier score of epsilon minus that of P, and `brier_lead_interval` its 95 % bootstrap
     interval over objects. An area under the curve is None without successes or without failures.
@@ -81,9 +80,7 @@ def area_under_curve(score: Array, happened: Array) -> float | None:
 
 
 def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
-    """Return, as base-rate prediction of each trial, the share of successes among all other objects (0.5
-    without any).
-    """
+    """Return the base-rate prediction of each trial: the success share of other objects (0.5 without any)."""
     found = np.full(len(happened), 0.5)
     for name in np.unique(objects):
         own = objects == name

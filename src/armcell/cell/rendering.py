@@ -60,7 +60,7 @@ class CellRenderer:
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Request a cell's camera image in another process of the present state and return at once.
+        """Request a cell's camera image of the present state from another process and return at once.
 
         Call this method from the thread that steps the driver.
 
@@ -111,7 +111,7 @@ class CellRenderer:
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 
     def _run(self) -> None:
-        """Draw a cell's requested camera images in sequence.
+        """Draw the camera images that a real-time cell requested, in the renderer's own process.
 
         The process draws the next image while `give` handles the last one.
         """
@@ -127,7 +127,7 @@ class CellRenderer:
             self._process.close()
 
     def _next(self, wait: bool) -> _Request | None:
-        """Start to draw the oldest waiting camera image request of a cell and return the request.
+        """Start to render a cell's oldest waiting camera image request and return the request.
 
         Args:
             wait: wait for a request.

@@ -87,7 +87,7 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
 
 
 def _move(live: LiveCell, state: str) -> Outcome:
-    """Before or after a run, move each arm that has a named state to that state, one arm after the other."""
+    """Move each arm that has a named state to that state at a run's start or end, one after the other."""
     tables = live.model.named_states
     arms = [arm for group, arm in live.arms.items() if state in tables.get(group, {})]
     outcome = Outcome(ErrorCode.SUCCESS)

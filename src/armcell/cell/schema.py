@@ -35,7 +35,7 @@ SHAPE_KEYS = (*_SIZED, "mesh", "cloud")
 
 
 def _value_type(kind: ShapeKind) -> Any:
-    """Return the cell schema's type of a shape value: a list of sizes [m], one size, or `true` (no sizes)."""
+    """Return the cell file schema's type of a shape value: list of sizes [m], one size, or `true`."""
     if not kind.sizes:
         return Literal[True]
     return float if len(kind.sizes) == 1 else tuple[(float,) * len(kind.sizes)]
@@ -70,12 +70,12 @@ class SomeShape(_Sized, Strict):
         return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
 
     def given(self) -> dict[str, Any]:
-        """Return the values of all shape keys in a cell file entry that the cell file gives, by key."""
+        """Return the values of all shape keys in an entry, by the cell file's schema."""
         own = {key: value for key in SHAPE_KEYS if (value := getattr(self, key)) is not None}
         return {**own, **self.package_shape}
 
     def sized(self) -> tuple[str, list[float]] | None:
-        """Return the name and the sizes [m] of a cell file's shape; None for a mesh, a cloud or no shape."""
+        """Return name and sizes [m] of a cell schema's shape; None for a mesh, a cloud or no shape."""
         for name, value in self.given().items():
             if name in ("mesh", "cloud"):
                 return None
@@ -108,9 +108,7 @@ class TypeSpec(Strict):
 
 
 class ThreadSpec(Strict):
-    """Cell file schema of an object's screw thread, which turns about its z axis and advances by `pitch` per
-    turn.
-    """
+    """Cell file schema of a screw thread: the object turns about its z axis, `pitch` per turn."""
 
     into: str  # an object defined earlier in the file
     pitch: float = Field(gt=0)  # [m]
@@ -278,9 +276,7 @@ class MarkerSpec(Strict):
 
 
 class PerceptionSpec(Strict):
-    """Cell file schema of objects whose poses only a camera measures; they are unknown before the first
-    `look`.
-    """
+    """Cell file schema of objects whose poses only a camera measures; unknown before the first `look`."""
 
     camera: str
     objects: list[str] = Field(min_length=1)
@@ -288,9 +284,7 @@ class PerceptionSpec(Strict):
 
 
 class DropSpec(Strict):
-    """Cell file schema of objects that physics drops into a bin before the task begins; the seed sets their
-    poses.
-    """
+    """Cell file schema of objects that physics drops into a bin; the seed sets their poses."""
 
     into: str  # fixed object with a level floor
     objects: list[str] = Field(min_length=1)
@@ -327,12 +321,12 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """Return the placement that a cell file's task step must achieve, or None for other steps."""
+        """Return the placement that a task step in the cell file's schema must achieve, else None."""
         return self.place or self.transfer
 
     @property
     def camera(self) -> str | None:
-        """Return the camera that a cell file's task step uses, or None."""
+        """Return the camera that a task step in the cell file's schema uses, or None."""
         return self.transfer.look if self.transfer else self.look
 
 
@@ -349,9 +343,7 @@ class PushSpec(Strict):
 
 
 class MovedSpec(Strict):
-    """Cell file schema of a disturbance that displaces an object at time `at` without the planners'
-    knowledge.
-    """
+    """Cell file schema of a disturbance that moves an object at time `at` unknown to the planners."""
 
     by: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in world axes
     turn_deg: float = 0.0  # about the vertical axis through the object's origin
@@ -379,7 +371,7 @@ class ControllerSpec(Strict):
 
 
 class RosSpec(Strict):
-    """ROS names, sensors and planners in a cell file, for Unity, ROS 1 and ROS 2 connections."""
+    """Cell file schema of ROS names, sensors and planners, for Unity, ROS 1 and ROS 2 connections."""
 
     namespace: str = ""
     remap: dict[str, str] = {}  # armcell's names -> external names
@@ -451,7 +443,7 @@ def _shape_keys(model: type[SomeShape]) -> list[str]:
 
 
 def _known_keys(location: tuple) -> list[str]:
-    """Return the valid keys at the location of an unknown key in a cell file."""
+    """Return the schema's valid keys at the location of an unknown key in a cell file."""
     tables = {
         "randomize": RandomSpec,
         "cameras": CameraSpec,

@@ -118,8 +118,7 @@ def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
 
 
 def propose_from_package(folder: Path) -> Proposal:
-    """Propose in the setup assistant a cell for an existing MoveIt package, with its groups, states, pairs
-    and limits.
+    """Propose a cell for an existing MoveIt package, with its groups, states, pairs and limits (setup).
 
     Raises:
         InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type.
@@ -129,8 +128,7 @@ def propose_from_package(folder: Path) -> Proposal:
 
 
 def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
-    """Write a MoveIt package and its cell as the setup assistant's result into a folder, atomically: all
-    files or none.
+    """Write the setup assistant's MoveIt package and cell into a folder atomically: all files or none.
 
     Args:
         force: write into a folder that is not empty.
@@ -141,9 +139,7 @@ def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
 
 
 def cell_files(proposal: Proposal, package: str) -> dict[str, str]:
-    """Return the text of each file that the setup assistant writes (MoveIt package and cell), by relative
-    path.
-    """
+    """Return the files that the setup assistant writes (MoveIt package and cell), by relative path."""
     model = proposal.model
     if proposal.package is not None:
         return {**proposal.package.texts(package), "cell.yaml": _cell_yaml(model)}
@@ -225,9 +221,7 @@ def _cell_yaml(model: RobotModel) -> str:
 
 
 def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
-    """Return the setup assistant's task for a cell without objects: moves to named states of all arms, else a
-    hold.
-    """
+    """Return the setup assistant's task for a cell without objects: named states of all arms, or a hold."""
     tables = [model.named_states.get(arm, {}) for arm in arms]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]
     names = [name for name in ("ready", "home") if name in shared] or shared[:2]

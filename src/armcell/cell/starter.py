@@ -111,9 +111,7 @@ def _arms(model: RobotModel) -> list[Group]:
 
 
 def _reach(model: RobotModel) -> float:
-    """Return the largest horizontal distance [m] of an arm's tip from the robot base's z axis, to lay out a
-    starter cell.
-    """
+    """Return the horizontal reach [m] of an arm from the robot's base, to lay out a starter cell."""
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
@@ -125,9 +123,7 @@ def _reach(model: RobotModel) -> float:
 
 
 def _bottom(model: RobotModel) -> float:
-    """Return the lowest point [m] of the links that do not move, or 0 without geometry, to place a starter
-    cell's table.
-    """
+    """Return the lowest point [m] of unmoved links, or 0 without geometry, for a starter cell's table."""
     fixed = next(links for links in model.rigid_groups if model.root_link in links)
     tree, q, lowest = kinematic_tree(model), model.default_positions(), [0.0]
     for name in fixed:
@@ -174,7 +170,7 @@ def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str
 
 
 def _task_states(model: RobotModel, table: float, side: float) -> list[str]:
-    """Return the collision-free named states for a starter cell's task that all arms have, "home" last."""
+    """Return the collision-free named states that all arms have, for a starter cell's task; "home" last."""
     tables = [model.named_states.get(arm.name, {}) for arm in _arms(model)]
     shared = [s for s in (tables[0] if tables else {}) if all(s in t for t in tables)]
     free = [s for s in shared if _free(model, {a.name: s for a in _arms(model)}, table, side)]

@@ -122,7 +122,7 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """Error for a goal of twin learning to which no motion can be planned, or whose motion the twin rejects."""
+    """Error for a goal of twin learning without a plannable motion, or whose motion the twin rejects."""
 
 
 def _go(live: LiveCell, group: str, q: np.ndarray, speed: float, tell: Callable[[str], None]) -> None:

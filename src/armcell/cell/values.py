@@ -110,7 +110,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Expand a named or default value on a path, of a cell file, so that a part of it can be changed."""
+    """Expand a named or default value on a cell value's path, so that a part of it can be changed."""
     match path.split("."):
         case ["cameras", name, "noise", _]:
             camera = _table(data, "cameras").get(name)
@@ -178,7 +178,7 @@ def _known(data: dict[str, Any]) -> Iterator[str]:
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:
-    """Yield as value path the dotted path of every key in nested mappings, such as `objects.cube.mass`."""
+    """Yield the dotted path of every cell value in nested mappings, such as `objects.cube.mass`."""
     for key, value in data.items() if isinstance(data, dict) else ():
         yield f"{before}{key}"
         yield from _paths(value, f"{before}{key}.")

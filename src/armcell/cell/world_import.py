@@ -25,7 +25,7 @@ def import_world(
     prefix: str = "",
     T_cell_world: SE3 | None = None,
 ) -> SdfWorld:
-    """Load an SDF world and return it with its objects in the cell frame, checked and converted from Gazebo.
+    """Load a Gazebo world and return it with its objects in the cell frame.
 
     Args:
         folders, skip: see `load_sdf`.
@@ -46,8 +46,7 @@ def import_world(
 def write_imported(
     objects: Iterable[CollisionObject], file: Path, robot: str | None, force: bool = False
 ) -> None:
-    """Write objects imported from a Gazebo world to a file: a cell with a robot, or an objects file without
-    one.
+    """Write objects imported from Gazebo to a file: a cell with a robot, or else an objects file.
 
     The file is written only if it can be loaded. Meshes are written to the same folder. `load_objects` reads
     an objects file.
@@ -88,7 +87,7 @@ def add_to_cell(objects: Sequence[CollisionObject], cell: str | Path) -> Path:
 
 
 def with_objects(text: str, entries: dict) -> str:
-    """Extend a cell file by imported objects: return the text with entries at the end of its block `objects`."""
+    """Return a cell file's text with imported objects as more entries at the end of its block `objects`."""
     block = objects_text(entries).partition("\n")[2]
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
@@ -113,8 +112,7 @@ def with_objects(text: str, entries: dict) -> str:
 
 
 def _write_checked(file: Path, text_of, objects: Iterable[CollisionObject], is_cell: bool) -> None:
-    """Write imported objects safely: write a temporary file, check that it can be loaded, and rename it to
-    the target file.
+    """Write imported objects to a temporary file, check that it loads, and rename it to the target.
 
     Args:
         text_of: returns the text of the file for the entries of the objects.

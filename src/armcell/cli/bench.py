@@ -17,4 +17,4 @@ app.command("timing")(robot_options(bench_timing.timing))
 
 @app.callback()
 def _group() -> None:
-    """Run benchmarks of armcell (`armcell bench`)."""
+    """Run one of armcell's benchmarks."""

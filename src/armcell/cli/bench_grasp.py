@@ -47,7 +47,7 @@ def grasp(
         None, "--json", metavar="OUT", help="A summary and a row per object."
     ),
 ) -> int:
-    """Grasp benchmark: pick, lift by 20 cm, hold for 5 s and place objects within 1 cm, by friction only.
+    """Benchmark grasps: pick, lift by 20 cm, hold for 5 s and place objects within 1 cm, by friction only.
 
     Each object starts at rest on a table. An object from a file is scaled down if its narrowest side takes
     more than 75 % of the gripper's opening; objects that still cannot be gripped are counted separately.

@@ -47,7 +47,7 @@ def ik(
         None, "--json", metavar="FILE", help="Write a summary and a row per pose."
     ),
 ) -> int:
-    """IK benchmark: solve inverse kinematics for random reachable poses: success, time, solutions, error.
+    """Benchmark inverse kinematics on random reachable poses: success, time, solutions, error.
 
     The poses come from random joint positions within limits, so each pose has a solution. Times are CPU time
     of one thread in microseconds, the fastest of three calls: "compiled" finds all branches (analytic) or one
@@ -91,7 +91,7 @@ def _solver(robot: str, group: str | None, tip: str | None, numeric: bool) -> IK
 
 
 def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
-    """Return the model with a new group of all joints that move a link, and its name, for the IK benchmark."""
+    """Return the IK benchmark's model with a new group of all joints that move a link, and its name."""
     from armcell.model import Group
 
     model.link(tip)
@@ -105,7 +105,7 @@ def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
 
 
 def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray], Any]:
-    """Return for the IK benchmark the compiled part of an IK solver as a function of T_root_tip (4, 4)."""
+    """Return the compiled part of an IK solver as a function of T_root_tip (4, 4), for the IK benchmark."""
     from armcell.kinematics.ik.chain import goal_in_base
     from armcell.kinematics.ik.search import any_solution
     from armcell.kinematics.ik.ur import BRANCHES, ur_branches

@@ -28,7 +28,7 @@ def mbm(
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
-    """Plan MotionBenchMaker's problems: time to search, shorten and prove paths.
+    """Benchmark planning on MotionBenchMaker's problems: time to search, shorten and prove paths.
 
     Times are CPU time of one thread in microseconds. The native planner proves
     every edge while it shortens the path: its certify_us is 0, and its simplify_us includes the proof. A
@@ -104,7 +104,7 @@ def _tasks(data: dict[str, Any], file: Path, model, limit: int) -> Iterator[benc
 
 
 def scene_of(model, fixed: dict[str, float], problem: dict[str, Any]):
-    """Return the planning scene of a MotionBenchMaker problem: the robot, its fixed joints and the obstacles."""
+    """Return a MotionBenchMaker problem's scene: the robot, its fixed joints and the obstacles."""
     from armcell.scene import CollisionObject, PlanningScene
 
     q = model.neutral()

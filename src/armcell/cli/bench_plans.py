@@ -38,7 +38,7 @@ MAX_LINES = 20  # printed lines of unsolved problems
 
 @dataclass(frozen=True, eq=False)
 class PlanTask:
-    """Planning benchmark task: a (dof,) start and (g, dof) goals of the named joints in a scene."""
+    """Task of a planning benchmark: (dof,) start and (g, dof) goals of the named joints in a scene."""
 
     family: str
     index: int
@@ -91,9 +91,7 @@ def run(
 
 
 def touching(checker: KernelChecker, start: Array, goals: Array) -> str:
-    """Describe a planning benchmark task's contacts at the start, or at a goal if no goal is free; else
-    empty.
-    """
+    """Describe a planning benchmark's contacts at the start, or at a goal if none is free; else empty."""
 
     def contacts(q: Array) -> str:
         if checker.exact.is_free(q):

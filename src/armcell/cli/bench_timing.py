@@ -44,7 +44,7 @@ def timing(
         None, "--json", metavar="OUT", help="Write one row per path as JSON."
     ),
 ) -> int:
-    """Timing benchmark: time random paths: CPU time, durations compared with toppra, and limit violations.
+    """Benchmark the timing of random paths: CPU time, durations compared with toppra, limit violations.
 
     A path is a random walk of the group's joints with rounded corners. `us` is CPU time of one thread from
     waypoints to trajectory (compiled code, best of three). `of limit` is the largest velocity, acceleration
@@ -122,9 +122,7 @@ def _rows(robot: str, group: str, waypoints: int, count: int, step: float, devia
 
 
 def _cpu(function: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the timing benchmark's least CPU time of this thread [us] over several calls, and the last
-    result.
-    """
+    """Return the timing benchmark's least CPU time [us] over several calls, and the last result."""
     best, result = np.inf, None
     for _ in range(REPEAT):
         began = time.thread_time()

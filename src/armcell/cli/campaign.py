@@ -64,8 +64,7 @@ def campaign(
     runs: Path = typer.Option(Path("runs"), metavar="FOLDER", help="Where the campaign's folder goes."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON."),
 ) -> int:
-    """`armcell campaign`: run a cell's task many times in physics with varied values; report success and
-    failures.
+    """Run a campaign: a cell's task many times in physics with varied values; report success and failures.
 
     Every finished trial is saved at once (trials.jsonl): after Ctrl-C or a crash, continue with --resume.
     Writes report.html, report.md and summary.json. Exit status 0 if every trial succeeded, 1 if not.
@@ -105,8 +104,7 @@ def campaign(
 
 
 def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, Any]:
-    """Command line part of a campaign: run the missing trials, write the report, print and return the
-    summary.
+    """Run a campaign command's missing trials, write the report, print and return the summary.
 
     Args:
         workers: number of processes; 0: one per core.

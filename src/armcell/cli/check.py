@@ -17,7 +17,7 @@ def check(
     cell: str = typer.Argument(..., help="Built-in cell, folder with cell.yaml, or YAML file."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the findings as JSON."),
 ) -> int:
-    """`armcell check`: check a cell without running it: files, limits, start state, objects, reach.
+    """Check a cell without running it: files, limits, start state, objects, reach.
 
     Exit status 0 if all checks pass, 1 with the hints if not.
     """
@@ -149,7 +149,7 @@ def _reach(cell, scene, item: str, gripper) -> Finding:
 
 
 def cells() -> None:
-    """`armcell cells`: list the built-in cells and robots."""
+    """List the built-in cells and robots."""
     from armcell.cell import built_in_cells
     from armcell.model import robot_names
 

@@ -20,8 +20,7 @@ def check_state(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """`armcell check-state`: show a state's contacts, the nearest distance, and each joint's distance to its
-    limits.
+    """Check a robot state: show contacts, the nearest distance, and each joint's distance to its limits.
 
     Without --to or --joints, the state is the cell's start.
 

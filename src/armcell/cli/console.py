@@ -27,7 +27,7 @@ def err(text: str) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Check that a command's output file can be written, before a long run starts.
+    """Check that a console command's output file can be written, before a long run starts.
 
     Raises:
         InputError: the folder is missing or not writable, or the path is a folder.
@@ -46,7 +46,7 @@ def check_writable(path: Path) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a command's JSON file atomically: write a temporary file, then rename it."""
+    """Write a console command's JSON file atomically: temporary file, then rename."""
     text = json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n"
     handle, temporary = tempfile.mkstemp(dir=path.resolve().parent, prefix=f".{path.name}.")
     try:

@@ -38,7 +38,7 @@ def doctor(
     ),
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """`armcell doctor`: check the installation and a cell's requirements; print each fault with its hint.
+    """Check the installation and a cell's requirements; print each fault with its hint.
 
     Example: armcell doctor panda_pick --connect 192.168.1.20:10000
 
@@ -143,7 +143,7 @@ def ports() -> Iterator[Line]:
 
 
 def endpoint(connect: str) -> Line:
-    """`armcell doctor`: check whether a ROS-TCP endpoint accepts connections; name the cause if it does not.
+    """Check for `armcell doctor` whether a ROS-TCP endpoint accepts connections; name the cause if not.
 
     Causes are a wrong address, an endpoint that is not running, or a firewall.
     """
@@ -168,8 +168,7 @@ def endpoint(connect: str) -> Line:
 
 # --- a cell ---
 def of_cell(name: str) -> Iterator[Line]:
-    """Yield `armcell doctor`'s results for a cell: those of `armcell check` and of further checks of a cell
-    or MoveIt package.
+    """Yield `armcell doctor`'s results for a cell: those of `armcell check` and of further checks.
 
     Further checks: the robot's files and meshes, transforms, effort limits, gains, drives and controllers.
     """
@@ -218,7 +217,7 @@ class _Warnings(logging.Handler):
 
 
 def transforms(model: Any) -> Iterator[Line]:
-    """`armcell doctor`: check that all links form one tree below the root link."""
+    """Check for `armcell doctor` that all links form one tree below the root link."""
     below = set(model.subtree(model.root_link))
     loose = [name for name in model.links if name not in below]
     if loose:
@@ -228,7 +227,7 @@ def transforms(model: Any) -> Iterator[Line]:
 
 
 def strength(loaded: Any) -> Iterator[Line]:
-    """`armcell doctor`: check that the drives can hold the robot at its start state: effort limits and gains."""
+    """Check for `armcell doctor` that the drives can hold the robot at its start: effort limits, gains."""
     import numpy as np
 
     from armcell.kinematics import InverseDynamics
@@ -254,7 +253,7 @@ def strength(loaded: Any) -> Iterator[Line]:
 
 
 def controllers(model: Any) -> Iterator[Line]:
-    """`armcell doctor`: yield the controllers that accept trajectories, with the joints of each."""
+    """Yield for `armcell doctor` the controllers that accept trajectories, with the joints of each."""
     groups = [g.arm_group for g in model.grippers.values()]
     groups = groups or [g.name for g in model.groups.values() if g.tip_link]
     for group in groups:

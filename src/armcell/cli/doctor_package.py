@@ -19,7 +19,7 @@ DRIVER_FILES = (
 
 
 def of_package(folder: Path) -> Iterator[Line]:
-    """`armcell doctor`: check a MoveIt package: files, one controller per joint, and controller names."""
+    """Check a MoveIt package for `armcell doctor`: files, one controller per joint, and controller names."""
     try:
         config = MoveItConfig.load(folder)
     except InputError as error:
@@ -32,8 +32,7 @@ def of_package(folder: Path) -> Iterator[Line]:
 
 
 def moved_joints(config: MoveItConfig) -> Iterator[Line]:
-    """Check of a MoveIt package by `armcell doctor`: every joint of each planning group has exactly one
-    controller.
+    """Check for `armcell doctor` that a MoveIt package has one controller for every joint of its groups.
 
     MoveIt refuses to execute a motion if a joint has no controller. If a joint has several default
     controllers, the choice is arbitrary.
@@ -58,9 +57,7 @@ def moved_joints(config: MoveItConfig) -> Iterator[Line]:
 
 
 def driver_names(config: MoveItConfig) -> Iterator[Line]:
-    """Check of a MoveIt package by `armcell doctor`: the controller manager's file has the controllers and
-    joints of the package.
-    """
+    """Check for `armcell doctor` that a MoveIt package's controllers are in the controller manager's file."""
     for file in (config.folder / "config" / name for name in DRIVER_FILES):
         if file.is_file() and file.name != config.names.get("controllers"):
             yield from _compared(config, file)

@@ -12,5 +12,5 @@ SEED = typer.Option(
 
 
 def drawn(seed: int | None, mode: str) -> int | None:
-    """Draw for a command: return the seed: the given seed, else 0; in mode real None (the nominal cell)."""
+    """Return the seed from which a command draws random values: given, else 0; None in mode real."""
     return 0 if seed is None and mode != "real" else seed

@@ -11,8 +11,7 @@ from armcell.core.pauses import no_long_pauses
 
 
 def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
-    """Run opened emulated controllers (UR, Franka) from the command line until a signal ends them, then close
-    them and the trace file.
+    """Run emulators of controllers (UR, Franka) for a command until a signal ends them.
 
     Args:
         rack: an `emulators.rack.Rack` whose ports are open.

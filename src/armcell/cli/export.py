@@ -60,9 +60,7 @@ def unity(
         None, min=0, help="Draw of the randomised values; the cell's nominal ones by default."
     ),
 ) -> None:
-    """`armcell export unity`: write a cell for Unity: armcell's C# package, the robot, its meshes and the
-    scene.
-    """
+    """Export a cell for Unity: armcell's C# package, the robot, its meshes and the scene."""
     from armcell.cell import load
     from armcell.ros.unity import export_unity
 
@@ -85,7 +83,7 @@ def urdf(
         ..., "--output", "-o", metavar="FOLDER", help="Folder (made when missing) for robot.urdf and meshes/."
     ),
 ) -> None:
-    """`armcell export urdf`: write a cell's robot as one flattened URDF, with its meshes beside the file."""
+    """Export a cell's robot as one flattened URDF, with its meshes beside the file."""
     from armcell.cell import load
     from armcell.core import InputError
     from armcell.ros.unity import write_urdf

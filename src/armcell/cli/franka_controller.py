@@ -44,8 +44,7 @@ def franka_controller(
         help="Put the arm and objects back to their start once the client has left for 1 s.",
     ),
 ) -> int:
-    """`armcell franka-controller`: emulate a Franka controller: FCI commands, 1 kHz state, and hand, until
-    Ctrl-C.
+    """Emulate a Franka controller: FCI commands, 1 kHz state, and hand, until Ctrl-C.
 
     Runs with real-time priority if permitted (as root on Linux).
     """
@@ -83,7 +82,7 @@ def franka_operator(
     host: str = typer.Argument(..., help="The emulated robot's address."),
     command: list[str] = typer.Argument(..., help='What to do, such as "user stop on" or "help".'),
 ) -> int:
-    """Command to act as the operator of an emulated Franka: user stop, brakes, Desk, and injected faults."""
+    """Act as the operator of an emulated Franka: user stop, brakes, Desk, and injected faults."""
     from armcell.emulators.franka.operator_server import PORT
 
     try:

@@ -43,7 +43,7 @@ def gate(
         "real arms print it.",
     ),
 ) -> int:
-    """`armcell gate`: issue the signed gate record that `armcell run --mode real` requires.
+    """Issue the signed gate record that `armcell run --mode real` requires.
 
     A campaign must show that the task succeeds in at least 95 % of trials in physics, at the lower end of the
     exact 95 % interval, and must have varied a value: 'randomize' or 'drop' of the cell, or parameters.

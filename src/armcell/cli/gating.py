@@ -16,8 +16,7 @@ WITHOUT_GATE = typer.Option(
 
 
 def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
-    """Check a cell's gate record before a command runs in mode real; return {"gate": entry for the run's
-    record}.
+    """Check a cell's gate record before a command runs in mode real; return {"gate": record entry}.
 
     In other modes, return an empty dict.
 
@@ -50,7 +49,7 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
 
 
 def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Return {"gate": entry} in mode real as gate record for motions without a campaign, e.g. of clients.
+    """Return {"gate": entry} for a command in mode real whose motions have no campaign, e.g. of clients.
 
     Such motions have no gate record, so a reason is required. In other modes, return an empty dict.
 

@@ -60,7 +60,7 @@ Triple = tuple[float, float, float]
 
 
 def arm_group(model: Any) -> str:
-    """Return as a command's default the planning group that carries a gripper, else the first chain.
+    """Return the planning group that carries a gripper, a command's default for goals.
 
     Raises:
         InputError: no planning group is a chain.
@@ -76,8 +76,7 @@ def arm_group(model: Any) -> str:
 
 
 def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
-    """Parse joint positions on the command line: numbers for all joints of the group, or name=value for some
-    joints.
+    """Parse joint positions of a command line: numbers for all joints, or name=value for some joints.
 
     Raises:
         InputError: a value is not a number, or the number of values is wrong.
@@ -159,7 +158,7 @@ def request_of(
 
 
 def checked_json(json_file: Path | None) -> None:
-    """Check that a planning command's JSON file can be written, before the command starts its work."""
+    """Check that the goal command's JSON file can be written, before the command starts its work."""
     from armcell.cli.console import check_writable
 
     if json_file is not None:
@@ -184,9 +183,7 @@ def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
 def state_of(
     model: Any, group: str, scene: Any, to: str | None, joints: str | None, joints_deg: str | None
 ) -> JointState:
-    """Return a named state or given joint positions; from command line options; without options, the state of
-    the scene.
-    """
+    """Return the goal state that command line options name or give as positions; else the scene's."""
     given = {"--to": to, "--joints": joints, "--joints-deg": joints_deg}
     if not any(value is not None for value in given.values()):
         return scene.state

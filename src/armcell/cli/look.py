@@ -54,7 +54,7 @@ def look(
     ),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the numbers as JSON."),
 ) -> int:
-    """`armcell look`: detect objects (or markers) with a camera: pose, size and quality of the fit.
+    """Look with a camera for objects (or markers): print pose, size and quality of the fit.
 
     In a cell the picture is simulated, and "off" is the deviation from the true pose in the simulator.
     Exit status 0 if everything has a pose, 1 if not.

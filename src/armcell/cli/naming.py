@@ -26,7 +26,7 @@ ARGUMENTS = typer.Argument(
 
 @dataclass(frozen=True)
 class Naming:
-    """Naming: the ROS namespace and remappings from the command line.
+    """ROS namespace and remappings of names from the command line.
 
     Attributes:
         namespace: the namespace for all names; empty for none.

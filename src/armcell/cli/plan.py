@@ -30,8 +30,7 @@ def plan(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """`armcell plan`: plan a motion of a cell's arm and print its numbers; on failure, the reason and
-    remedies.
+    """Plan a motion of a cell's arm and print its numbers; on failure, the reason and remedies.
 
     Example: armcell plan panda_pick --pose 0.5 0.2 0.3 --planner ompl/RRTConnect
 

@@ -49,8 +49,7 @@ class Kept:
 def begin_record(
     cell: Any, scene: Any, seed: int | None, mode: str, kept: Kept, values: dict[str, Any], **more: Any
 ) -> Any:
-    """Return a recorder for a command's run with a new folder, for a `with` block; None if no record is
-    wanted.
+    """Return a recorder for a command's run with a new folder (`with` block); None without recording.
 
     Args:
         more: further data about the run for the record.
@@ -74,7 +73,7 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
 
 
 def in_words(error: BaseException | None) -> str:
-    """Return the reason for a run's failure from its exception, for the record; empty without an exception."""
+    """Return the reason of a run's failure for its record from an exception; empty without one."""
     if error is None or isinstance(error, ArmcellError):
         return "" if error is None else str(error)
     return f"{type(error).__name__}: {error}"

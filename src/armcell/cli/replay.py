@@ -42,8 +42,7 @@ def replay(
     allow_host: list[str] = ALLOW_HOST,
     open_browser: bool = OPEN,
 ) -> int:
-    """`armcell replay`: show a recorded run in the browser (time slider), or repeat it and compare bit for
-    bit.
+    """Replay a recorded run in the browser (time slider), or repeat it and compare bit for bit.
 
     With --execute, the exit status is 0 if all recorded states, events and plans are equal, 1 if not.
     A truncated record (killed process, full disk) is shown up to its end.
@@ -92,8 +91,7 @@ def diff(
     second: Path = typer.Argument(..., metavar="RUN2"),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write it as JSON."),
 ) -> int:
-    """`armcell diff`: compare two recorded runs: first different state, event and plan, and largest
-    deviation.
+    """Print the differences of two recorded runs: first different state, event and plan, largest deviation.
 
     Exit status 0 if the runs are equal, 1 if not. Planning times depend on the wall clock and do not count.
     """

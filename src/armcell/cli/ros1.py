@@ -27,7 +27,7 @@ OWN_MASTER = typer.Option(
 
 
 class Wire(NamedTuple):
-    """Wire: a command's connection of the bus to ROS 1 or other programs.
+    """A command's connection (wire) of the bus to ROS 1 or other programs.
 
     Attributes:
         ready: the message to print when the cell is ready.
@@ -50,8 +50,7 @@ Call it when the cell is ready: afterwards, other programs can reach the cell.
 def join(
     stack: ExitStack, bus: Any, name: str, own_master: bool | None, naming: Naming, bind: str | None
 ) -> Join:
-    """Find the ROS 1 master; return a function that joins the graph for a command until its exit stack
-    closes.
+    """Find the ROS 1 master for a command; return a function that joins the graph.
 
     Args:
         own_master: True starts a built-in master, False never does, None does if no master is reachable.

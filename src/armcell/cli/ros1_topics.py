@@ -14,7 +14,7 @@ WAIT = 3.0  # [s] for subscribers to connect and to receive the messages
 
 
 class GraphClient:
-    """A client of a ROS 1 graph for `armcell topic`, like a ROS-TCP client."""
+    """Client of a ROS 1 graph for topics and services commands, like a ROS-TCP client."""
 
     def __init__(self, bus: Any, graph: Any):
         self._bus, self._graph = bus, graph
@@ -27,9 +27,7 @@ class GraphClient:
         return {name: kind for name, kind in node.ask_master("getTopicTypes") if name in others}
 
     def wait_heard(self, topic: str) -> None:
-        """Wait in `armcell topic` until all ROS 1 subscribers that the master lists are connected, at most
-        `WAIT` seconds.
-        """
+        """Wait in `armcell topic` at most `WAIT` seconds until all ROS 1 subscribers are connected."""
         node = self._graph.node
         self._graph.wait_settled(WAIT)
         subscribers = dict(node.ask_master("getSystemState")[1]).get(topic, [])
@@ -50,7 +48,7 @@ class GraphClient:
 
 @contextmanager
 def joined_to_graph() -> Iterator[tuple[Any, GraphClient]]:
-    """Yield a new bus that is joined to the ROS 1 graph at ROS_MASTER_URI, and its client.
+    """Yield a new bus for topic commands, joined to the ROS 1 graph at ROS_MASTER_URI, and its client.
 
     Raises:
         InputError: no master answers.

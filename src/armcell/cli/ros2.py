@@ -23,7 +23,7 @@ DOMAIN = typer.Option(
 def join(
     stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None, namespace: str = ""
 ) -> Join:
-    """Read a command's ROS 2 settings; return a function that joins the domain.
+    """Read a command's ROS 2 options; return a function that joins the domain.
 
     The exit stack leaves the domain when it closes.
 

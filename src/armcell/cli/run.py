@@ -107,7 +107,7 @@ def run(
         help="Put a simulated camera's pictures into the record, 5 per second by default; may be repeated.",
     ),
 ) -> int:
-    """`armcell run`: run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
+    """Run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
 
     Prints the stage table and writes runs/<time>-<cell>/ with an HTML report, the numbers (result.json) and
     a record for Foxglove (run.mcap). Exit status 0 if the task succeeded, 1 if not.
@@ -283,9 +283,7 @@ def _print(result: dict[str, Any]) -> None:
 
 
 class _Bar:
-    """Progress bar of `armcell run` with the running stage; it pulses because the number of stages is
-    unknown.
-    """
+    """Progress bar of `armcell run` with the running stage; pulses, as the number of stages is unknown."""
 
     def __init__(self, progress: Progress):
         self._progress = progress

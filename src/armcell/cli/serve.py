@@ -106,8 +106,7 @@ def serve(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """`armcell serve`: run a cell and serve it: publish states; accept trajectories, planning, pick and
-    place.
+    """Run a cell and serve it: publish states; accept trajectories, planning, pick and place.
 
     Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. With --ros1, ROS programs
     see a node that publishes, plans and moves as MoveIt's move_group does; with --ros2, ROS 2 programs do.
@@ -169,7 +168,7 @@ class _Wires:
 
 
 def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
-    """Reserve `armcell serve`'s Unity port; return a function that serves Unity until the exit stack closes."""
+    """Reserve `armcell serve`'s Unity port; return a function that serves Unity until the stack closes."""
     from armcell.ros.transports import TcpTransport
 
     connect = reserved(stack, TcpTransport(bus, f"{bind}:{port}", protocol))
@@ -214,8 +213,7 @@ def sim(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """`armcell sim`: run a cell in place of Unity: connect to a ROS-TCP endpoint as Unity would, until
-    Ctrl-C.
+    """Run a cell in place of Unity: connect to a ROS-TCP endpoint as Unity would, until Ctrl-C.
 
     With --ros1 or --ros2, the cell is a node that publishes states and takes trajectories and gripper
     commands.
@@ -256,9 +254,7 @@ def sim(
     client: RosTcpClient | None = None
 
     def joined(inside: Any) -> None:
-        """Connect `armcell sim` to the endpoint once the cell publishes, because the topics are unknown
-        before.
-        """
+        """Connect `armcell sim` to the endpoint once the cell publishes, as topics are unknown before."""
         nonlocal client
         kept = ("/clock", "/joint_states", "/tf", STATUS)
         topics = inside.topics()

@@ -21,7 +21,7 @@ def call(
     ros1: bool = ROS1,
     timeout: float = typer.Option(60.0, min=0.1, help="Seconds to wait for the answer."),
 ) -> None:
-    """`armcell service call`: call a service and print its response as YAML.
+    """Call a ROS service and print its response as YAML.
 
     The protocol has no list of services, so the type is required; `armcell msg list` shows the types.
     """

@@ -71,7 +71,7 @@ def setup(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """`armcell setup`: create a cell and a MoveIt package from a URDF: groups, gripper, poses, link pairs.
+    """Set up a robot: create a cell and a MoveIt package from a URDF, with groups, gripper, poses, pairs.
 
     Exit status 0 if the folder was written.
     """

@@ -31,8 +31,7 @@ def tf(
     domain: int | None = DOMAIN,
     seconds: float = typer.Option(2.0, "--for", metavar="SECONDS", min=0.2, help="How long to listen."),
 ) -> int:
-    """`armcell tf`: print the frame tree with rates and ages, then its faults; exit status 1 if it has
-    faults.
+    """Print the tf frame tree with rates and ages, then its faults; exit status 1 if it has faults.
 
     Faults: missing frames, two parents, cycles, several trees, stale frames, wrong stamps, bad numbers.
     Without an address, the cell itself runs for the given time (mode fake).

@@ -28,7 +28,7 @@ WAIT = 3.0  # [s] timeout to connect and to list the topics
 
 @app.command("list")
 def list_topics(connect: str = CONNECT, ros1: bool = ROS1) -> None:
-    """`armcell topic list`: list the topics and their message types."""
+    """List the ROS topics and their message types."""
     with joined_to(connect, ros1=ros1) as (_, client):
         for name, type_name in sorted(_topics(client).items()):
             console.print(f"{name}  {type_name}", soft_wrap=True, markup=False)
@@ -39,7 +39,7 @@ def echo(
     topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
     count: int | None = COUNT,
 ) -> None:  # fmt: skip
-    """`armcell topic echo`: print the messages of a topic as YAML. Ctrl-C ends the command."""
+    """Print the messages of a ROS topic as YAML. Ctrl-C ends the command."""
     for n, message in enumerate(_messages(topic, type_name, connect, ros1, queue_size=100)):
         console.print(
             yaml.safe_dump(plain(message), sort_keys=False), "---", sep="", soft_wrap=True, markup=False
@@ -53,7 +53,7 @@ def hz(
     topic: str, type_name: str | None = TYPE, connect: str = CONNECT, ros1: bool = ROS1,
     count: int | None = COUNT,
 ) -> None:  # fmt: skip
-    """`armcell topic hz`: print the rate of a topic once per second. Ctrl-C ends the command."""
+    """Print the rate of a ROS topic once per second. Ctrl-C ends the command."""
     arrivals: list[float] = []
     reported_at = time.monotonic()
     for n, _ in enumerate(_messages(topic, type_name, connect, ros1, queue_size=10_000)):
@@ -79,7 +79,7 @@ def pub(
     rate: float | None = typer.Option(None, "--rate", "-r", min=0.01, help="Hz; once without."),
     count: int | None = COUNT,
 ) -> None:
-    """`armcell topic pub`: publish a message, once or at a rate."""
+    """Publish a message on a ROS topic, once or at a rate."""
     from armcell.ros import schema
 
     message = filled(schema().new(type_name), yaml_values(values))
@@ -143,8 +143,7 @@ def yaml_values(text: str) -> Any:
 def joined_to(
     connect: str, timeout: float = 10.0, ros1: bool = False, **bridge: dict[str, str]
 ) -> Iterator[tuple[Any, Any]]:
-    """Yield a new bus for `armcell topic` that is joined to a ROS-TCP endpoint or ROS 1 graph, and its
-    client.
+    """Yield `armcell topic`'s new bus, joined to a ROS-TCP endpoint or ROS 1 graph, and its client.
 
     Raises:
         InputError: no endpoint or master answers.

@@ -67,8 +67,7 @@ def ur_controller(
     ),
     off: bool = typer.Option(False, "--off", help="Begin powered off."),
 ) -> int:
-    """`armcell ur-controller`: emulate Universal Robots controllers: RTDE, dashboard and script ports, until
-    Ctrl-C.
+    """Emulate Universal Robots controllers: RTDE, dashboard and script ports, until Ctrl-C.
 
     Runs with real-time priority if permitted (as root on Linux).
     """
@@ -134,7 +133,7 @@ def ur_dashboard(
     host: str = typer.Argument(..., help="The robot's address."),
     command: list[str] = typer.Argument(..., help='What to send, such as "robotmode" or "power on".'),
 ) -> int:
-    """Command to send a line to a UR robot's dashboard server (real or emulated) and print its answer.
+    """Send a command to a UR robot's dashboard server (real or emulated) and print its answer.
 
     Common commands: robotmode, safetymode, power on, brake release, unlock protective stop, pause, play.
     """

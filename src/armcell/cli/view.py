@@ -45,7 +45,7 @@ def view(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """`armcell view`: plan in the browser: drag the goal, choose planner and speed, plan, preview, execute.
+    """View a cell in the browser and plan: drag the goal, choose planner and speed, preview, execute.
 
     The scene can be edited in the browser, too.
 
@@ -69,9 +69,7 @@ def view(
         recording = stack.enter_context(ExitStack())
 
         def connect(now: Any, observers: Sequence[Observer]) -> Any:
-            """Return a live cell for `armcell view` with its own record; an edited scene needs a new cell,
-            from time 0.
-            """
+            """Return a live cell for `armcell view` with its own record; an edited scene needs a new cell."""
             recording.close()
             run = LedRun(loaded, now, seed, mode, kept, {}, "the user of the page", command, gate=gate)
             recording.enter_context(run)

@@ -17,7 +17,7 @@ FRAME = 1 / 30  # [s]
 def show(
     scene: Any, trajectory: JointTrajectory | None, explanation: Explanation | None, at: PageAt, title: str
 ) -> None:
-    """Option `--view`: play a trajectory once in real time or show an explanation, then wait for Enter."""
+    """Show for the option `--view` a trajectory once in real time, or an explanation; wait for Enter."""
     from armcell.viewer import CellViewer, show_explanation
 
     with CellViewer(scene, title=title, **at._asdict()) as viewer:

@@ -34,9 +34,7 @@ FINE = 0.01  # [rad] smallest boxes of joint positions in `certify_any_time`
 
 @lru_cache(maxsize=64)
 def moved_links(model: RobotModel, group: str) -> frozenset[str]:
-    """Return the links that a group's joints move, including links mounted on them, such as fingers, for
-    two-arm checks.
-    """
+    """Return the links that an arm's joints move, with links mounted on them, to check arm against arm."""
     tree, columns = kinematic_tree(model), set(model.columns(model.group(group).joint_names))
     return frozenset(
         name
@@ -47,14 +45,14 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
-    """Return the model for two-arm checks with collisions disabled between given links and all other links."""
+    """Return the model for two-arm collision checks, without those between given and other links."""
     pairs = {frozenset((a, b)): "Other arm" for a in links for b in model.links if a != b}
     return replace(model, disabled_collisions={**model.disabled_collisions, **pairs})
 
 
 @lru_cache(maxsize=64)
 def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> RobotModel:
-    """Return the model for two-arm checks in which only links of set a can collide with links of set b."""
+    """Return the model for two-arm collision checks, only between links of set a and of set b."""
     pairs = combinations(model.links, 2)
     never = {
         frozenset((p, q)): "One arm" for p, q in pairs if not ((p in a and q in b) or (p in b and q in a))
@@ -64,7 +62,7 @@ def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> R
 
 @lru_cache(maxsize=64)
 def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the groups of the arms that a planning group consists of, or an empty tuple for one arm.
+    """Return the arm groups in a planning group, for two-arm collision checks; empty for one arm.
 
     The result has two or more groups, and no arm moves a link of another.
     """
@@ -79,7 +77,7 @@ def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
 
 
 def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
-    """Return for each body (link or held object) the index of the arm that moves it.
+    """Return for each body (link or held object) the arm that moves it, for two-arm collision checks.
 
     Args:
         groups: the arms' groups; the result maps a body's name to an index of this tuple.
@@ -89,7 +87,7 @@ def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
 
 
 def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
-    """Return two arms' nearest pair of bodies, which belong to different sides, at q (n,).
+    """Return the nearest pair of bodies of two arms at q (n,), for two-arm collision checks.
 
     Pairs whose contact the scene allows are ignored.
 
@@ -122,7 +120,7 @@ def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
 
 
 def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
-    """Return the scene without one arm and its held objects, for planning of other arms.
+    """Return the scene without one arm and its held objects, for collision checks of the other.
 
     The arm is placed at its model's default state, so that cached data of one plan can be reused for the
     next, wherever the arm is.
@@ -142,7 +140,7 @@ def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Return the columns (indices) of one arm's joints: those whose child link is a given link."""
+    """Return the columns (indices) of one arm's joints, to check collisions of two arms."""
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
 
@@ -192,7 +190,7 @@ class Arms:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """Return the exact checker (coal) of the pairs between two arms; slow, one configuration at a time."""
+        """Return the exact checker (coal) of the pairs between two arms; one slow configuration at a time."""
         return ExactChecker(self._bare, self.joint_names)
 
     def find_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:

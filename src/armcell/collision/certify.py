@@ -83,9 +83,7 @@ class MotionBound:
                     self.per_joint[p, k] += levers[a][joint] + levers[b][joint]
 
     def along(self, dq: Array) -> Array:
-        """Return upper bounds (p,) [m] of each pair's relative motion for a joint change dq (n,), to certify
-        a path.
-        """
+        """Return upper bounds (p,) [m] of each pair's motion for a joint change dq (n,), to certify it."""
         moving = np.abs(dq) > 0  # avoids 0 * inf for levers of infinite length
         return self.per_joint[:, moving] @ np.abs(dq)[moving]
 

@@ -81,9 +81,7 @@ def certify_timed(
 
 
 class _Moving:
-    """Robot and moving obstacles in a timed certification at a given time, with their pairs and motion
-    bounds.
-    """
+    """Robot and moving obstacles at one time of a timed certification, with pairs and motion bounds."""
 
     def __init__(self, scene, trajectory, moving, start_time, clearance):
         others = {k: v for k, v in scene.objects.items() if k not in {m.name for m in moving}}
@@ -115,9 +113,7 @@ class _Moving:
             self.checker.place_object(i, item.pose(t) @ T)
 
     def joint_travel(self, a: float, b: float) -> Array:
-        """Return upper bounds (n,) of each joint's motion between two times [rad or m], to certify a timed
-        motion.
-        """
+        """Return upper bounds (n,) of each joint's motion [rad or m] between two times, to certify it."""
         times = np.array([a, b]) - self.start
         ends = np.array([np.interp(times, self.trajectory.times, row) for row in self.travelled.T])
         return ends[:, 1] - ends[:, 0]
@@ -158,8 +154,7 @@ class _Moving:
 
 
 def _travelled(trajectory: JointTrajectory) -> Array:
-    """Return upper bounds (k, n) of each joint's accumulated motion at each point of a timed motion to
-    certify.
+    """Return upper bounds (k, n) of each joint's accumulated motion along a timed motion to certify.
 
     On each segment, the Bernstein coefficients of a polynomial's derivative bound the derivative (Farouki,
     "The Bernstein polynomial basis: a centennial retrospective", CAGD 2012).

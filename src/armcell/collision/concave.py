@@ -61,7 +61,7 @@ class _Reflex:
 
 @dataclass(eq=False)
 class _Piece:
-    """Part of a solid in a convex cell, produced by the decomposition along reflex edges.
+    """Part of a concave solid in a convex cell, produced by the decomposition along reflex edges.
 
     `caps` closes the surface for volumes only: its triangles may reach beyond the solid, where they cancel.
     """
@@ -79,25 +79,25 @@ class _Piece:
 
     @property
     def excess(self) -> float:
-        """Return the volume [m^3] of a decomposition piece's convex hull outside the solid."""
+        """Return the volume [m^3] of a concave piece's convex hull outside the solid."""
         return self.hull - _volume(self.triangles) - _volume(self.caps)
 
 
 class _Work:
-    """Working state of a concave solid's decomposition: the solid, and the remaining budget of points."""
+    """Working state of a concave solid's decomposition: the solid, and the remaining points."""
 
     def __init__(self, points: int, vertices: Array, faces: NDArray[np.int32]):
         self.left, self._vertices, self._faces = points, vertices, faces
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
-        """Return a mask of the points (n, 3) that are inside the solid to decompose."""
+        """Return a mask of the points (n, 3) that are inside the concave solid to decompose."""
         if not len(points):
             return np.zeros(0, bool)
         self.left -= len(points) * len(self._faces) // 10
         return np.abs(winding_numbers(points, self._vertices, self._faces)) > 0.5
 
     def hull(self, points: Array) -> float:
-        """Return the volume [m^3] of a decomposition piece's hull of points (n, 3), 0 if flat."""
+        """Return the volume [m^3] of a concave solid's piece: hull of points (n, 3), 0 if flat."""
         from scipy.spatial import ConvexHull, QhullError
 
         self.left -= len(points) + 150  # qhull's start takes as long as 150 points
@@ -147,12 +147,12 @@ def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[A
 
 
 def _volume(triangles: Array) -> float:
-    """Return the signed volume [m^3] between triangles (n, 3, 3) and the origin, for convex decomposition."""
+    """Return the signed volume [m^3] between triangles (n, 3, 3) of a concave solid and the origin."""
     return float(np.einsum("ni,ni->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2]))) / 6
 
 
 def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:
-    """Return both sides of the best reflex-edge cut of a piece, or None if no plane divides the piece.
+    """Return both sides of a concave piece's best cut along a reflex edge, or None.
 
     The first cuts of a cup or a bin save no volume, because a ring has the same hull as its disk. The score
     therefore also counts how far the reflex edges are resolved and distributed.
@@ -189,7 +189,7 @@ def _half(piece: _Piece, plane: Array, work: _Work) -> _Piece:
 
 
 def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
-    """Return the corners (n, 3) of a decomposition piece's cell that are inside the solid after a cut."""
+    """Return the corners (n, 3) of a concave solid's piece that are inside the solid after a cut."""
     cell, n = piece.cell, len(piece.cell)
     old = piece.corners[piece.corners @ plane[:3] + plane[3] < 0]
     pairs = np.array([(i, j) for i in range(n) for j in range(i)], int).reshape(-1, 2)
@@ -256,7 +256,7 @@ def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
 
 
 def clip(triangles: Array, plane: Array) -> tuple[Array, Array]:
-    """Clip triangles (n, 3, 3) by a cutting plane (4,), normal and offset.
+    """Clip a concave solid's triangles (n, 3, 3) by a cutting plane (4,), normal and offset.
 
     Returns:
         The part (k, 3, 3) with n x + d <= 0 without triangles in the plane, and the edges (e, 2, 3) of this

@@ -20,8 +20,7 @@ Solids = tuple[tuple[Shape, SE3], ...]
 
 
 def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> float:
-    """Bound a scene's displacement: return how much closer [m] two bodies can be in a scene than in the
-    planned scene.
+    """Bound displacement: return how much closer [m] two bodies can be than in the planned scene.
 
     The result is an upper bound: a motion that keeps this distance from everything in the planned scene is
     collision-free in the other scene.
@@ -79,7 +78,7 @@ def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
-    """Return an upper bound [m] of the displacement of an object's points between planned and present pose."""
+    """Return an upper bound [m] of the displacement of an object's points from planned to present pose."""
     if before is now:
         return 0.0
     turned = (now.rotation.matrix - before.rotation.matrix).ravel().tolist()
@@ -89,8 +88,7 @@ def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
 
 @lru_cache(maxsize=64)
 def _link_radii(model: RobotModel) -> Array:
-    """Return the distances (links,) [m] from each link's origin to the link's farthest point, for
-    displacement bounds.
+    """Return each link's distance (links,) [m] from its origin to its farthest point, to bound displacement.
 
     The order is that of the kinematic tree.
     """
@@ -100,9 +98,7 @@ def _link_radii(model: RobotModel) -> Array:
 
 @lru_cache(maxsize=256)
 def _radius(shapes: Solids) -> float:
-    """Return an upper bound [m] of the distance from the origin to any point of an object's shapes, to bound
-    its displacement.
-    """
+    """Bound the distance [m] of an object's points from its origin, to bound its displacement."""
     reach = 0.0
     for shape, T in shapes:
         center, half = local_bounds(shape)

@@ -141,9 +141,7 @@ class ExactChecker:
         self._query += 1
 
     def place_object(self, i: int, T_world_solid: SE3) -> None:
-        """Move a world geometry of the exact checker, given by index, to a pose that it keeps until the next
-        call.
-        """
+        """Move a world geometry of the exact checker, by index, to a pose that holds until the next call."""
         R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
         self._transforms[i].setTransform(R, T_world_solid.translation)
         self._world_center[i] = T_world_solid.apply(g.center)
@@ -274,8 +272,7 @@ class ExactChecker:
         return True
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the exact checker's padding of pairs that are within their padding at q (n,) but do not
-        touch.
+        """Reduce the exact checker's padding of pairs that at q (n,) are within it but do not touch.
 
         The new padding is 0.1 mm less than the current distance, so a motion can start at q and leave, but
         cannot come closer.
@@ -375,8 +372,7 @@ def _geometries(scene: PlanningScene) -> list[Geometry]:
 
 
 def neighbors(scene: PlanningScene, name: str, within: float = 0.002) -> list[str]:
-    """Return by exact distances the objects within a distance [m] of a world object, for example its
-    supports.
+    """Return the objects within an exact distance [m] of a world object, for example its supports.
 
     Args:
         name: object in the world.
@@ -412,7 +408,7 @@ def _object_distance(a: CollisionObject, b: CollisionObject, request: coal.Dista
 
 
 def overlaps(scene: PlanningScene, name: str, tolerance: float = 5e-4) -> list[tuple[str, float]]:
-    """Return by exact checks the objects that overlap an object in the world, with depths [m], deepest first.
+    """Return the objects that overlap a world object by exact checks, with depths [m], deepest first.
 
     Args:
         name: object in the world.

@@ -54,7 +54,7 @@ class Conflict:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A running motion in a motion proof, evaluated from the current instant on.
+    """Running motion in a motion proof, evaluated from the current instant on.
 
     Attributes:
         trajectory: the planned trajectory.
@@ -69,18 +69,16 @@ class Moving:
 
     @property
     def remaining(self) -> float:
-        """Return the time until a running motion ends [s]."""
+        """Return the time until a motion proof's running motion ends [s]."""
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: Array) -> Array:
-        """Return a running motion's commanded positions (k, n) at times (k,) [s] from now; constant after the
-        end.
-        """
+        """Return a motion proof's commanded positions (k, n) of a running motion at times (k,) [s]."""
         q = positions_at(self.trajectory, self.passed + after)
         return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
 
     def accelerations(self) -> Array:
-        """Return upper bounds (n,) of each joint's acceleration during a running motion.
+        """Return upper bounds (n,) of each joint's acceleration in a motion proof's running motion.
 
         Units are [rad/s^2 or m/s^2].
         """
@@ -88,7 +86,7 @@ class Moving:
         return most if self.blend is None else most + acceleration_bounds(self.blend)
 
     def knots(self) -> Array:
-        """Return the times [s] from now at which a running motion's polynomial segments meet."""
+        """Return the times [s] from now at which polynomial segments meet, for a motion proof."""
         times = self.trajectory.times - self.passed
         if self.blend is not None:
             times = np.union1d(times, self.blend.times - self.passed)
@@ -102,8 +100,7 @@ def first_conflict(
     shift: float = 0.0,
     planned: PlanningScene | None = None,
 ) -> Conflict | None:
-    """Return the first contact on the rest of a timed motion, also with other running motions, or None if it
-    is collision-free.
+    """Prove a timed motion free of scene and running motions, or return its first contact.
 
     None is a certificate. It covers the robot and all objects that it holds, including the states between
     samples, rounded corners, and the gap between the measured and the commanded start. Padding and contacts
@@ -160,7 +157,7 @@ def _conflict(
 
 
 def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certificate) -> Certificate:
-    """Return the certificate of a running motion's first contact, by bisection from any contact."""
+    """Return a motion proof's certificate of the first contact, by bisection from any contact."""
     edges = len(points) - 1
     free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # last waypoints of a free and a failed prefix
     while not_free - free > 1:
@@ -180,7 +177,7 @@ def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certifi
 def _timed(
     here: Array, motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Return the piecewise linear path of all running motions, which starts at the measured positions.
+    """Return a motion proof's piecewise linear path of all running motions from measured positions.
 
     Args:
         here: (n,) measured positions, which become the first waypoint.
@@ -195,7 +192,7 @@ def _timed(
 def _pieces(
     motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Convert all running motions to one piecewise linear path with deviations.
+    """Convert running motions for a motion proof to one piecewise linear path with deviations.
 
     Returns:
         Times (k,) [s] from now, positions (k, n), and the largest deviation of each joint (n,) [rad or m].
@@ -233,7 +230,7 @@ def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) ->
 
 
 def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, Array]:
-    """Return positions (k, n) and deviations (n,) of all joints of a group during a running motion.
+    """Return a group's positions (k, n) and deviations (n,) of all joints in a motion proof.
 
     Joints outside the motion keep their positions.
     """
@@ -246,7 +243,7 @@ def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, 
 
 
 def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
-    """Return the name of the smallest arm group that contains all joints of a running motion, or None."""
+    """Return the smallest arm group that contains all joints of a motion proof's motion, or None."""
     wanted = set(joint_names)
     groups = [g for g in scene.model.groups.values() if wanted <= set(g.joint_names)]
     groups = [g for g in groups if len(g.joint_names) >= ARM_JOINTS]
@@ -254,7 +251,7 @@ def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
 
 
 def passed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
-    """Return a running motion's trajectory time [s] that a possibly slowed robot at q (n,) has reached.
+    """Return the trajectory time [s] that a slowed robot at q (n,) has reached, for its motion proof.
 
     Args:
         trajectory: the trajectory that the robot executes.

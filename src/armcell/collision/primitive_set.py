@@ -79,9 +79,7 @@ class PrimitiveSet:
         return bound[order], index[order]
 
     def solids(self, index: Index, T: coal.Transform3s) -> Iterator[tuple]:
-        """Yield given spheres or cubes of a set as coal geometries with transforms; T is the pose of the
-        parts' frame.
-        """
+        """Yield spheres or cubes of a set as coal geometries with transforms; T is the parts' frame."""
         R, t, here = T.getRotation(), T.getTranslation(), coal.Transform3s()
         known: dict[float, coal.CollisionGeometry] = {}
         for k in index:

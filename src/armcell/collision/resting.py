@@ -81,8 +81,7 @@ def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) 
 
 
 def touching(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
-    """Return the contacts at q (n,) of bodies that the group moves, deepest contact first, to find resting
-    contacts.
+    """Return the contacts at q (n,) of bodies that the group moves, for resting contact; deepest first.
 
     If only the kernel reports a contact, the result is the nearest pair of the exact checker.
     """
@@ -109,8 +108,7 @@ def certify_from_rest(
     *,
     evidence: bool = True,
 ) -> Certificate:
-    """Certify that a piecewise linear motion (k, n) is collision-free, except for resting contact at its
-    start.
+    """Certify that a motion (k, n) is collision-free, except for resting contact at its start.
 
     The motion may start in resting contact and lead out of it. The exact checker measures pairs that touch at
     the start, or that are too close for a certificate with slack, until they are separated. All other pairs
@@ -363,8 +361,7 @@ class Leaving:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a near pair that comes into forbidden contact while others leave resting
-        contact, or None.
+        """Return the index of a near pair in new contact while others leave resting contact, or None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 
@@ -429,8 +426,7 @@ def _from(points: Array, at: float) -> Array:
 
 
 def _places(points: Array, at: float) -> Iterable[float]:
-    """Yield positions along a motion out of resting contact, with joint steps of at most `COARSE`, up to its
-    end.
+    """Yield positions along a motion out of resting contact, with joint steps of at most `COARSE`.
 
     The positions begin at `at` and are counted in edges: 2.5 is the middle of the third edge.
     """

@@ -33,8 +33,7 @@ collision-free state."""
 
 @dataclass(frozen=True)
 class LinkPair:
-    """Pair of links for the self-collision matrix with its sampled contacts and the reason to disable its
-    collisions.
+    """Pair of links for the self-collision matrix, with sampled contacts and the reason to disable it.
 
     `reason` has the SRDF's values: "Adjacent" (joined by a joint); "Always" and "Never" (in contact in all or
     none of the samples); "Default" (in contact in the default state, in a named state of the gripper that
@@ -56,8 +55,7 @@ class LinkPair:
 def link_pairs(
     model: RobotModel, samples: int = 100_000, seed: int = 0, progress: Progress | None = None
 ) -> list[LinkPair]:
-    """Return every pair of links with collision geometry, for the self-collision matrix, in the model's
-    order.
+    """Return every pair of links with collision geometry for the self-collision matrix, in model order.
 
     Args:
         model: its default state and the named states of its end effectors determine the reason "Default".
@@ -98,8 +96,7 @@ def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
 
 
 def random_states(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
-    """Sample random robot states for self-collisions (count, dof), uniformly distributed within the joint
-    limits.
+    """Sample robot states (count, dof) for self-collisions, uniformly within the joint limits.
 
     Joints without limits take values from -pi to pi.
     """
@@ -196,9 +193,7 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the gripper groups: for the self-collision survey: those of end effectors, and those without
-        joints of a chain.
-        """
+        """Return the gripper groups in the self-collision survey: of end effectors, or outside all chains."""
         model = self.model
         hands = {e.group for e in model.end_effectors.values()}
         driven = {n for g in model.groups.values() if g.tip_link for n in g.joint_names}
@@ -206,9 +201,7 @@ class _Survey:
 
     # --- on the meshes themselves ---
     def _distance(self, a: str, b: str) -> float:
-        """Return the signed self-collision distance [m] of two links at the exact checker's current
-        placement.
-        """
+        """Return the signed distance [m] of two links for self-collision, at the checker's placement."""
         return min(self.exact.pair_distance(i, j) for i in self.solids[a] for j in self.solids[b])
 
     def _touch(self, a: str, b: str, q: Array) -> bool:
@@ -247,7 +240,7 @@ class _Survey:
         return False
 
     def _between(self, a: str, b: str) -> list[int]:
-        """Return the columns of the joints that move one link relative to another, to search self-collisions."""
+        """Return the columns of the joints that move one link relative to another, for self-collisions."""
         tree = self.exact.tree
         apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
         return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

@@ -93,9 +93,7 @@ def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding
 
 
 def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shape, SE3, float]]:
-    """Yield for the self-filter shape, T_world_shape and scale of robot links, held objects and other
-    objects.
-    """
+    """Yield shape, T_world_shape and scale of robot links, held and other objects, for the self-filter."""
     tree = kinematic_tree(scene.model)
     Ts = [SE3.from_matrix(T) for T in tree.link_transforms(scene.positions)]
     for link in scene.model.links.values():
@@ -119,8 +117,7 @@ def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) 
 
 
 def _outside(shape: Shape, p: Array) -> Array:
-    """Return how far [m] each cloud point (n, 3) is outside a robot's or object's convex shape; negative
-    inside.
+    """Return how far [m] each point (n, 3) to filter is outside a robot's convex shape; < 0 inside.
 
     The value is the largest signed distance from any of the shape's faces.
     """

@@ -78,8 +78,7 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
 
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
-    """Return whether a watertight mesh fills its convex hull up to `CONVEX_EXCESS`, before its conversion to
-    coal.
+    """Return whether a watertight mesh fills its convex hull up to `CONVEX_EXCESS`, to convert it for coal.
 
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """

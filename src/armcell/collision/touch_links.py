@@ -13,8 +13,7 @@ NEAR = 0.002
 
 
 def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tuple[str, ...]:
-    """Detect touch links: return the links within a distance [m] of an object at the current state, nearest
-    first.
+    """Return the touch links: links within a distance [m] of an object now, nearest first.
 
     Allowed contacts of the scene do not affect the result.
 

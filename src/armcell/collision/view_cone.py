@@ -70,7 +70,7 @@ def link_hull_distances(
 
 
 def links_in_hull(scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()) -> dict[str, float]:
-    """Return the robot's links that intersect a view cone, the convex hull of points (k, 3), with depths [m]."""
+    """Return the robot's links that intersect a view cone, the hull of points (k, 3), with depths [m]."""
     return {
         name: -apart for name, apart in link_hull_distances(scene, corners, ignored).items() if apart <= 0
     }

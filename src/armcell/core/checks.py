@@ -19,7 +19,7 @@ _FEW = 32  # arrays with fewer numbers are checked faster one by one than by np.
 
 
 def settings_from(cls: type[T], values: Any, what: str) -> T:
-    """Create a settings dataclass from a nested mapping, with type checks, such as a parsed YAML file.
+    """Check a nested mapping, such as parsed YAML, and create a settings dataclass from it.
 
     Raises:
         InputError: unknown name (lists the valid names), wrong type, missing or invalid value.
@@ -73,7 +73,7 @@ def _like(default: Any, value: Any, what: str) -> Any:
 
 
 def is_number(value: Any, infinite: bool = False) -> bool:
-    """Return whether a value is one real number; infinity counts only with `infinite`, NaN never."""
+    """Check whether a value is one real number; infinity counts only with `infinite`, NaN never."""
     if not isinstance(value, int | float | np.integer | np.floating):
         return False
     try:
@@ -200,6 +200,6 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
 
 
 def require(condition: bool, text: str) -> None:
-    """Check: raise an InputError unless a given condition holds."""
+    """Check a condition: raise an InputError unless it holds."""
     if not condition:
         raise InputError(text)

@@ -61,7 +61,7 @@ class PointCloud:
 
 @dataclass(frozen=True, eq=False)
 class Octree:
-    """Occupied cells of an octomap: cubes aligned with the axes of the octree's frame.
+    """Octree shape, like a point cloud from a map: occupied cubes aligned with the octree's frame.
 
     centers (n, 3) [m], sizes (n,) full edge lengths [m]. Cubes may overlap and need no common grid.
     """
@@ -83,7 +83,7 @@ class Octree:
 
     @staticmethod
     def from_grid(occupied: ArrayLike, size: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Octree:
-        """Create an octree from a boolean grid (i, j, k) of cells; merge eight full neighbors.
+        """Create an octree shape from a boolean grid (i, j, k) of cells; merge eight full neighbors.
 
         Args:
             origin: the lowest corner of cell (0, 0, 0) [m].

@@ -116,7 +116,7 @@ def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
 
 
 def descendants(pid: int) -> list[int]:
-    """List the IDs of a process and all its descendants, whose sockets to list.
+    """List the IDs of a process and its descendants, to list their listening sockets.
 
     Systems without /proc yield only the process itself.
     """
@@ -144,7 +144,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
-    """Return listening sockets in a /proc/net table whose inode is in a set."""
+    """Return the sockets of a /proc/net table whose inode is in a set, to list listening sockets."""
     try:
         lines = file.read_text().splitlines()[1:]
     except OSError:  # the process has ended, or the kernel has no IPv6

@@ -12,7 +12,7 @@ from armcell.core.transforms import SE3
 
 @dataclass(frozen=True, eq=False)
 class StateSample:
-    """The state of a robot cell at one instant: joints, objects and grippers."""
+    """State of a robot cell at one instant for observers of its events: joints, objects, grippers."""
 
     time: float  # [s]
     joints: JointState  # all actuated joints, with velocities and efforts where known

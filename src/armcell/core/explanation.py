@@ -24,7 +24,7 @@ TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
-    """A suggested change of the scene or the planning request after a failure.
+    """Suggestion in an explanation: a change of the scene or planning request after a failure.
 
     Attributes:
         text: the change as an instruction ("move the goal 12 mm along +z").
@@ -40,7 +40,7 @@ class Suggestion:
     works: bool | None = None
 
     def apply(self, scene: Any, request: Any) -> tuple[Any, Any]:
-        """Return scene and request with the suggested change; the arguments stay unchanged."""
+        """Apply an explanation's suggestion: return the changed scene and request, the arguments stay."""
         return self.change(scene, request, **self.arguments)
 
     def as_dict(self) -> dict[str, Any]:

@@ -48,7 +48,7 @@ class Pinhole:
 
     @staticmethod
     def of_fov(width: int, height: int, fovy_deg: float) -> Pinhole:
-        """Create camera intrinsics with square pixels from a vertical field of view [deg].
+        """Create camera image intrinsics with square pixels from a vertical field of view [deg].
 
         The principal point is the center of the image.
         """
@@ -64,7 +64,7 @@ class Pinhole:
 
     @property
     def fovy_deg(self) -> float:
-        """Return a pinhole camera's vertical field of view [deg], for a centered principal point."""
+        """Return the vertical field of view [deg] of a pinhole image with centered principal point."""
         return float(np.rad2deg(2 * np.arctan(self.height / 2 / self.fy)))
 
     def project(self, points: ArrayLike) -> Array:

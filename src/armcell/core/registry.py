@@ -55,7 +55,7 @@ def _package(point: EntryPoint) -> str:
 
 
 class Registry(Generic[T]):
-    """A mapping from names to registered components, such as planners or drivers.
+    """Registry: a mapping from names to registered components, such as planners or drivers.
 
     `@registry.register("name")` adds a component; `registry["name"]` returns it.
 

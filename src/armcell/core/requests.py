@@ -15,7 +15,7 @@ from armcell.core.transforms import SE3
 @dataclass(frozen=True, eq=False)
 @checked()
 class JointGoal:
-    """A planning goal given by joint positions; joints without a goal keep their positions.
+    """Goal of a planning request by joint positions; joints without a goal keep their positions.
 
     The planner prefers the exact positions and otherwise uses positions within the tolerance. With `turns`, a
     joint may end whole turns away from its goal, as close to the start as its limits allow.
@@ -29,7 +29,7 @@ class JointGoal:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PoseGoal:
-    """A planning goal: the pose of a link (default: the group's tip) in the world frame.
+    """Goal of a planning request: a link's pose (default: the group's tip) in the world frame.
 
     The planner prefers the exact pose and otherwise uses one within the tolerances: a ball around the
     position, and a rotation by less than one angle, or less than three angles about the goal's axes.
@@ -43,14 +43,14 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class NamedGoal:
-    """A planning goal at a named state of the planning group (group_state in the SRDF)."""
+    """Goal of a planning request: a named state of the group (group_state in the SRDF)."""
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintGoal:
-    """A planning goal region: any state that satisfies all constraints.
+    """Goal of a planning request as a region: any state that satisfies all constraints.
 
     The constraints limit position, orientation, region and joint ranges.
     """

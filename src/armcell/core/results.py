@@ -76,7 +76,7 @@ class PlanResult(Outcome):
 
     @cached_property
     def min_clearance(self) -> float:
-        """Return the minimum clearance [m] along the planned motion, over the checked pairs.
+        """Return the minimum clearance [m] of a plan result's motion, over the checked pairs.
 
         The value is computed on first access.
         """

@@ -54,7 +54,7 @@ class SolidPrimitive:
 
 @dataclass(frozen=True, eq=False)
 class SizedMesh(Mesh):
-    """Shape of the table: a mesh made from sizes by a function that `register_shape` registered.
+    """Kind of shape in the shape table: a mesh made from sizes by a function of `register_shape`.
 
     Attributes:
         name: name of the shape in the table.

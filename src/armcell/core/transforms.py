@@ -23,7 +23,7 @@ QUAT_NORM_TOLERANCE = 1e-3
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the skew-symmetric 3x3 matrix of a vector, for rigid transforms: `skew(v) @ w == cross(v, w)`."""
+    """Return the skew-symmetric matrix (3, 3) of a vector for transforms: `skew(v) @ w == cross(v, w)`."""
     x, y, z = np.asarray(v, dtype=float)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -60,7 +60,7 @@ class SO3:
 
     @staticmethod
     def from_quat_wxyz(quat_wxyz: ArrayLike) -> SO3:
-        """Create a rotation from a unit quaternion, scalar first.
+        """Create an SO3 rotation from a unit quaternion, scalar first.
 
         Raises:
             InputError: not four finite numbers, or a norm further from 1 than `QUAT_NORM_TOLERANCE`.
@@ -84,13 +84,13 @@ class SO3:
 
     @staticmethod
     def from_quat_xyzw(quat_xyzw: ArrayLike) -> SO3:
-        """Create a rotation from a unit quaternion, scalar last (ROS, SciPy, Unity)."""
+        """Create an SO3 rotation from a unit quaternion, scalar last (ROS, SciPy, Unity)."""
         x, y, z, w = _finite(quat_xyzw, 4, "a quaternion")
         return SO3.from_quat_wxyz((w, x, y, z))
 
     @staticmethod
     def from_rpy(rpy: ArrayLike) -> SO3:
-        """Create a rotation from roll, pitch, yaw [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)` (URDF)."""
+        """Create an SO3 rotation from roll, pitch, yaw [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)` (URDF)."""
         r, p, y = _finite(rpy, 3, "roll-pitch-yaw")
         cr, sr, cp, sp, cy, sy = np.cos(r), np.sin(r), np.cos(p), np.sin(p), np.cos(y), np.sin(y)
         return SO3(
@@ -105,7 +105,7 @@ class SO3:
 
     @staticmethod
     def exp(rotvec: ArrayLike) -> SO3:
-        """Create a rotation from a rotation vector (3,) [rad], by Rodrigues' formula."""
+        """Create an SO3 rotation from a rotation vector (3,) [rad], by Rodrigues' formula."""
         v = _finite(rotvec, 3, "a rotation vector")
         angle = float(np.linalg.norm(v))
         K = skew(v)
@@ -115,7 +115,7 @@ class SO3:
 
     @staticmethod
     def between(a: ArrayLike, b: ArrayLike) -> SO3:
-        """Return the shortest rotation that turns direction `a` into direction `b`."""
+        """Return the shortest SO3 rotation that turns direction `a` into direction `b`."""
         u, v = _finite(a, 3, "a direction"), _finite(b, 3, "a direction")
         if not (u.any() and v.any()):
             raise InputError("a direction must not be zero")
@@ -132,7 +132,7 @@ class SO3:
 
     @property
     def quat_wxyz(self) -> Array:
-        """Return the rotation as a unit quaternion, scalar first, scalar >= 0 (Shepperd's method)."""
+        """Return an SO3 rotation as unit quaternion, scalar first, scalar >= 0 (Shepperd's method)."""
         (a, b, c), (d, e, f), (g, h, i) = self.matrix.tolist()  # Python's floats: a fifth of numpy's time
         trace = a + e + i
         largest = max(trace, a, e, i)
@@ -150,12 +150,12 @@ class SO3:
 
     @property
     def quat_xyzw(self) -> Array:
-        """Return the rotation as a unit quaternion, scalar last, scalar >= 0."""
+        """Return an SO3 rotation as unit quaternion, scalar last, scalar >= 0."""
         return np.roll(self.quat_wxyz, -1)
 
     @property
     def rpy(self) -> Array:
-        """Return the rotation as roll, pitch, yaw [rad]; roll is 0 at the pitch singularity."""
+        """Return an SO3 rotation as roll, pitch, yaw [rad]; roll is 0 at the pitch singularity."""
         m = self.matrix
         pitch = np.arctan2(-m[2, 0], np.hypot(m[0, 0], m[1, 0]))
         if abs(np.cos(pitch)) < 1e-9:
@@ -163,7 +163,7 @@ class SO3:
         return np.array([np.arctan2(m[2, 1], m[2, 2]), pitch, np.arctan2(m[1, 0], m[0, 0])])
 
     def log(self) -> Array:
-        """Return the rotation as a rotation vector (3,) [rad] with a length of at most pi."""
+        """Return an SO3 rotation as a rotation vector (3,) [rad] with a length of at most pi."""
         q = self.quat_wxyz
         v = q[1:].copy()
         n = _length(v)
@@ -204,12 +204,12 @@ class SE3:
 
     @staticmethod
     def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> SE3:
-        """Create a transform from a position [m] and roll-pitch-yaw [rad], as in URDF's `<origin>`."""
+        """Create an SE3 transform from a position [m] and roll-pitch-yaw [rad], as in URDF's `<origin>`."""
         return SE3(SO3.from_rpy(rpy), _finite(xyz, 3, "a position"))
 
     @staticmethod
     def from_matrix(matrix: ArrayLike) -> SE3:
-        """Create a transform from a 4x4 homogeneous matrix."""
+        """Create an SE3 transform from a 4x4 homogeneous matrix."""
         m = float_array(matrix, (4, 4), "a homogeneous transform")
         R = m[:3, :3]
         if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
@@ -226,7 +226,7 @@ class SE3:
 
     @staticmethod
     def from_mapping(value: object, what: str = "pose") -> SE3:
-        """Create a transform from a pose in a cell file: a list, or a mapping with xyz and rpy.
+        """Create an SE3 transform from a pose in a cell file: a list, or a mapping with xyz and rpy.
 
         The forms are `[x, y, z]`, `[x, y, z, roll, pitch, yaw]` and `{xyz: [...], rpy: [...]}` / `{xyz,
         rpy_deg}` / `{xyz, quat_xyzw}`.
@@ -281,7 +281,7 @@ class SE3:
         return SE3(SO3(R @ other.rotation.matrix), R @ other.translation + self.translation)
 
     def apply(self, points: ArrayLike) -> Array:
-        """Map points by an SE3 transform (..., 3) from the child frame to the parent frame."""
+        """Map points (..., 3) by an SE3 transform from the child frame to the parent frame."""
         p = points if isinstance(points, np.ndarray) else float_array(points, None, "points", finite=False)
         if p.shape[-1:] != (3,):
             raise InputError(f"points must have shape (..., 3), not {p.shape}")

@@ -22,7 +22,7 @@ from armcell.scene import PlanningScene
 
 
 class DisturbedSim(SteppedSim):
-    """Simulation driver that applies `Disturbances` to every command and joint reading.
+    """Disturbed simulation driver, which applies `Disturbances` to every command and joint reading.
 
     The driver cannot play parts of a trajectory itself, so no command bypasses the disturbances.
     """
@@ -87,7 +87,7 @@ class DisturbedSim(SteppedSim):
         self.command(names, state.reindexed(names).positions, np.zeros(len(names)))
 
     def _act(self) -> None:
-        """Send joint commands to the disturbed simulation whose delay has passed."""
+        """Send the disturbed simulation the joint commands whose delay has passed."""
         while self._late and self._late[0][0] <= self._steps:
             _, names, q, v = self._late.popleft()
             self.world.set_arm_target(names, q, v)
@@ -106,7 +106,7 @@ class DisturbedSim(SteppedSim):
         self._pacer.wait_until(self.world.time)
 
     def _events(self) -> Iterator[int]:
-        """Yield the disturbed simulation's steps at which a command, a push or a displacement takes effect."""
+        """Yield the disturbed simulation's steps at which a command, push or displacement takes effect."""
         if self._late:
             yield self._late[0][0]
         for first, last, _ in self._pushes:

@@ -80,8 +80,7 @@ class DriverOptions:
 
 
 class Driver(ABC):
-    """Base class of drivers: connection to a robot, real or simulated; `with driver:` connects and
-    disconnects.
+    """Base class of drivers: connection to a real or simulated robot; `with driver:` connects.
 
     The constructor performs no I/O. Time is the driver's own clock [s]; only `advance` moves it forward, so
     callers never sleep. One thread drives the robot. Other threads may read the state while they hold `lock`.
@@ -145,7 +144,7 @@ class Driver(ABC):
         """Stop the driver's robot immediately and hold its measured joint positions."""
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the driver's arms that own the given joints at their measured positions; other arms continue."""
+        """Stop the driver's arms that own given joints at their measured positions; other arms continue."""
         names = tuple(joint_names)
         q = self.joint_state().reindexed(names).positions
         self.command(names, q, np.zeros(len(q)))
@@ -205,9 +204,7 @@ class Driver(ABC):
         return None
 
     def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
-        """Let the driver report every contact of a held object from now on, except contacts with its
-        supports.
-        """
+        """Let the driver report every contact of a held object from now on, except with its supports."""
         return None
 
     def unwatch_object(self, name: str) -> None:
@@ -289,7 +286,7 @@ class Driver(ABC):
 
     # --- twin ---
     def calibrations(self) -> Mapping[str, str]:
-        """Return a driver's factory calibration checksum of each connected real arm; else an empty mapping."""
+        """Return a driver's factory calibration checksum of each real arm; else an empty mapping."""
         return {}
 
     def _incapable(self, capability: Capability) -> InputError:

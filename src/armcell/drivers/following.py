@@ -13,16 +13,14 @@ RUNNING, DONE, CANCELLED = "running", "done", "cancelled"  # states of a traject
 
 
 class Following(Protocol):
-    """Handle to follow a trajectory that a robot is playing itself."""
+    """Handle for following a trajectory that the robot plays itself."""
 
     def clock(self) -> float:
-        """Return the robot's progress along a trajectory it plays [s]; slider and pause slow it down."""
+        """Return how far [s] a robot has got in following a trajectory; slider and pause slow it down."""
         ...
 
     def state(self) -> str:
-        """Return the state of a trajectory the robot plays: "running", "done", "cancelled", or why it
-        aborted.
-        """
+        """Return the state of following a trajectory: "running", "done", "cancelled", or an error."""
         ...
 
     def paused(self) -> bool: ...
@@ -39,7 +37,7 @@ class SentClock:
         self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
 
     def sent(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
-        """Record a streamed setpoint with its due time and its time on the trajectory.
+        """Record a streamed setpoint to follow, with its due time and its time on the trajectory.
 
         Args:
             when: monotonic time [s] at which the point is due.

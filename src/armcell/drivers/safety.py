@@ -61,11 +61,11 @@ class Supervised(Protocol):
     """Interface of an arm as the safety supervisor needs it."""
 
     def fault(self) -> Fault | None:
-        """Return the current fault of a supervised arm, or None."""
+        """Return the current safety fault of a supervised arm, or None."""
         ...
 
     def halt(self) -> None:
-        """Stop a supervised arm, discard all goals, hold the measured pose; must not raise or block."""
+        """Stop a supervised arm for safety, discard goals, hold the measured pose; must not block."""
         ...
 
 
@@ -86,9 +86,7 @@ class Supervisor:
         log.info("safety: %s: %s: %s", arm, kind, text)
 
     def check(self) -> Fault | None:
-        """Check for the safety supervisor and stop all arms if any arm has a fault; return the latched fault,
-        or None.
-        """
+        """Let the safety supervisor stop all arms if one has a fault; return the latched fault, or None."""
         if self.tripped is None:
             for arm in self._arms.values():
                 found = arm.fault()
@@ -98,7 +96,7 @@ class Supervisor:
         return self.tripped
 
     def trip(self, fault: Fault) -> None:
-        """Latch a fault in the safety supervisor and stop every arm; later faults are ignored until `clear`."""
+        """Latch a fault in the safety supervisor and stop every arm; ignore later faults until `clear`."""
         with self._lock:
             if self.tripped is not None:
                 return

@@ -54,7 +54,7 @@ class SteppedSim(Driver):
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
-        """Return the simulation driver's lock for reads outside the thread that advances time."""
+        """Return the lock of the sim driver for reads outside the thread that advances time."""
         return self.world.lock
 
     @property

@@ -51,9 +51,7 @@ class Link:
 
     @property
     def behind(self) -> bool:
-        """Return whether an emulated controller's client reads so slowly that periodic state messages should
-        be skipped.
-        """
+        """Return whether a client of an emulated controller's network reads too slowly for all states."""
         return self._waiting > MAX_BEHIND
 
     def send(self, data: bytes) -> None:
@@ -87,9 +85,7 @@ class Link:
             self._out.pop(0)
 
     def read(self) -> None:
-        """Move received data into an emulated controller's buffer; close the link if the other side closed
-        it.
-        """
+        """Read data into an emulated controller's connection; close it if the other side has closed."""
         try:
             data = self.socket.recv(65536)
         except BlockingIOError:
@@ -145,9 +141,7 @@ class Datagrams:
         return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
 
     def receive(self, size: int) -> list[bytes]:
-        """Return the UDP datagrams of an emulated controller of at most `size` bytes that have arrived since
-        the last call.
-        """
+        """Return an emulated controller's UDP datagrams of at most `size` bytes since the last call."""
         found = []
         while True:
             try:
@@ -215,9 +209,7 @@ class Network:
         return self.endpoints[-1].port
 
     def datagrams(self, host: str, service: str) -> Datagrams:
-        """Open an emulated controller's UDP socket at any free port of an address; `service` names it in
-        messages.
-        """
+        """Open a UDP socket in an emulated controller's network; `service` names it in messages."""
         self._datagrams.append(Datagrams(host, self))
         self.endpoints.append(Endpoint.of(self._datagrams[-1].socket, service))
         return self._datagrams[-1]
@@ -229,7 +221,7 @@ class Network:
             self._selector.register(sock, selectors.EVENT_READ, accept)
 
     def connect(self, host: str, port: int) -> Link | None:
-        """Open an outgoing connection for URScript's socket_open; None if the host does not answer."""
+        """Open an outgoing network connection for URScript's socket_open; None if the host is silent."""
         try:
             sock = socket.create_connection((host, port), timeout=0.05)
         except OSError:
@@ -259,7 +251,7 @@ class Network:
             link.flush()
 
     def drop(self, seconds: float) -> None:
-        """Close every connection of the emulated controller and refuse new ones for a time [s]."""
+        """Close all network connections of the emulated controller and refuse new ones for a time [s]."""
         self.faults.refused_until = time.monotonic() + seconds
         for link in list(self.links):
             link.close()

@@ -30,9 +30,7 @@ class Controller(Protocol):
 
     @property
     def in_use(self) -> bool:
-        """Return whether an emulated controller of a rack has a client, or disconnected only by an injected
-        network fault.
-        """
+        """Return whether a rack's emulated controller has a client, or lost it only by an injected fault."""
         ...
 
     def step(self) -> None:
@@ -40,11 +38,11 @@ class Controller(Protocol):
         ...
 
     def reset(self) -> None:
-        """Reset an emulated controller's arm and its world to their initial state."""
+        """Reset a rack's emulated controller: its arm and world to their initial state."""
         ...
 
     def trace(self) -> bytes:
-        """Return the record of an emulated controller's last step for a trace file."""
+        """Return the record of the last step of a rack's emulated controller, for a trace file."""
         ...
 
     def close(self) -> None: ...
@@ -86,9 +84,7 @@ class Rack(Generic[AnyController]):
         self._opened = False
 
     def open(self) -> None:
-        """Open the ports of a rack's emulated controllers; `run` also calls this method, and serves the
-        clients.
-        """
+        """Open the ports of a rack's emulated controllers; `run` does so itself, and serves the clients."""
         if not self._opened:
             self._opened = True
             for controller in self.controllers:

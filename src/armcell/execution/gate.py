@@ -40,9 +40,7 @@ class World(Protocol):
 
     @property
     def base(self) -> PlanningScene:
-        """The motion gate's planning scene without measured values; every change of the scene yields a new
-        object.
-        """
+        """The motion gate's planning scene without measurements; every scene change yields a new object."""
         ...
 
     def scene(self) -> PlanningScene:
@@ -173,7 +171,7 @@ def executable(motion: object) -> Executable:
 
 
 class UngatedMotion(Executable):
-    """Ungated motion without collision checks, for isolated simulations (dry run, test, benchmark).
+    """Motion that passes the gate without collision checks, for dry runs, tests and benchmarks.
 
     Contacts in such a simulation are findings.
     """
@@ -284,7 +282,7 @@ class GuardedMotion(Executable):
         ]  # fmt: skip
 
     def _prove(self, names: Iterable[str] = ()) -> None:
-        """Check a guarded motion's rest for collisions, only with the objects `names` if given."""
+        """Check a gated motion's rest for collisions, only with the objects `names` if given."""
         self._proven_for = (self._world.base, self._gate.version)
         scene = self._scene()
         self._objects = frozenset(scene.objects)

@@ -63,7 +63,7 @@ class SetpointSource(ABC):
 
     @abstractmethod
     def tracking_error(self) -> tuple[float, int] | None:
-        """Return the setpoints' largest tracking error [rad or m], its column; None if only the goal counts."""
+        """Return the setpoints' largest tracking error [rad or m] and its column; None: only goals count."""
 
     def failure(self) -> Outcome | None:
         """Return a setpoint source's reason to stop, other than a violated tolerance, or None."""

@@ -36,7 +36,7 @@ FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
 @dataclass(frozen=True, eq=False)
 @checked()
 class Grasp:
-    """A grasp pose, whose tcp approaches along its z axis and closes along its y axis.
+    """Grasp candidate: a pose whose tcp approaches along its z axis and closes along its y axis.
 
     The hand approaches along +z of the TCP and retreats along -z. The approach is `approach` [m] long if
     there is enough free space, and at least `shortest_approach` [m].
@@ -88,7 +88,7 @@ generators: Registry[Generator] = Registry("grasp generator", "armcell.grasp_gen
 
 
 def generator_for(item: CollisionObject) -> str:
-    """Return the name of the default grasp generator for an object's kind of geometry."""
+    """Return the default generator of grasp candidates for an object's kind of geometry."""
     if item.has_cloud:
         return "cloud"
     if len(item.shapes) == 1 and isinstance(item.shapes[0][0], Box | Cylinder | Capsule | Sphere):

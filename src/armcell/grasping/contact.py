@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PadContact:
-    """Contact patch of a gripper's soft finger pad, with friction along the surface and torsional friction."""
+    """Contact patch of a gripper's soft finger pad, with surface and torsional friction."""
 
     point: Array  # (3,) [m] center of the patch
     normal: Array  # (3,) unit vector, points out of the object

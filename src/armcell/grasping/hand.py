@@ -22,8 +22,7 @@ AT_THE_PAD = 0.001  # [m] maximum distance of a finger box from the closing plan
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """Hand geometry for grasps: boxes (n, 6) [m] that enclose a gripper's hand in the tcp frame, with closed
-    fingers.
+    """Hand geometry for grasps: boxes (n, 6) [m] around a gripper's closed hand in the tcp frame.
 
     A box is its lowest and highest corner.
 

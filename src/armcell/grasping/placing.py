@@ -136,9 +136,7 @@ def place_candidates(
 
 
 def _highest(support: CollisionObject, normal: Array) -> float:
-    """Return the largest coordinate [m] of a support's points along a world direction (3,), for placing above
-    it.
-    """
+    """Return the largest coordinate [m] of a support along a world direction (3,), to place above it."""
     up = support.T_world_object.rotation.matrix.T @ normal
     tops = [extent(s, T.rotation.matrix.T @ up)[1] + float(T.translation @ up) for s, T in support.shapes]
     return max(tops) + float(support.T_world_object.translation @ normal)

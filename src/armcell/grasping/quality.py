@@ -48,13 +48,13 @@ class Noise:
     mass: float = 0.1  # relative
 
     def poses(self, count: int, rng: np.random.Generator) -> list[SE3]:
-        """Sample small object displacements in its own frame for grasp robustness; first the identity."""
+        """Sample small object displacements for a grasp's robust quality; the first is the identity."""
         shifts = rng.normal(scale=self.position, size=(count, 3))
         turns = rng.normal(scale=self.rotation, size=(count, 3))
         return [SE3.identity(), *(SE3(SO3.exp(t), s) for s, t in zip(shifts[1:], turns[1:], strict=True))]
 
     def materials(self, item: CollisionObject, count: int, rng: np.random.Generator) -> list[CollisionObject]:
-        """Sample copies of an object with varied friction and mass for grasp robustness; first unchanged."""
+        """Sample objects with varied friction and mass for a grasp's robust quality; the first as given."""
         shares = np.exp(rng.normal(size=(count, 2)) * [self.friction, self.mass])
         shares[0] = 1.0
         m = item.material

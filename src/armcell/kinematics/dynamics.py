@@ -32,7 +32,7 @@ def _cross(a, b, out):
 @njit(cache=True)
 def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset, mass, center, inertia,
                  gravity, q, dq, ddq, out):  # fmt: skip
-    """Compute the joint torques of m states q, dq, ddq by inverse dynamics (m, dof) into `out` (m, dof).
+    """Inverse dynamics: compute joint torques of m states q, dq, ddq (m, dof) into `out` (m, dof).
 
     Args:
         parent, ..., offset: the tree, see `KinematicTree`.
@@ -169,9 +169,7 @@ class InverseDynamics:
             )
 
     def _add(self, link: int, inertial: Inertial) -> None:
-        """Add a body to a link for inverse dynamics: sum the masses, and the inertias about the common center
-        of mass.
-        """
+        """Add a body to a link for inverse dynamics: sum masses, and inertias about the common center."""
         R = inertial.T_link_com.rotation.matrix
         m0, m1, c0, c1 = self.mass[link], inertial.mass, self.center[link], inertial.T_link_com.translation
         mass = m0 + m1
@@ -184,9 +182,7 @@ class InverseDynamics:
         self.mass[link], self.center[link], self.inertia[link] = mass, center, total
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Return by inverse dynamics the joint torques (m, n) [Nm or N] for positions, velocities,
-        accelerations (m, n).
-        """
+        """Return inverse dynamics' joint torques (m, n) [Nm or N] of positions, velocities, accelerations."""
         at, speed, gain = self._whole(q, self.positions), self._whole(dq, 0.0), self._whole(ddq, 0.0)
         out = np.empty_like(at)
         tree = self._tree

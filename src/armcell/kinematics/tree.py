@@ -23,8 +23,7 @@ _KINDS = {"fixed": FIXED, "revolute": REVOLUTE, "continuous": REVOLUTE, "prismat
 
 @njit(cache=True)
 def forward(parent, T_parent_joint, kind, axis, column, multiplier, offset, q, out):
-    """Forward kinematics of the kinematic tree: all T_root_link into `out` (links, 4, 4) at joint positions
-    q.
+    """Forward kinematics of a kinematic tree: all T_root_link into `out` (links, 4, 4) at q.
 
     Link 0 is the root, link i+1 the child of joint i.
     """
@@ -135,9 +134,7 @@ class KinematicTree:
         self._group_columns: dict[tuple[str, ...], NDArray[np.int64]] = {}
 
     def link_transforms(self, q: ArrayLike) -> Array:
-        """Return T_root_link of every link of a kinematic tree (links, 4, 4), in `link_names` order, at q
-        (dof,).
-        """
+        """Return T_root_link of all links (links, 4, 4) of a kinematic tree, in `link_names` order, at q."""
         out = np.empty((len(self.link_names), 4, 4))
         q = np.ascontiguousarray(float_array(q, (self.model.dof,), "positions", finite=False))
         forward(
@@ -154,9 +151,7 @@ class KinematicTree:
         return out
 
     def full_positions(self, q: ArrayLike) -> dict[str, float]:
-        """Return the positions of all movable joints of a kinematic tree by name, including mimic joints, at
-        q (dof,).
-        """
+        """Return all movable joints' positions of a kinematic tree by name, mimic joints included."""
         q = float_array(q, (self.model.dof,), "positions")
         return {
             name: float(self.multiplier[i] * q[self.column[i]] + self.offset[i])
@@ -174,7 +169,7 @@ class KinematicTree:
         return self.link_poses(q, (link,))[0]
 
     def link_poses(self, q: ArrayLike, links: Sequence[str]) -> list[SE3]:
-        """Return the poses T_root_link of several links of a kinematic tree from one forward-kinematics pass."""
+        """Return T_root_link of several links of a kinematic tree from one forward-kinematics pass."""
         for link in links:
             if link not in self.link_index:
                 raise UnknownNameError("link", link, self.link_index)
@@ -202,9 +197,7 @@ class KinematicTree:
         return self._paths[link]
 
     def _group_column(self, names: tuple[str, ...]) -> NDArray[np.int64]:
-        """Return a kinematic tree's column of each actuated joint (dof,) in `names`, or -1 if it is not in
-        `names`.
-        """
+        """Return a kinematic tree's column of each actuated joint (dof,) in `names`, or -1."""
         if names not in self._group_columns:
             columns = np.full(self.model.dof, -1, dtype=np.int64)
             columns[self.model.columns(names)] = np.arange(len(names))

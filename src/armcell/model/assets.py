@@ -32,7 +32,7 @@ ONE_FILE = {".stl", ".obj", ".dae", ".glb", ".ply", ".off"}
 
 
 def installed_share() -> list[Path]:
-    """Return the share folders with meshes of robot descriptions that pip installed.
+    """Return the folders of robot assets (descriptions, meshes) that pip installed.
 
     `example-robot-data`, for example, installs its files into `cmeel.prefix/share` of a `sys.path` entry.
     """
@@ -46,7 +46,7 @@ _PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
 
 @dataclass(frozen=True)
 class FoundPackage:
-    """A ROS package with meshes that was found on disk.
+    """A ROS package of robot assets (meshes) that was found on disk.
 
     Attributes:
         folder: folder where the search found the package.
@@ -59,9 +59,7 @@ class FoundPackage:
 
 
 def search_folders() -> list[Path]:
-    """Return ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and pip's description folders, in search order for robot
-    assets.
-    """
+    """Return the search path of robot assets: ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, pip's folders."""
     named = [
         Path(entry)
         for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
@@ -72,15 +70,12 @@ def search_folders() -> list[Path]:
 
 
 def package_above(path: Path) -> Path | None:
-    """Return the nearest folder above `path` that is a ROS package (package.xml), to resolve `package://`, or
-    None.
-    """
+    """Return the package folder above `path` for robot assets in `package://` URIs, or None."""
     return next((folder for folder in path.parents if (folder / PACKAGE_FILE).is_file()), None)
 
 
 def find_package(package: str, base: Path) -> FoundPackage:
-    """Resolve the package of a `package://` URI by name near `base`, in the ROS search path, or among pip
-    packages.
+    """Find the package of a robot asset's `package://` URI near `base`, in the search path, or in pip.
 
     The search starts with the folders above and beside `base`. There, only a folder with a package.xml counts
     as a package; otherwise a file below /home/me could claim /home as its package.
@@ -105,7 +100,7 @@ def find_package(package: str, base: Path) -> FoundPackage:
 
 
 def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
-    """Yield the candidate folders of a `package://` URI's package, nearest first.
+    """Yield the candidate folders of the package in a robot asset's `package://` URI, nearest first.
 
     Each folder comes with a flag: whether it is from the ROS search path or from pip's folders.
     """
@@ -132,7 +127,7 @@ def _package_name(folder: Path) -> str | None:
 
 
 def find_file(uri: str) -> Path:
-    """Return the path of an existing file given as a `package://` URI or a path.
+    """Return the path of an existing robot asset, given as a `package://` URI or a path.
 
     Relative paths start from the current folder.
 

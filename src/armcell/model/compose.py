@@ -24,7 +24,7 @@ class Part:
 
 
 def prefixed(model: RobotModel, prefix: str) -> RobotModel:
-    """Return a copy of the robot with `prefix` before every link, joint, group and gripper name."""
+    """Return a robot to compose with `prefix` before every link, joint, group and gripper name."""
     if not prefix:
         return model
     p = lambda name: None if name is None else prefix + name  # noqa: E731

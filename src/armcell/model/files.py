@@ -25,7 +25,7 @@ MAX_KEY_DIGITS = 18  # longest integer key: an attacker can choose larger keys w
 
 
 class SafeLoader(yaml.CSafeLoader):
-    """YAML loader for plain data of untrusted files that rejects integer keys with more than 18 digits.
+    """YAML loader of untrusted plain data, which rejects integer keys with more than 18 digits.
 
     An attacker can choose large integer keys with equal hashes, which makes a dictionary slow to build.
     """
@@ -39,7 +39,7 @@ class SafeLoader(yaml.CSafeLoader):
 
 
 class _Loader(SafeLoader):
-    """YAML loader of untrusted files, with YAML 1.2 booleans that rejects duplicate keys.
+    """YAML loader of untrusted files with YAML 1.2 booleans, which rejects duplicate keys.
 
     Only `true` and `false` (also capitalized) are booleans, so a key named `on` stays a string. Plain YAML
     loaders keep the last of two equal keys without a warning.
@@ -164,7 +164,7 @@ def yaml_value(text: str) -> Any:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file safely whose top level is a mapping.
+    """Read safely a YAML file whose top level is a mapping.
 
     Raises:
         InputError: the file is missing, not YAML (with the line), not a mapping, or uses too many aliases.

@@ -40,12 +40,12 @@ def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, st
 
 
 def set_xacro_args(words: Iterable[str]) -> None:
-    """Set xacro arguments `name:=value` for all robot files of this process and its children."""
+    """Set the option xacro arguments `name:=value` for all robot files of this process and children."""
     _put(XACRO_ARGS, assignments(words, ":=", "--xacro-arg"))
 
 
 def set_packages(words: Iterable[str]) -> None:
-    """Set the folders of ROS packages, `name=folder`, for this process and its children.
+    """Set the option ROS package folders, `name=folder`, for this process and its children.
 
     Raises:
         InputError: a folder does not exist.
@@ -61,7 +61,7 @@ def set_packages(words: Iterable[str]) -> None:
 
 
 def xacro_args(own: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return a robot file's xacro arguments, overridden by the command line's arguments."""
+    """Return a robot file's xacro arguments, overridden by the command line's options."""
     return {**(own or {}), **_read(XACRO_ARGS)}
 
 

@@ -237,12 +237,12 @@ class RobotModel:
 
     @cached_property
     def parent_joint(self) -> Mapping[str, Joint]:
-        """Return a robot's parent joint of each link by link name; the root link has none."""
+        """Return a robot model's parent joint of each link by link name; the root link has none."""
         return {j.child: j for j in self.joints.values()}
 
     @cached_property
     def _column(self) -> Mapping[str, int]:
-        """Return the index of each actuated joint in a robot's `joint_names`, by joint name."""
+        """Return the index of each actuated joint in a robot model's `joint_names`, by joint name."""
         return {name: i for i, name in enumerate(self.joint_names)}
 
     @property
@@ -265,7 +265,7 @@ class RobotModel:
         return self.groups[name]
 
     def gripper(self, name: str | None = None, arm_group: str | None = None) -> Gripper:
-        """Return a robot's gripper by name, or the gripper on an arm group, or the only gripper.
+        """Return a robot model's gripper by name, or the gripper on an arm group, or the only gripper.
 
         Raises:
             UnknownNameError: the robot has no gripper of that name.
@@ -306,7 +306,7 @@ class RobotModel:
         return np.array([self.joints[n].limits.upper for n in self.joint_names])
 
     def limits(self, joint_names: Iterable[str], kind: str) -> Array:
-        """Return a robot's joint limits of one kind, such as "velocity", for each of the given joints, (n,).
+        """Return a robot model's joint limits of one kind, such as "velocity", for given joints, (n,).
 
         Args:
             joint_names: the n joints.
@@ -315,7 +315,7 @@ class RobotModel:
         return np.array([getattr(self.joint(n).limits, kind) for n in joint_names])
 
     def neutral(self) -> Array:
-        """Return a robot's zero positions (dof,), or mid-range positions where zero is out of limits."""
+        """Return a robot model's zero positions (dof,), or mid-range positions if zero is out of limits."""
         low = np.where(np.isfinite(self.lower), self.lower, -np.inf)
         high = np.where(np.isfinite(self.upper), self.upper, np.inf)
         bounded = np.isfinite(low) & np.isfinite(high)
@@ -323,7 +323,7 @@ class RobotModel:
         return np.where((low <= 0) & (high >= 0), 0.0, middle)
 
     def named_state(self, group: str, name: str) -> JointState:
-        """Return a named state of a robot's planning group (`group_state` in the SRDF).
+        """Return a named state of a robot model's planning group (`group_state` in the SRDF).
 
         Raises:
             UnknownNameError: the group or the state does not exist.
@@ -335,7 +335,7 @@ class RobotModel:
         return JointState.from_mapping(states[name])
 
     def default_positions(self) -> Array:
-        """Return a robot's default joint positions [rad or m], (dof,).
+        """Return a robot model's default joint positions [rad or m], (dof,).
 
         The positions are `neutral()`, with each group's "home" state applied; a group without "home" uses
         "ready", "default" or "open" instead, if one exists.
@@ -353,8 +353,7 @@ class RobotModel:
     def check_positions(
         self, q: ArrayLike, joint_names: Iterable[str] | None = None, margin: float = 1e-9
     ) -> Array:
-        """Return a robot's joint positions [rad or m] as an array (n,) after checking them against the
-        limits.
+        """Check a robot model's joint positions [rad or m] against the limits; return an array (n,).
 
         Args:
             q: the positions.
@@ -380,7 +379,7 @@ class RobotModel:
         return values
 
     def enforce_bounds(self, q: ArrayLike, joint_names: Iterable[str] | None = None) -> Array:
-        """Clip a robot's joint positions [rad or m] to the limits; wrap continuous joints to (-pi, pi].
+        """Clip a robot model's joint positions [rad or m]; wrap continuous joints to (-pi, pi].
 
         Raises:
             InputError: wrong length or a non-finite value.
@@ -394,7 +393,7 @@ class RobotModel:
         return np.clip(values, self.limits(names, "lower"), self.limits(names, "upper"))
 
     def subtree(self, link: str) -> tuple[str, ...]:
-        """Return the names of a robot link and all links below it, the link itself first."""
+        """Return the names of a robot model's link and all links below it, the link itself first."""
         self.link(link)
         found = [link]
         for joint in self.joints.values():  # one pass is enough: joints are in topological order
@@ -403,7 +402,7 @@ class RobotModel:
         return tuple(found)
 
     def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
-        """Return a robot's joints on the path from link `base` down to link `tip`, base first.
+        """Return a robot model's joints on the path from link `base` down to link `tip`, base first.
 
         Raises:
             InputError: `tip` is not below `base`.
@@ -421,7 +420,7 @@ class RobotModel:
 
     @cached_property
     def rigid_groups(self) -> tuple[frozenset[str], ...]:
-        """Return a robot's sets of links that fixed joints connect rigidly."""
+        """Return a robot model's sets of links that fixed joints connect rigidly."""
         of: dict[str, set[str]] = {self.root_link: {self.root_link}}
         for joint in self.joints.values():
             if joint.movable:

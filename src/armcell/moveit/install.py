@@ -91,7 +91,7 @@ def _service_class(classes: MessageClasses, name: str) -> type | None:
 
 
 def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
-    """Return the shim modules of all message packages, each with its `.msg` and `.srv` submodules."""
+    """Return the installed shim modules of all message packages with `.msg` and `.srv` submodules."""
     schema = classes.schema
     parts = {f"{s}{end}" for s in schema.services for end in ("Request", "Response")}
     found: dict[str, types.ModuleType] = {}

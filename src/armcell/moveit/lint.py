@@ -127,9 +127,7 @@ class Script:
 
 
 def dotted(node: ast.AST) -> str:
-    """In a linted script, return a name or attribute chain such as `self.a.b` as text; empty for other
-    expressions.
-    """
+    """Return a name or attribute chain of a linted script, such as `self.a.b`, as text; else empty."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):
@@ -139,16 +137,12 @@ def dotted(node: ast.AST) -> str:
 
 
 def method(call: ast.Call) -> str:
-    """In a linted script, return the name of the called function or method, without the object before the
-    dot.
-    """
+    """Return the name of a called function or method in a linted script, without the object."""
     return call.func.attr if isinstance(call.func, ast.Attribute) else dotted(call.func)
 
 
 def number(node: ast.AST) -> float | None:
-    """In a linted script, return the value of a number literal with its sign, or None for any other
-    expression.
-    """
+    """Return the signed value of a number literal in a linted script, or None."""
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         inner = number(node.operand)
         return None if inner is None else -inner

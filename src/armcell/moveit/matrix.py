@@ -8,9 +8,7 @@ MATRIX = "moveit_msgs/AllowedCollisionMatrix"
 
 
 def set_default(self: Any, obj: str, allow: bool) -> None:
-    """Allow or forbid contacts of a body with all bodies without an entry in moveit_msgs' allowed collision
-    matrix.
-    """
+    """Allow or forbid a body's contacts by default in moveit_msgs' allowed collision matrix."""
     if obj in self.default_entry_names:
         self.default_entry_values[self.default_entry_names.index(obj)] = allow
     else:

@@ -109,7 +109,7 @@ def _run(script: Path, session: Session) -> int:
 
 
 def _finish(session: Session) -> None:
-    """At a ROS script's end, wait for the motions that it started, unless the user pressed Ctrl-C.
+    """Finish running a ROS script: wait for the motions that it started, unless Ctrl-C was pressed.
 
     The script may have caught the Ctrl-C and ended normally.
     """

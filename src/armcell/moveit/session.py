@@ -94,7 +94,7 @@ class Session:
         _current.remove(self)
 
     def shut_down(self, reason: str) -> None:
-        """Shut a ROS script's session down like rospy.signal_shutdown: end all waits and run the hooks once."""
+        """Shut a ROS script's session down like rospy.signal_shutdown: end all waits, run the hooks once."""
         self.interrupted |= reason == "interrupted"
         self.shutting_down.set()
         if not self._hooks.acquire(blocking=False):
@@ -107,9 +107,7 @@ class Session:
                 logger.exception("a shutdown hook failed")
 
     def interrupt(self) -> None:
-        """Handle a signal in a ROS script's session: end every wait and set `is_shutdown()`; the shutdown
-        hooks run later.
-        """
+        """Handle a signal in a ROS script's session: end every wait and set `is_shutdown()`."""
         self.interrupted = True
         self.shutting_down.set()
 
@@ -129,7 +127,7 @@ class Session:
         return self.messages[name](*values, **fields)
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a service and return a ROS script's own copy of the response.
+        """Call a service in a ROS script's session and return the script's own copy of the response.
 
         Raises:
             ServiceError: the service does not exist, or failed.
@@ -137,7 +135,7 @@ class Session:
         return self.messages.local(self.bus.call(service, request))
 
     def say(self, level: str, text: str) -> None:
-        """Write a ROS script's log line in ROS's format to standard error."""
+        """Write a log line of a ROS script's session in ROS's format to standard error."""
         line = f"[{level}] [{self.bus.clock.now():.3f}]: {text}"
         self.lines.append(line)
         if self.graph is not None:
@@ -150,7 +148,7 @@ class Session:
         return any(text in line for line in self.lines[-RECENT:])
 
     def hint(self, key: str, text: str) -> None:
-        """Log a hint about the user's ROS script, once per key."""
+        """Log a hint in the session of the user's ROS script, once per key."""
         if key not in self._hints:
             self._hints.add(key)
             self.say("HINT", text)
@@ -160,7 +158,7 @@ class Session:
         return self._hints
 
     def hint_at_gripper(self) -> None:
-        """Log a hint if a ROS script claims to close the gripper but has not commanded it."""
+        """Log a hint if a ROS script's session claims to close the gripper but has not commanded it."""
         if self.claims_to_close and not self.served.has_closed:
             self.hint(
                 "auto-grip", "the script logs that it closes the gripper, but never closes it: publish to "
@@ -168,7 +166,7 @@ class Session:
             )  # fmt: skip
 
     def watch_other_end(self) -> None:
-        """Log a hint in a ROS script's session if its external simulator or robot sends no more joint states."""
+        """Log a hint in a ROS script's session if its external simulator or robot sends no joint states."""
         if isinstance(self.served, ServedPlanner) and self.served.cell.silence > SILENT:
             self.hint(
                 "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "
@@ -188,8 +186,7 @@ class Session:
 
 
 class _Warnings:
-    """Observer of a ROS script's session that logs warnings of the cell: stopped motions, contacts and lost
-    objects.
+    """Observer of a ROS script's session that logs the cell's warnings: stops, contacts, lost objects.
 
     The events include motions that the cell refused.
     """

@@ -63,8 +63,7 @@ def _points_up(T: SE3) -> bool:
 
 
 def _flange(model: RobotModel, group: str) -> str:
-    """For hints at a wrong target link, return the link on which a group's gripper is mounted, or an empty
-    string.
+    """Return the link with a group's gripper, for hints at a wrong target link; else empty.
 
     MoveIt packages usually end the group at this link.
     """

@@ -23,8 +23,7 @@ _SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 
 def save_image(path: str | Path, image: CameraImage) -> list[Path]:
-    """Write a camera image with depth as NAME.yaml, NAME_rgb.png and NAME_depth.png; return the written
-    files.
+    """Write a camera image with depth as NAME.yaml, NAME_rgb.png and NAME_depth.png; return the files.
 
     Depth is rounded to millimeters, up to 65 m.
     """

@@ -28,7 +28,7 @@ LEVER = 0.3  # [m] weight of a rotation error of 1 rad
 
 @dataclass(frozen=True)
 class HandEye(Outcome):
-    """Hand-eye calibration: camera pose: T_hand_camera (eye in hand) or T_base_camera (eye to hand).
+    """Camera pose of a hand-eye calibration: T_hand_camera (in hand) or T_base_camera (to hand).
 
     Residuals are the deviations of each view's marker pose from the mean of all views.
     """

@@ -39,9 +39,7 @@ class Match:
 
 @lru_cache(maxsize=1)
 def cube_turns() -> tuple[SO3, ...]:
-    """Return the 24 rotations that map the coordinate axes onto each other, as starts for a known object's
-    pose.
-    """
+    """Return the 24 rotations that map the axes onto each other, to start a known object's pose."""
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):

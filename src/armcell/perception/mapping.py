@@ -43,7 +43,7 @@ class MapSettings:
 
 @dataclass(frozen=True)
 class MapUpdate(Outcome):
-    """Update result: adding one camera image or point cloud to an occupancy map."""
+    """Result of adding one camera image or point cloud to an occupancy map (map update)."""
 
     hits: int = 0  # number of obstacle points
     robot_points: int = 0
@@ -67,7 +67,7 @@ class CameraMap:
         self.octree = self.map.octree()
 
     def update(self, image: CameraImage, scene: PlanningScene, now: float | None = None) -> MapUpdate:
-        """Update the camera map's occupancy with one image.
+        """Update the camera map: add one camera image to the occupancy map.
 
         Rays mark the cells they pass as free, also rays that end on the robot or on an object of the scene.
 
@@ -102,7 +102,7 @@ class CameraMap:
         )  # fmt: skip
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the planning scene with the camera map as its octomap."""
+        """Return the planning scene with the occupancy map from camera images as its octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
 
 

@@ -59,7 +59,7 @@ class SeenMarker:
 
 @dataclass(frozen=True)
 class MarkerSight(Outcome):
-    """Sight of markers: those detected in one camera image, with their numbers."""
+    """Markers detected in one camera image, with their numbers."""
 
     markers: tuple[SeenMarker, ...] = ()
     missing: tuple[int, ...] = ()  # wanted but not visible
@@ -159,9 +159,7 @@ def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
 
 
 def picture_size(family: str, size: float) -> float:
-    """Return the edge [m] of an ArUco or AprilTag marker's whole image, given the edge [m] of its black
-    square.
-    """
+    """Return the edge [m] of an ArUco marker's whole image, given the edge [m] of its black square."""
     cells = _dictionary(family)[1].markerSize + 2
     return size * (cells + 2 * QUIET) / cells
 

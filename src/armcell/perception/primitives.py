@@ -34,8 +34,7 @@ class Footprint:
 
 
 def footprint(points: F64) -> Footprint:
-    """Return a point cluster's footprint: smallest rectangle around points (n, 3), seen along the support's
-    normal.
+    """Return a point cluster's footprint: smallest rectangle around points (n, 3), seen from above.
 
     The rectangle has an edge of the convex hull (Freeman and Shapira, Communications of the ACM 18(7), 1975).
     """

@@ -150,7 +150,7 @@ def fix_start_state_collision(validated: ValidatedRequest) -> ValidatedRequest |
 
 @request_adapters.register("resolve_constraint_frames")
 def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Request adapter: express goal constraints of object frames in the world or the carrying link's frame."""
+    """Request adapter: express goal constraints of object frames in the world's or carrying link's frame."""
     if not any(isinstance(goal, ConstraintGoal) for goal in validated.request.goals):
         return validated
     goals = tuple(
@@ -163,7 +163,7 @@ def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest |
 
 
 def in_robot_frames(scene: PlanningScene, constraints: Constraints) -> Constraints:
-    """Re-express a request's constraints in frames of the robot: the world frame or a link's frame.
+    """Re-express a request's constraints in robot frames (world or link), for a request adapter.
 
     The frame of an attached object becomes the frame of the link that carries the object.
     """

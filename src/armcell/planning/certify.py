@@ -46,7 +46,7 @@ PADDED_ROUNDINGS = (
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
-    """A certified and timed motion, or the certificate that shows the contact on the path."""
+    """Certified and timed motion of a plan, or the certificate of the contact on its path."""
 
     certificate: Certificate
     trajectory: JointTrajectory | None = None
@@ -136,7 +136,7 @@ def certify_and_time(
 
 
 def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseDynamics:
-    """Build the inverse dynamics for timing a plan: the group's links and the objects attached to them."""
+    """Build the inverse dynamics to certify and time a plan: the group's links and attached objects."""
     payloads = []
     for body in scene.attached.values():
         center, inertia = solid_inertia(body.object.shapes, body.object.mass_kg)

@@ -13,8 +13,7 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def in_another_process(*statements: str) -> Iterator[None]:
-    """Compile kernels faster: run Python statements in a second process while the block runs, and wait for
-    both to end.
+    """Compile kernels in parallel: run Python statements in a second process during a `with` block.
 
     Machines with one core start no second process. The statements must be optional work: an error in the
     second process has no effect.

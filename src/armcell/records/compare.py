@@ -52,7 +52,7 @@ class Distance:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of two runs: their inputs, states, events, plans and outcomes."""
+    """Comparison of two recorded runs: their inputs, states, events, plans and outcomes."""
 
     input_differences: tuple[str, ...]  # cell, seed, versions, ...
     states: int  # number of compared states
@@ -66,7 +66,7 @@ class Comparison:
 
     @property
     def same_course(self) -> bool:
-        """Return whether all recorded states, events and plans of both runs are identical."""
+        """Return whether two compared runs have identical states, events and plans."""
         return self.state is None and self.event is None and self.plan is None
 
     @property

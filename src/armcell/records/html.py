@@ -91,14 +91,12 @@ def text(value: Any) -> str:
 
 
 def name(value: Any) -> str:
-    """Format a name as HTML of a report page that may break only after underscores."""
+    """Format a name as HTML for a report page, with breaks only after underscores."""
     return f'<span class="name">{text(value).replace("_", "_<wbr>")}</span>'
 
 
 def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> str:
-    """Format `value * scale` with its unit for an HTML page; other values become text, non-finite numbers a
-    dash.
-    """
+    """Format `value * scale` with unit for an HTML page; other values become text or a dash."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return text(value)
     if not math.isfinite(value):

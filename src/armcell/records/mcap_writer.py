@@ -108,9 +108,7 @@ class McapWriter:
 
     # --- recording ---
     def write_state(self, sample: StateSample, q: ArrayLike) -> None:
-        """Write to the MCAP file the cell's state at one time, with link transforms for joint positions q
-        (dof,).
-        """
+        """Write the cell's state at one time to the MCAP file, with link transforms at q (dof,)."""
         time, object_poses = sample.time, sample.object_poses
         stamp = self._stamp(time)
         self._write_joints("/joint_states", time, sample.joints)
@@ -271,9 +269,7 @@ class McapWriter:
         return self._topics[name]
 
     def _link_transforms(self, q: ArrayLike, joints: list[int], stamp: Any) -> list[Any]:
-        """Return the MCAP file's TransformStamped messages, parent link -> child link, of some joints at q
-        (dof,).
-        """
+        """Return the MCAP file's TransformStamped messages (parent to child link) of joints at q (dof,)."""
         Ts = self._tree.link_transforms(q)
         found = []
         for i in joints:
@@ -286,7 +282,7 @@ class McapWriter:
         return found
 
     def _both(self, T: SE3) -> tuple[Any, Any]:
-        """Convert for the MCAP file a transform to a geometry_msgs Transform and a Pose."""
+        """Convert a transform to a geometry_msgs Transform and a Pose for the MCAP file."""
         x, y, z = T.translation.tolist()
         qw, qx, qy, qz = T.quat_wxyz.tolist()
         rotation = self._type("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw)
@@ -315,7 +311,7 @@ class McapWriter:
 
 
 def urdf_text(scene: PlanningScene) -> str | None:
-    """Return for the MCAP file the robot's URDF text, or None if there is no URDF file or it is too large."""
+    """Return the robot's URDF text for the MCAP file; None without a URDF file or if it is too large."""
     source = scene.model.source
     if not source.endswith(".urdf"):
         return None
@@ -327,7 +323,7 @@ def urdf_text(scene: PlanningScene) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """Convert values for the MCAP file's JSON, which JSON does not support.
+    """Convert values that JSON does not support, for the MCAP file.
 
     Arrays and numpy numbers become lists and numbers; objects, contacts, poses and mappings become
     dictionaries; other values become text.

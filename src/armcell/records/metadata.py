@@ -43,7 +43,7 @@ def run_metadata(
 
 
 def this_machine() -> str:
-    """Return for run metadata the computer's name and processor."""
+    """Return the computer's name and processor for a record's run metadata."""
     return f"{platform.node()} {platform.machine()} {platform.processor()}".strip()
 
 
@@ -81,8 +81,7 @@ def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
 
 
 def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
-    """Compare with run metadata: list the parts of a cell and the library versions that have changed since
-    the recording.
+    """List the parts of a cell and the library versions that differ from a record's run metadata.
 
     An empty list means that executing the run again must give bit-identical results.
     """

@@ -34,7 +34,7 @@ MAX_OBJECTS = len(PALETTE)
 
 
 def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) -> dict[str, bytes]:
-    """Plot for the run report joint positions and velocities over time as PNG, one figure per arm.
+    """Plot joint positions and velocities over time as PNG for the run report, one figure per arm.
 
     Returns:
         Image by name of the arm's group; "joints" for joints without an arm.
@@ -51,7 +51,7 @@ def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) 
 
 
 def response_plot(times: Array, curves: Mapping[str, Array], title: str) -> bytes:
-    """Plot for the run report step responses over time as PNG, one panel per joint.
+    """Plot step responses over time as PNG in the run report's style, one panel per joint.
 
     Args:
         times: (k,) [s].
@@ -77,9 +77,7 @@ def response_plot(times: Array, curves: Mapping[str, Array], title: str) -> byte
 
 
 def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
-    """Plot for the run report gripper width and force per finger over time as PNG; None if neither was
-    recorded.
-    """
+    """Plot gripper width and force over time as PNG for the run report; None if neither was recorded."""
     rows = [
         ("width [mm]", {name: 1000 * v for name, v in series.gripper_width.items()}),
         ("force per finger [N]", dict(series.gripper_force)),
@@ -97,9 +95,7 @@ def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
 
 
 def height_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
-    """Plot for the run report the height (world z) of movable objects as PNG, limited to those that moved
-    most.
-    """
+    """Plot the height (world z) of the most moved objects as PNG for the run report."""
     heights = {n: 1000 * z for n, z in series.object_heights.items() if np.isfinite(z).any()}
     if not heights:
         return None

@@ -30,7 +30,7 @@ _JOINTS = ("/joint_states", "/joint_targets", "/gripper_states")
 
 @dataclass(frozen=True, eq=False)
 class RecordedJoints:
-    """JointState message of a record that the reader returns; arrays are empty where values were unknown."""
+    """JointState message of a record, as the reader returns it; empty arrays for unknown values."""
 
     names: tuple[str, ...]
     positions: Array
@@ -55,7 +55,7 @@ class RecordedState:
 
     @property
     def time(self) -> float:
-        """Return the time [s] of the recorded state."""
+        """Return the time [s] of a recorded state that the reader returned."""
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
@@ -93,16 +93,16 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """Return the duration [s, cell's clock] from the first to the last recorded state."""
+        """Return a read record's duration [s, cell's clock] from first to last recorded state."""
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
-        """Return the index of the last recorded state at or before a time [s]."""
+        """Return the index of a read record's last state at or before a time [s]."""
         return max(bisect.bisect_right(self.states, round(time * NANO), key=lambda s: s.nanoseconds) - 1, 0)
 
 
 def record_file(run: str | Path) -> Path:
-    """Return the record file of a run folder, or the given file itself.
+    """Return the record file to read in a run folder, or the given file itself.
 
     Raises:
         InputError: there is no record.
@@ -140,7 +140,7 @@ def read_record(run: str | Path) -> Record:
 
 
 class _Reading:
-    """Record reader's state that assembles a file's messages."""
+    """State of a record's reader, which assembles a file's messages."""
 
     def __init__(self, file: Path):
         self.file = file
@@ -299,7 +299,7 @@ class StageSpan:
 
 
 def stage_name(event: Event) -> str:
-    """Return a stage event's name: `data["name"]` or `data["stage"]`, else its text."""
+    """Return a recorded stage event's name: `data["name"]` or `data["stage"]`, else its text."""
     return str(event.data.get("name") or event.data.get("stage") or event.text)
 
 

@@ -55,13 +55,12 @@ class Series:
 
     @property
     def object_heights(self) -> dict[str, Array]:
-        """Return from the recorder's series the world z of each object's origin (n,) [m], by object name."""
+        """Return the world z of each object's origin (n,) [m] from the recorder's series, by object name."""
         return {name: xyz[:, 2] for name, xyz in self.object_positions.items()}
 
 
 def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
-    """Create the run recorder's folder `root/<YYYYmmdd-HHMMSS>-<cell>/`, with a suffix "-2", ... if it
-    exists.
+    """Create the run recorder's folder `root/<YYYYmmdd-HHMMSS>-<cell>/`, with suffix "-2" if it exists.
 
     Args:
         root: usually "runs"; created if missing.
@@ -197,9 +196,7 @@ class RunRecorder:
         return _series(self.scene.model.joint_names, samples)
 
     def close(self) -> None:
-        """Close the run recorder: write the last sample and finish the MCAP file; repeated calls have no
-        effect.
-        """
+        """Close the run recorder: write the last sample and finish the MCAP file."""
         with self._lock:
             if self._closed:
                 return

@@ -85,7 +85,7 @@ def _headline(result: Mapping[str, Any]) -> str:
 
 
 def _error_words(result: Mapping[str, Any]) -> str:
-    """Format in the run report an error code as words, e.g. "goal in collision (-12)"."""
+    """Format an error code as words for the run report, e.g. "goal in collision (-12)"."""
     code, name = result.get("error_code"), result.get("error_name")
     if not name and isinstance(code, int):
         name = next((c.name for c in ErrorCode if c.value == code), None)
@@ -100,7 +100,7 @@ def _footer(recorder: RunRecorder) -> str:
 
 # --- tables ---
 def _rows(result: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """Return for the run report a list in the result as mappings; other entries become {"what": entry}."""
+    """Return a list of the result as mappings for the run report; other entries become {"what": entry}."""
     value = result.get(key) or []
     if not isinstance(value, list | tuple):
         value = [value]
@@ -187,7 +187,7 @@ def _contacts(result: Mapping[str, Any]) -> str:
 
 
 def _column_title(key: str) -> str:
-    """Format in the run report a JSON key as a heading with its unit: `force_n` -> "force [N]"."""
+    """Format a JSON key as a run report heading with its unit: `force_n` -> "force [N]"."""
     stem, _, unit = key.rpartition("_")
     known = {"s": "s", "n": "N", "m": "mm", "rad": "rad"}
     return f"{stem.replace('_', ' ')} [{known[unit]}]" if stem and unit in known else key.replace("_", " ")
@@ -221,7 +221,7 @@ def _events(recorder: RunRecorder) -> str:
 
 
 def _event_words(event: Event) -> str:
-    """Return for the run report an event's text; for stage events add missing stage name, phase and error."""
+    """Return an event's text for the run report; stage events get missing name, phase and error."""
     if event.kind != "stage":
         return event.text
     words = event.text if stage_name(event) in event.text else f"{stage_name(event)}: {event.text}"

@@ -103,7 +103,7 @@ class WriteBehindFile:
         self._raise()
 
     def _failed(self, error: OSError) -> None:
-        """Store a write-behind file's error, discard the waiting data and end the thread."""
+        """Store a write error of the write-behind file, discard the waiting data and end the thread."""
         with self._wake:
             self._error, self._closing = error, True
             self._waiting.clear()

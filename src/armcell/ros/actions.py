@@ -185,7 +185,7 @@ class ActionServer:
         threading.Thread(target=self._work, args=(goal,), name=f"goal {self.name}", daemon=True).start()
 
     def _on_cancel(self, message: Any) -> None:
-        """Cancel the action goals that a GoalID cancel message selects by goal id, by time stamp or by both.
+        """Cancel the action goals that a GoalID cancel message selects by id, by time stamp or by both.
 
         A stamp selects all goals up to this time. A message without id and stamp cancels all goals.
         """

@@ -58,9 +58,7 @@ class Interfaces(NamedTuple):
 
 
 def plain_name(name: str) -> str:
-    """Normalize the name of a ROS type: `pkg/msg/Name`, `pkg/srv/Name` or `pkg/action/Name` becomes
-    `pkg/Name`.
-    """
+    """Normalize a ROS type name: `pkg/msg/Name`, `pkg/srv/Name`, `pkg/action/Name` become `pkg/Name`."""
     parts = name.split("/")
     return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv", "action") else name
 

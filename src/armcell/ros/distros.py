@@ -51,8 +51,7 @@ def distro_from_environment() -> str:
 
 @cache
 def layouts(distro: str) -> Interfaces:
-    """Return the layouts of all messages for which a ROS 2 distribution has its own definition, by
-    `pkg/Name`.
+    """Return the messages that a ROS 2 distribution defines differently (its layouts), by `pkg/Name`.
 
     Raises:
         UnknownNameError: armcell does not support the distribution.

@@ -53,7 +53,7 @@ def resolved(name: str, node: str, namespace: str) -> str:
 
 
 class NameMap:
-    """One-to-one map between the ROS names that a program uses and the names on the ROS graph.
+    """One-to-one map between the ROS names of a program and the names on the ROS graph.
 
     The namespace prefixes all names of the program, including names with a leading slash; only the names in
     `GLOBAL` stay unchanged. Remapping an action remaps its five topics as well. Source of the rules:

@@ -74,9 +74,7 @@ class Schema:
         self.actions = sorted({*self.actions, *found.actions})
 
     def _add_ros2(self) -> None:
-        """Add to the message schema the types and fields that exist only in ROS 2; newer distributions take
-        precedence.
-        """
+        """Add ROS 2's own types and fields to the message schema; newer distributions take precedence."""
         for distro in reversed(DISTROS):
             found = layouts(distro)
             for name, definition in found.messages.items():
@@ -166,7 +164,7 @@ class Schema:
         return "".join(f"{line}\n" for line in self._lines(self.definition(name), {}))
 
     def full_text(self, name: str) -> str:
-        """Return the definition text of a message and all nested types, as in TCPROS and bag files."""
+        """Return the schema's definition text of a message and all nested types, as in bag files."""
         name = plain_name(name)
         seen: list[str] = [name]
         for outer in seen:  # the loop appends nested types to this list
@@ -175,7 +173,7 @@ class Schema:
         return self.text(name) + "".join(rest)
 
     def md5(self, name: str) -> str:
-        """Return the MD5 sum of a message or service type, which ROS 1 peers compare at connection.
+        """Return the schema's MD5 sum of a message or service type, which ROS 1 peers compare.
 
         Source: `gentools.compute_md5` in ROS 1's genmsg. The text lists constants first, replaces each nested
         type by its MD5 sum, and omits comments and package names. The text of a service is the request text
@@ -196,7 +194,7 @@ class Schema:
         return self._texts[name]
 
     def _lines(self, definition: Definition, names: Mapping[str, str]) -> list[str]:
-        """Return the lines of a message definition, with nested types replaced by their entries in `names`.
+        """Return a message definition's lines from the schema, with nested types replaced by `names`.
 
         A replaced type has no array suffix.
         """

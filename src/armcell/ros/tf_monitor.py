@@ -39,7 +39,7 @@ class Frame:
 
     @property
     def rate(self) -> float:
-        """Return the mean rate [Hz] of the received transforms of this TF frame."""
+        """Return the mean rate [Hz] of a TF frame's received transforms."""
         return (self.count - 1) / (self.last - self.first) if self.last > self.first else 0.0
 
 

@@ -215,7 +215,7 @@ class _Reader:
         raise self.fail(f"{what} is a {kind!r}; known: {', '.join(sized)}, plane, mesh")
 
     def _plane(self, equation: list[float]) -> tuple[Shape, SE3]:
-        """Return a .scene file's plane as half-space behind the plane a x + b y + c z + d = 0, with its pose."""
+        """Return a .scene file's plane a x + b y + c z + d = 0 as half-space with its pose."""
         normal, d = np.array(equation[:3]), equation[3]
         length = float(np.linalg.norm(normal))
         if length == 0:

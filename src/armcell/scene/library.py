@@ -24,7 +24,7 @@ WALL_PIECES = 16  # number of flat segments of a mug's round wall
 @dataclass(frozen=True)
 @checked()
 class Kind:
-    """A kind of everyday object in the library: a function from sizes to solids, density, friction and color."""
+    """A kind of everyday object in the library: a function of sizes, density, friction and color."""
 
     solids: Callable[..., Solids]
     density: float  # [kg/m^3] mean density of the solids, including the content of a full can

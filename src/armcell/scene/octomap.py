@@ -198,9 +198,7 @@ def _trace(grid, low, ends, far, eye, size):
 
 @njit(cache=True)
 def _spread(v):
-    """Spread the low 16 bits of an integer: insert two zero bits after each bit, for an octomap's Z-order
-    codes.
-    """
+    """Spread an integer's low 16 bits by two zero bits each, for an octomap's Z-order codes."""
     v &= 0xFFFF
     v = (v | (v << 16)) & 0x0000FF0000FF
     v = (v | (v << 8)) & 0x00F00F00F00F
@@ -219,7 +217,7 @@ def _gather(v):
 
 @njit(cache=True)
 def voxel_codes(keys):
-    """Return the Z-order codes (n,) of an octomap's voxels (n, 3), which are counted from the map's origin."""
+    """Return the Z-order codes (n,) of an octomap's voxels (n, 3), counted from the map's origin."""
     out = np.empty(len(keys), np.int64)
     for i in range(len(keys)):
         out[i] = (

@@ -26,9 +26,7 @@ WORLD = "world"
 
 @dataclass(frozen=True, eq=False)
 class AttachedBody:
-    """An object attached to a robot link in a planning scene; contact with the links in `touch_links` is
-    allowed.
-    """
+    """Object attached to a robot link in a planning scene; may touch the links in `touch_links`."""
 
     object: CollisionObject
     link: str
@@ -130,9 +128,7 @@ class PlanningScene:
         return replace(self, objects={**self.objects, **added})
 
     def check_new_name(self, name: str) -> None:
-        """Raise an InputError if a link, a fixed frame or an attached object of the planning scene has the
-        given name.
-        """
+        """Raise an InputError if a link, fixed frame or attached object of the planning scene has a name."""
         if name in self.model.links or name == WORLD:
             raise InputError(f"object {name!r} has the name of a link", hint="give it another name")
         if name in self.fixed_frames:
@@ -300,8 +296,7 @@ class PlanningScene:
         return [WORLD, *self.model.links, *self.fixed_frames, *own]
 
     def anchor(self, name: str) -> tuple[str, SE3]:
-        """Return the link that a planning scene's frame moves with, and the frame's pose relative to the
-        link.
+        """Return the link with which a planning scene's frame moves, and the frame's pose in that link.
 
         For a frame that is fixed in the world, the link is the robot's root link.
 
@@ -327,8 +322,7 @@ class PlanningScene:
         raise UnknownNameError("frame", name, self.frame_names)
 
     def frame_pose(self, name: str) -> SE3:
-        """Return from the planning scene the pose T_world_frame of a link, object, subframe ("cup/handle") or
-        fixed frame.
+        """Return T_world_frame of a link, object, subframe ("cup/handle") or fixed frame in a planning scene.
 
         Raises:
             UnknownNameError: the frame does not exist.
@@ -339,9 +333,7 @@ class PlanningScene:
         return kinematic_tree(self.model).link_pose(self.positions, link) @ T_link_frame
 
     def transform(self, target: str, source: str) -> SE3:
-        """Return the transform T_target_source between two frames of the planning scene, like TF's
-        `lookup_transform`.
-        """
+        """Return T_target_source between two frames of the planning scene, like TF's `lookup_transform`."""
         return self.frame_pose(target).inv() @ self.frame_pose(source)
 
     # --- many changes at once ---

@@ -85,7 +85,7 @@ class Apart:
         self.forget()
 
     def forget(self) -> None:
-        """Forget motion bounds: let MuJoCo test every body pair again, e.g. after a body was moved by hand."""
+        """Forget how far apart bodies are: let MuJoCo test every body pair again."""
         model = self._model
         self._left[:], self._shut[:], self._open[:] = -1.0, False, self._looked_at
         model.geom_conaffinity[self._bit > 0] = ALL

@@ -11,7 +11,7 @@ from armcell.model.robot import MjcfPart
 
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
-    """Return the MJCF part of each robot link that comes from an MJCF file."""
+    """Return the MJCF part to attach for each robot link that comes from an MJCF file."""
     return {link: part for part in model.mjcf for link in part.links if link in model.links}
 
 

@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class GripperIndex:
-    """Index table: indices and limits of one gripper's position servo in a MuJoCo model.
+    """Indices and limits of one gripper's position servo in a built MuJoCo model.
 
     The length of the servo's tendon is the driven joint's position, averaged over the fingers.
     """
@@ -47,7 +47,7 @@ class GripperIndex:
 
 @dataclass(frozen=True, eq=False)
 class BuiltModel:
-    """A compiled MuJoCo model with index tables by name.
+    """Built model: a compiled MuJoCo model with index tables by name.
 
     `owners` lists the links, then the objects.
     """

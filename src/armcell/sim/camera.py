@@ -65,9 +65,7 @@ class DepthNoise:
 
 
 def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of a simulated depth image's pixels next to a depth discontinuity: more than 3 % and more
-    than 1 cm.
-    """
+    """Return a mask of a simulated depth image's pixels next to a discontinuity (over 3 % and 1 cm)."""
     jump = np.zeros(z.shape, bool)
     for axis in (0, 1):
         near, far = (slice(None), slice(1, None)), (slice(None), slice(None, -1))

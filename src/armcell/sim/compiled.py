@@ -44,7 +44,7 @@ class CompiledSteps:
 
     @property
     def possible(self) -> bool:
-        """Return whether MuJoCo has enough memory for compiled physics steps.
+        """Return whether MuJoCo has enough memory for the compiled stepper (`CompiledSteps`).
 
         In compiled code a MuJoCo error ends the process, so compiled steps are unavailable once the peak use
         of the arena has reached half its size.
@@ -52,14 +52,14 @@ class CompiledSteps:
         return self._data.maxuse_arena * 2 < self._data.narena
 
     def take(self, n: int, monitor: ContactMonitor) -> None:
-        """Take n compiled physics steps and record unwanted contacts in a contact monitor."""
+        """Take n steps with the compiled stepper and record unwanted contacts in a contact monitor."""
         self._run(n, monitor, n, _NO_ROWS, _NO_COLUMNS, _NO_COLUMNS, np.inf, _NONE)
 
     def follow(
         self, targets: Array, steps: int, tolerance: float, controls: Controls,
         columns: NDArray[np.int64], monitor: ContactMonitor,
     ) -> tuple[int, Array]:  # fmt: skip
-        """Track joint targets in compiled physics steps until they end or a joint leaves the tolerance.
+        """Track joint targets with the compiled stepper until they end or a joint leaves the tolerance.
 
         Args:
             targets: (k, 2j) positions, then velocities, of j joints; one row for every `steps` physics steps.
@@ -80,7 +80,7 @@ class CompiledSteps:
         self, n: int, monitor: ContactMonitor, period: int, targets: Array, where: NDArray[np.int64],
         columns: NDArray[np.int64], limit: float, worst: Array,
     ) -> int:  # fmt: skip
-        """Take up to n compiled physics steps, until a joint leaves the limit; return the number of steps."""
+        """Take up to n steps with the compiled stepper until a joint leaves the limit; return the number."""
         taken, off = 0, False
         model, data = self._engine
         while taken < n and not off:
@@ -105,7 +105,7 @@ def compiled_steps(
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return a live view (1,) of MuJoCo's contact count, for compiled stepping, after the timers in mjData."""
+    """Return a live view (1,) of MuJoCo's contact count for compiled stepping, behind mjData's timers."""
     timers = data.timer.duration
     address = timers.__array_interface__["data"][0] + timers.shape[0] * timers.strides[0]
     return np.ctypeslib.as_array((ctypes.c_int32 * 1).from_address(address))

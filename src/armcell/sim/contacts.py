@@ -25,7 +25,7 @@ _NO_END = 1 << 20
 
 @dataclass(frozen=True)
 class PhysicsContact:
-    """One contact point of the last physics step; with names of links or objects."""
+    """One contact point of the last physics step, with the names of its links or objects."""
 
     body_a: str
     body_b: str
@@ -99,7 +99,7 @@ class ContactMonitor:
 
     @property
     def unwanted(self) -> tuple[UnwantedContact, ...]:
-        """Return the unwanted contacts that the contact monitor recorded so far, in order of first contact."""
+        """Return the unwanted contacts that the contact monitor recorded, in order of first contact."""
         return tuple(self._found.values())
 
     @property
@@ -107,20 +107,15 @@ class ContactMonitor:
         return frozenset(self._allowed)
 
     def allow(self, a: str, b: str | Iterable[str]) -> None:
-        """Let the contact monitor allow contact between a body and one or more other bodies (links or
-        objects).
-        """
+        """Let the contact monitor allow contact between a body and other bodies (links or objects)."""
         self._change(a, b, True)
 
     def forbid(self, a: str, b: str | Iterable[str]) -> None:
-        """Let the contact monitor forbid contact between a body and one or more other bodies; reverses
-        `allow`.
-        """
+        """Let the contact monitor forbid contact between a body and other bodies; reverses `allow`."""
         self._change(a, b, False)
 
     def watch(self, item: str, supports: Iterable[str] = ()) -> None:
-        """Let the contact monitor treat contacts of an object with other objects as unwanted, except for its
-        supports.
+        """Let the contact monitor treat an object's contacts, except with its supports, as unwanted.
 
         Contact with the supports stays allowed until `forbid` revokes it.
         """

@@ -116,7 +116,7 @@ class GripperDrive:
 
 
 class Fingers:
-    """The servos of all simulated grippers, with the arrays that the compiled stepper uses.
+    """Servos of all simulated grippers' fingers, with the arrays that the compiled stepper uses.
 
     Attributes:
         law: (g, 7) one row per gripper for `stepping.drive_fingers`.
@@ -183,7 +183,7 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperS
 
 
 def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """Return, for grips, the pose T_a_b between two MuJoCo bodies, as of the last step.
+    """Return the pose T_a_b between two MuJoCo bodies, as of the last step, for grip checks.
 
     Both poses come from the same instant.
     """
@@ -191,7 +191,7 @@ def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
 
 
 def body_pose(data: mujoco.MjData, body: int) -> SE3:
-    """Return, for grips, the pose T_world_body of a MuJoCo body, as of the last step."""
+    """Return the pose T_world_body of a MuJoCo body, as of the last step, for grip checks."""
     return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())
 
 

@@ -58,9 +58,7 @@ class TrialSettings:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Trial:
-    """Hand trial: one grasp to test in physics without the arm: hand pose, opening, force, and object
-    properties.
-    """
+    """Hand trial: one grasp to test without the arm: hand pose, opening, force, object properties."""
 
     T_object_tcp: SE3
     opening: float  # [m] gripper width at the start

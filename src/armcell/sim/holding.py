@@ -82,9 +82,7 @@ class Holding:
         self._qpos = data.qpos
 
     def forget(self) -> None:
-        """Forget the hand poses of held objects' corrections; call this after the state changed without a
-        physics step.
-        """
+        """Forget the hand poses for holding objects, after the state changed without a physics step."""
         self._past[:, 0] = 0.0
 
     def update(self, count: int, pairs: NDArray[np.int32]) -> None:
@@ -133,8 +131,7 @@ def _view(address: int) -> Array:
 
 @cache
 def _offset() -> int:
-    """Return the offset of `impratio` from `gravity` in MuJoCo's options, in doubles, for held objects'
-    corrections.
+    """Return the offset of `impratio` from `gravity` in MuJoCo's options, to correct held objects.
 
     The result is 0 if the memory layout is unknown.
 
@@ -194,8 +191,7 @@ def _in_hand(count, pairs, owner, free, fingers):
 
 @njit(cache=True)
 def _move(qpos, start, R, shift, turn):
-    """Correct a held object: move its free body by a shift [m] and a small rotation vector [rad], both in
-    world axes.
+    """Correct a held object: shift its body [m] and turn it by a small vector [rad], world axes.
 
     Args:
         start: index of x, y, z, qw, qx, qy, qz in qpos.

@@ -150,9 +150,7 @@ def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
 
 
 def arm_joints(model: RobotModel) -> list[str]:
-    """Return the robot's actuated joints that belong to no gripper and have joint gains, in the model's
-    order.
-    """
+    """Return the arm joints with gains: actuated joints that belong to no gripper, in model order."""
     fingers = {gripper.joint_name for gripper in model.grippers.values()}
     return [name for name in model.joint_names if name not in fingers]
 

@@ -58,7 +58,7 @@ def _no_lease() -> None:
 
 
 class _PooledModel:
-    """A compiled MuJoCo model of the model pool in its original state, with one copy that worlds can lease."""
+    """A compiled MuJoCo model of the model pool in its original state, with one copy to lease."""
 
     def __init__(self, built: BuiltModel):
         self._built = built

@@ -50,9 +50,7 @@ def add_object(
 
 
 def add_free_body(parent: Any, item: CollisionObject, T_parent_object: SE3) -> Any:
-    """Add a scene object's body with a free joint and an object's inertia, but without geoms, to a MuJoCo
-    spec.
-    """
+    """Add a scene object's body with free joint and inertia, but without geoms, to a MuJoCo spec."""
     body = parent.add_body(name=item.name, pos=T_parent_object.translation, quat=T_parent_object.quat_wxyz)
     body.add_freejoint(name=f"{item.name}:free")
     _set_inertia(body, item)
@@ -84,9 +82,7 @@ def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> Non
 
 
 def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> None:
-    """Add a slide and a hinge joint about a screwed-in object's z axis in MuJoCo, coupled by the thread's
-    pitch.
-    """
+    """Add a slide and a hinge joint for a screwed-in object in MuJoCo, coupled by the thread's pitch."""
     per_radian = thread.pitch / (2 * np.pi)
     turns, axis = thread.travel / per_radian, [0.0, 0.0, 1.0]
     # In MuJoCo, a coupling of light joints is soft, so both joints get additional armature.

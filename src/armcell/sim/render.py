@@ -31,7 +31,7 @@ _CHECKER = 0.5  # [m] edge length of the checkerboard squares on an infinite pla
 
 
 def has_gl() -> bool:
-    """Return whether OpenGL rendering of simulated cameras works on this machine.
+    """Return whether OpenGL can render simulated camera images on this machine.
 
     The result is cached.
     """
@@ -100,7 +100,7 @@ Drawing = tuple[NDArray[np.uint8], NDArray[np.float32]]
 
 # --- copy of a world for rendering ---
 class _DrawnScene:
-    """A copy of a simulated world with visual meshes, for rendering camera images.
+    """Copy of a simulated world with visual meshes, to render camera images.
 
     The copy is separate from the physics, so rendering has no effect on the simulation.
     """
@@ -216,9 +216,7 @@ def _drawn(world: SimWorld) -> _DrawnScene:
 
 # --- rays ---
 def _rays(camera: Camera) -> NDArray[np.float64]:
-    """Return unit directions (height * width, 3) through the pixel centers, in the camera frame, to render
-    depth by ray casting.
-    """
+    """Return unit directions (height * width, 3) through pixel centers, to render depth by ray casting."""
     m = camera.model
     x = (np.arange(camera.width) - m.cx) / m.fx
     y = (np.arange(camera.height) - m.cy) / m.fy

@@ -60,9 +60,7 @@ class PhysicsState:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredState:
-    """Measured or reported joint positions and object poses of a robot that is not simulated, for the render
-    process.
-    """
+    """Measured joint positions and object poses of a robot that is not simulated, for the render process."""
 
     positions: NDArray[np.float64]  # (dof,) [rad or m] in the model's order
     object_poses: dict[str, SE3]  # T_world_object

@@ -90,8 +90,7 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings) -> None:
 
 
 def _massless_carriers(model: RobotModel) -> set[str]:
-    """Return the robot links without mass on movable joints in MuJoCo, even together with the links fixed to
-    them.
+    """Return the robot's massless links on movable joints in MuJoCo, even with links fixed to them.
 
     MuJoCo rejects moving bodies without mass.
     """

@@ -229,9 +229,7 @@ def controller_gains(data: Mapping, file: Path, model: RobotModel) -> tuple[Gain
 
 
 def _nested(data: Any) -> Any:
-    """Expand keys that are paths, such as /gazebo_ros_control/pid_gains/JOINT, in controller files into
-    mappings.
-    """
+    """Expand keys of controller files that are paths, such as /gazebo_ros_control/pid_gains/JOINT."""
     if not isinstance(data, Mapping):
         return data
     made: dict[Any, Any] = {}

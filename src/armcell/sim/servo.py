@@ -46,9 +46,7 @@ class ArmServo:
         self._feedforward = np.array([drive.feedforward for drive in drives])
 
     def controls(self, columns: list[int]) -> Controls:
-        """Return MuJoCo's control indices of the arm servo's joints, given their indices in the model's
-        order.
-        """
+        """Return MuJoCo's control indices of the arm servo's joints, given indices in model order."""
         at = np.array([self._at[c] for c in columns], dtype=int)
         return at, self._pos[at], self._vel[at]
 
@@ -68,8 +66,7 @@ class ArmServo:
                 data.ctrl[velocity] = v
 
     def apply(self, controls: Controls, torque: Array) -> None:
-        """Let the arm servo apply efforts (n,) [Nm or N] to arm joints until their next target; the PID law
-        is off.
+        """Let the arm servo apply efforts (n,) [Nm or N] until the next target; the PID law is off.
 
         Raises:
             InputError: the arm control is not "torque".
@@ -81,9 +78,7 @@ class ArmServo:
         self._torque[controls[0]] = torque
 
     def hold(self, data: mujoco.MjData, q: Array) -> None:
-        """Let the arm servo hold all arm joints at positions q (dof,) in the model's order; reset the PID
-        integral.
-        """
+        """Let the arm servo hold all arm joints at positions q (dof,); reset the PID integral."""
         columns = list(self._at)
         self.integral[:] = 0.0
         self.command(data, self.controls(columns), q[columns], np.zeros(len(columns)))

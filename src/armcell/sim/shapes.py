@@ -90,9 +90,7 @@ class GeomAdder:
 
 
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
-    """Return a cone shape for MuJoCo as a closed convex mesh; its base vertices are on the cone's base
-    circle.
-    """
+    """Return a cone shape for MuJoCo as closed convex mesh with base vertices on the base circle."""
     angle = 2 * np.pi * np.arange(edges) / edges
     base = np.stack(
         [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1

@@ -74,7 +74,7 @@ class SlidingFriction:
                 self._put(k, True)
 
     def _slips(self, data: mujoco.MjData) -> tuple[NDArray[np.int64], Array]:
-        """Return the owners (n, 2) and slip speeds (n,) [m/s] of all contacts that carry a force in physics."""
+        """Return the owners (n, 2) and slip speeds (n,) [m/s] of all contacts under force in physics."""
         contact = data.contact
         loaded = contact.efc_address >= 0
         loaded[loaded] = data.efc_force[contact.efc_address[loaded]] > 0

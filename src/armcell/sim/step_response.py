@@ -35,8 +35,7 @@ class StepResponse:
 
 
 def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) -> dict[str, float]:
-    """Return the largest deviation [rad or m] of each joint that holds its position (gravity sag in a step
-    response).
+    """Return the largest deviation [rad or m] of each joint that holds its position (gravity sag).
 
     The joints hold the scene's positions under gravity for `duration` [s].
     """

@@ -48,7 +48,7 @@ ALL = 0x7FFFFFFF  # all bits of MuJoCo's contact masks
 
 @njit(cache=True)
 def drive_fingers(law, joints, weights, qpos, ctrl):
-    """Compute in compiled steps the set points of all gripper servos for the next physics step.
+    """Stepping kernel: compute the set points of all gripper servos for the next physics step.
 
     Args:
         law: (g, 7) one row per gripper, changed in place.
@@ -76,7 +76,7 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 
 @njit(cache=True)
 def _before(qpos, apart):
-    """Compiled step: let MuJoCo test the body pairs that may no longer be apart; return whether any exist."""
+    """Stepping kernel: let MuJoCo test body pairs that may no longer be apart; return if any exist."""
     columns, reach, reference, begins, limit, left, shut, old, most, last = apart[:10]
     bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, _ = apart[10:]
     step = 0.0
@@ -113,7 +113,7 @@ def _before(qpos, apart):
 
 @njit(cache=True)
 def _after(model, data, places, apart):
-    """Compiled step: measure the distances of the body pairs that used up their motion bounds.
+    """Stepping kernel: measure the distances of the body pairs that used up their motion bounds.
 
     MuJoCo skips a pair again if the bodies are far enough apart.
     """
@@ -150,7 +150,7 @@ def _after(model, data, places, apart):
 
 @njit(cache=True)
 def _apart(fixed, k):
-    """Return `Apart.arrays` from a table of addresses, starting at row k, in a compiled step."""
+    """Stepping kernel: return `Apart.arrays` from a table of addresses, starting at row k."""
     return (
         vector(fixed, k, _I8), vector(fixed, k + 1, _F8), vector(fixed, k + 2, _F8),
         vector(fixed, k + 3, _I8),
@@ -167,7 +167,7 @@ def take_steps(
     model, data, begin, end, fixed, pairs, readable, unwanted, period, targets, controls, columns, limit,
     worst,
 ):  # fmt: skip
-    """Take compiled physics steps until the end, an unwanted contact, or a joint off its target.
+    """Stepping kernel: take physics steps until the end, an unwanted contact, or a joint off target.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -224,7 +224,7 @@ def take_steps(
     cache=True,
 )  # fmt: skip
 def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
-    """Compiled step: add up the contact forces on each finger along an axis, by touching link or object.
+    """Stepping kernel: add up contact forces on each finger along an axis, by link or object.
 
     Contacts between two fingers do not count.
 
@@ -263,7 +263,7 @@ def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
     cache=True,
 )  # fmt: skip
 def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first_object):
-    """Compiled step: return the sum of the forces [N] on all fingers along an axis, and the gripped object.
+    """Stepping kernel: return the sum of finger forces [N] along an axis, and the gripped object.
 
     The object is the one that all fingers press, or -1.
 
@@ -294,7 +294,7 @@ def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first
     cache=True,
 )  # fmt: skip
 def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
-    """Compiled step: collect the contacts between a hand and other bodies, with their wrenches.
+    """Stepping kernel: collect the contacts between a hand and other bodies, with wrenches.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -325,7 +325,7 @@ def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
     cache=True,
 )
 def add_about(which, places, origin, wrenches, total):
-    """Compiled step: add up a hand's contact wrenches about one point.
+    """Stepping kernel: add up a hand's contact wrenches about one point.
 
     Args:
         which: (k,) numbers of the contacts.

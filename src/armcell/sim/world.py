@@ -236,8 +236,7 @@ class SimWorld:
         self.check()
 
     def _look_at_all(self, forget: bool = True) -> None:
-        """Make a simulated world's MuJoCo test all body pairs again, before physics runs without compiled
-        steps.
+        """Let a simulated world's MuJoCo test all body pairs again, before steps that are not compiled.
 
         Args:
             forget: also forget the last poses of hands that hold objects, because the state changes.
@@ -300,13 +299,13 @@ class SimWorld:
         return errors.item(worst), worst
 
     def _run_belts(self, data: mujoco.MjData) -> None:
-        """Set the joints of all conveyor belts in a simulated world to position zero and to the belt speed."""
+        """Reset all conveyor belt joints of a simulated world to position zero and to the belt speed."""
         for position, velocity, speed in self.built.belts:
             data.qpos[position], data.qvel[velocity] = 0.0, speed
 
     # --- robot ---
     def joint_state(self) -> JointState:
-        """Return the state of the simulated robot's actuated joints, in the model's order.
+        """Return a simulated world's state of the robot's actuated joints, in the model's order.
 
         Efforts include the gravity compensation of the arm.
         """
@@ -322,7 +321,7 @@ class SimWorld:
     def set_arm_target(
         self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
     ) -> None:
-        """Set target positions [rad or m] and velocities [rad/s or m/s] of some simulated robot joints.
+        """Set a simulated world's target positions [rad or m] and velocities of some robot joints.
 
         A gripper's driven joint moves to its target at the gripper's full force.
 
@@ -346,7 +345,7 @@ class SimWorld:
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
 
     def set_arm_torque(self, joint_names: Sequence[str], torques: ArrayLike) -> None:
-        """Apply torques [Nm or N] to simulated arm joints until their next target.
+        """Apply torques [Nm or N] to a simulated world's arm joints until their next target.
 
         The torques are added to the gravity compensation.
 
@@ -361,9 +360,7 @@ class SimWorld:
         self._servo.apply(controls, float_array(torques, (len(names),), "torques"))
 
     def arm_target(self) -> JointState:
-        """Return the last target positions and velocities of the simulated arm joints, without gripper
-        joints.
-        """
+        """Return a simulated world's last arm joint target positions and velocities, without grippers."""
         names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
         return JointState(names, self._servo.target, self._servo.speed, time=self.time)
 
@@ -418,12 +415,12 @@ class SimWorld:
         return self.built.grippers[name]
 
     def link_pose(self, link: str) -> SE3:
-        """Return the pose T_world_link of a simulated robot link."""
+        """Return the pose T_world_link of a robot link in a simulated world."""
         self.robot.link(link)
         return body_pose(self.mj_data, self.built.body[link])
 
     def set_positions(self, q: ArrayLike) -> None:
-        """Place the simulated robot at positions q (dof,), at rest, without simulating the motion.
+        """Place a simulated world's robot at positions q (dof,), at rest, without a motion.
 
         The joint targets are set to the positions, too.
 
@@ -445,7 +442,7 @@ class SimWorld:
 
     # --- objects ---
     def object_pose(self, name: str) -> SE3:
-        """Return the pose T_world_object of a simulated object."""
+        """Return the pose T_world_object of an object in a simulated world."""
         self._object(name)
         return body_pose(self.mj_data, self.built.body[name])
 
@@ -454,7 +451,7 @@ class SimWorld:
         return {name: self.object_pose(name) for name in self.built.moving}
 
     def object_twist(self, name: str) -> Array:
-        """Return a simulated object's linear [m/s] and angular velocity [rad/s] as (6,), world frame.
+        """Return an object's linear [m/s] and angular velocity [rad/s] (6,) in a simulated world.
 
         The linear velocity is that of the object's origin.
         """
@@ -467,7 +464,7 @@ class SimWorld:
         return velocity
 
     def set_object_pose(self, name: str, T_world_object: SE3) -> None:
-        """Place a simulated object at a pose, at rest; a fixed object stays there until a reset.
+        """Place an object in a simulated world, at rest; a fixed object stays there until a reset.
 
         For setup only: the physics does not simulate this motion.
 
@@ -507,7 +504,7 @@ class SimWorld:
         return replace(scene, positions=q, objects=objects, attached={})
 
     def sample(self) -> StateSample:
-        """Return the current state of the simulated joints, objects, and grippers for observers."""
+        """Return a simulated world's state of joints, objects, and grippers for observers."""
         grippers = {name: self.gripper_state(name) for name in self.built.grippers}
         return StateSample(
             time=self.time,
@@ -523,7 +520,7 @@ class SimWorld:
 
     # --- faults, and the state of a real robot ---
     def add_load(self, link: str, mass: float) -> None:
-        """Add a mass [kg] at a simulated link's center of mass, without gravity compensation.
+        """Add a mass [kg] at a link's center of mass in a simulated world, without gravity compensation.
 
         The mass stays after a reset to the same scene.
         """
@@ -535,7 +532,7 @@ class SimWorld:
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def block(self, joint: str) -> None:
-        """Block a simulated joint by strong damping, so that it hardly moves at any motor torque.
+        """Block a joint in a simulated world by strong damping, against any motor torque.
 
         The joint stays blocked after a reset to the same scene.
         """
@@ -564,13 +561,13 @@ class SimWorld:
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Store a simulated object's pose in a gripper's tcp frame as the reference for measuring its slip."""
+        """Store an object's pose in a gripper of a simulated world, as reference for its slip."""
         self._object(item)
         index = self._gripper(gripper)
         self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
 
     def slip(self, gripper: str | None = None) -> tuple[float, float]:
-        """Return how far a simulated object has slipped [m] and rotated [rad] in a gripper.
+        """Return how far an object has slipped [m] and rotated [rad] in a simulated world's gripper.
 
         Args:
             gripper: name of the gripper; required only if more than one gripper is watched.

@@ -23,7 +23,7 @@ from armcell.tasks.stage_statistics import reason_in_short
 
 
 class World:
-    """Planning scene of a running task, without measurements and shared by threads.
+    """World in a task's context: the planning scene without measurements, shared by threads.
 
     Attributes:
         scene: may be read at any time. It is replaced while `editing` is held, never mutated.
@@ -41,7 +41,7 @@ class World:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """Return a task's changed scene with measured values reset to those of the base scene.
+    """Reset measured values of a task context's changed scene to those of the base scene.
 
     Args:
         base: the scene before the change.
@@ -74,7 +74,7 @@ UNWATCHED = 0.02  # [s] step size without observers
 
 @dataclass
 class StageReport:
-    """Row of a running task's stage table: the report of one stage."""
+    """Row of a task context's stage table: the report of one stage."""
 
     name: str
     planner: str = ""
@@ -92,7 +92,7 @@ class StageReport:
 
 @dataclass
 class Holding:
-    """Object in a gripper, as assumed by the task and the planning scene."""
+    """Object in a gripper, as a task's context and the planning scene assume."""
 
     object: str
     gripper: Gripper
@@ -129,14 +129,14 @@ class TaskContext:
 
     # --- measured state ---
     def scene(self) -> PlanningScene:
-        """Return a running task's planning scene: measured joints and object poses, objects attached.
+        """Return a task context's planning scene: measured joints and object poses, objects attached.
 
         Safe to call from any thread, like `whole_scene` and `change_scene`.
         """
         return self.whole_scene()
 
     def belief(self, name: str) -> str:
-        """Return a running task's belief of an object's pose as text; for real arms, also how to correct it."""
+        """Return a task context's belief of an object's pose as text, and on real arms how to correct it."""
         x, y, z = self.scene().object(name).T_world_object.translation
         text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
         if self.driver.is_simulated:
@@ -148,7 +148,7 @@ class TaskContext:
         )
 
     def whole_scene(self) -> PlanningScene:
-        """Return a running task's scene with all arms; with two arms, `scene` contains only one arm."""
+        """Return a task context's scene with all arms; with two arms, `scene` contains only one."""
         return self._measured(self.base)
 
     def _measured(self, scene: PlanningScene) -> PlanningScene:
@@ -165,17 +165,17 @@ class TaskContext:
         return scene
 
     def hands(self) -> Iterable[Holding]:
-        """Return the objects that all hands hold in a running task."""
+        """Return the objects that all hands hold in a task's context."""
         contexts = self.at_work or (self,)
         return [held for ctx in contexts for held in list(ctx.holding.values())]
 
     @property
     def base(self) -> PlanningScene:
-        """Return a running task's planning scene without measurements."""
+        """Return a task context's planning scene without measurements."""
         return self.world.scene
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change a running task's planning scene atomically: add, change, move or remove objects.
+        """Change a task context's planning scene atomically: add, change, move or remove objects.
 
         Safe to call at any time from any thread, also during a motion. Later plans respect the change, and a
         running motion is stopped if an object blocks its remaining part (`MotionGate`). Joints, held objects
@@ -202,7 +202,7 @@ class TaskContext:
         return self.scene()
 
     def _tell_changes(self) -> None:
-        """Report a running task's scene changes to observers in order, from one thread at a time."""
+        """Report a task context's scene changes to observers in order, from one thread at a time."""
         while self.world.news and self.world.telling.acquire(blocking=False):
             try:
                 while self.world.news:
@@ -219,33 +219,31 @@ class TaskContext:
                 self.world.telling.release()
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Let a running task allow a body's contacts with others, for physics and motion gate, or forbid
-        them.
-        """
+        """Let a task context allow a body's contacts, for physics and motion gate, or forbid them."""
         others = tuple(others)
         pairs = {frozenset((body, other)) for other in others}
         self.expected = self.expected | pairs if expected else self.expected - pairs
         self.driver.expect_contact(body, others, expected)
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object of the objects that a running task's driver measures."""
+        """Return T_world_object of the objects that a task context's driver measures."""
         return self.driver.object_poses()
 
     def expected_contacts(self) -> Set[frozenset[str]]:
-        """Return the pairs of bodies whose contact currently belongs to the running task."""
+        """Return the pairs of bodies whose contact a task's context currently expects."""
         return self.expected
 
     def clock(self) -> float:
-        """Return the time [s] of a running task's driver."""
+        """Return the time [s] of a task context's driver."""
         return self.driver.now
 
     @property
     def keeps_time(self) -> bool:
-        """Return whether a task's motions follow their timing exactly; real arms may be slowed down."""
+        """Return whether motions in a task's context follow their timing exactly; real arms may be slower."""
         return self.driver.is_simulated
 
     def slip_of(self, held: Holding) -> float:
-        """Return the displacement [m] of a task's held object in the gripper since it was grasped."""
+        """Return how far [m] a held object has slipped in the gripper since its grasp (task context)."""
         return held.T_tcp_object.distance_to(self.T_tcp_object(held.object, held.gripper))[0]
 
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:
@@ -254,7 +252,7 @@ class TaskContext:
 
     # --- coordination with the other arm ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:
-        """Return a motion's trajectory if the running task may start it, else the reason why not.
+        """Return a motion's trajectory if the task context lets it start, else the reason why not.
 
         A single arm may always start.
 
@@ -271,21 +269,21 @@ class TaskContext:
         return nullcontext()
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return a task's next item whose zone the other arm does not use.
+        """Return the next item whose zone the other arm does not use, by the task's context.
 
         For a single arm, this is the first item.
         """
         return items[0]
 
     def rendezvous(self, name: str) -> None:
-        """Wait in a task until the other arm's program reaches the rendezvous point of the same name.
+        """Wait in a task's context until the other arm's program reaches the same rendezvous point.
 
         A single arm does not wait.
         """
 
     # --- time ---
     def advance(self, duration: float) -> None:
-        """Let time [s] pass in a running task, with observer updates; return early if it is canceled."""
+        """Let time [s] pass in a task's context, with observer updates; return early if canceled."""
         driver, end = self.driver, self.driver.now + duration
         alone = driver.is_simulated and not self.observers
         at_once = max(round(UNWATCHED / driver.period), 1) * driver.period if alone else driver.period
@@ -295,11 +293,11 @@ class TaskContext:
 
     @property
     def progress(self) -> Callable[[float], None] | None:
-        """Return a task's progress callback, called after each command of a motion; None without observers."""
+        """Return a task context's progress callback for motion commands; None without observers."""
         return (lambda _: self.observe()) if self.observers else None
 
     def observe(self) -> None:
-        """Send a sample to the running task's observers if one is due, and report new physics events."""
+        """Send a sample to a task context's observers if one is due, and report new physics events."""
         if not self.observers or self.driver.now < self._next_sample:
             return
         self.report_news()
@@ -318,7 +316,7 @@ class TaskContext:
             observer.on_state(sample)
 
     def report_news(self) -> None:
-        """Emit a running task's events for new welds, unwanted contacts and safety stops of real arms."""
+        """Emit a task context's events for new welds, unwanted contacts and safety stops of real arms."""
         welds, contacts = self.driver.welds(), self.driver.unwanted_contacts()
         for weld in welds[self._told[0] :]:
             self.emit("weld", f"{weld.object} is welded to {weld.gripper}: {weld.reason}")
@@ -350,7 +348,7 @@ class TaskContext:
             observer.on_event(event)
 
     def announce(self, trajectory: JointTrajectory, plan: str = "", **evidence: Any) -> None:
-        """Notify a running task's observers that a motion begins.
+        """Notify a task context's observers that a motion begins.
 
         Args:
             plan: name of the plan; if given, a "plan" event with the evidence is emitted.
@@ -364,7 +362,7 @@ class TaskContext:
 
 @dataclass
 class Rejections:
-    """A task's reasons for rejected candidates: counts by stage and reason, and first full texts."""
+    """Rejection reasons in a task's context: counts by stage and reason, and first full texts."""
 
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     details: list[tuple[str, str, str]] = field(default_factory=list)  # stage, candidate, reason

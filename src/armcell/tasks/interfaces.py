@@ -47,7 +47,7 @@ class InterfaceCheck:
 
 
 def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") -> None:
-    """Check that every stage of a task finds its required inputs.
+    """Check the stage interfaces of a task: every stage must find its required inputs.
 
     Raises:
         TaskError: lists all missing inputs and unknown names.
@@ -58,7 +58,7 @@ def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") 
 
 
 def available(start: PartialSolution) -> frozenset[str]:
-    """Return the names of the data that are available to the first stage of a task."""
+    """Return the names of the data at the interface of a task's first stage."""
     return frozenset(start.data) | {holding(item) for item in start.scene.attached}
 
 
@@ -99,7 +99,7 @@ def single(
 
 
 def _unknown(stage: Stage, scene: PlanningScene | None) -> Iterator[str]:
-    """Yield a message for each name in a stage's fields that does not exist in the scene, before planning."""
+    """Check stage interfaces: yield a message for each name in a stage's fields that the scene lacks."""
     if scene is None:
         return
     model, objects = scene.model, {*scene.objects, *scene.attached}

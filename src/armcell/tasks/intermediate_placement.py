@@ -35,7 +35,7 @@ class PlacementRecord:
 @dataclass(frozen=True, eq=False)
 @checked()
 class IntermediatePlacement:
-    """Stage that places an object at a pose from which another grasp reaches the goal.
+    """Stage that makes an intermediate placement, from which another grasp reaches the goal.
 
     Up to `most` intermediate placements in a row are allowed.
 

@@ -261,7 +261,7 @@ def _grasped(item: str, gripper: Gripper, solution: PartialSolution) -> PartialS
 
 
 def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
-    """Grasp an object without lifting it; contact with its support stays allowed.
+    """Pick's grasp without the lift; contact between object and support stays allowed.
 
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
@@ -303,7 +303,7 @@ def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) 
 def retreats(
     scene: PlanningScene, item: str, gripper: Gripper, planning: Planning
 ) -> Iterator[PartialSolution]:
-    """Yield the farthest possible retreat of an open hand from the object of a failed pick that it surrounds.
+    """Yield the farthest possible retreat of an open hand from the object that it failed to pick.
 
     Planners find no path from the start of this retreat; the next plan starts at its end.
     """

@@ -48,7 +48,7 @@ class Proof:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Return Wilson's 95 % interval of the success rate of a grasp's simulated trials."""
+        """Return Wilson's 95 % interval of a grasp proof's success rate in simulated trials."""
         return wilson(self.successes, self.trials)
 
 
@@ -116,7 +116,7 @@ def _noisy(item: CollisionObject, grasp: Grasp, count: int, noise: Noise, seed: 
 def as_it_may_be(
     item: CollisionObject, count: int, rng: np.random.Generator, noise: Noise = NOISE
 ) -> list[CollisionObject]:
-    """Sample variants of an object for a grasp's physics trials: varied pose, friction and mass.
+    """Sample variants of an object for a grasp's physics proof: varied pose, friction and mass.
 
     The pose varies along the support and about the vertical. The first variant is the nominal object.
     """
@@ -130,7 +130,7 @@ def as_it_may_be(
 
 
 def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """Return the best distinct grasps for physics trials; fill up with the next best if too few."""
+    """Return the best distinct grasps for physics proofs; fill up with the next best if too few."""
     chosen: list[Grasp] = []
     rest: list[Grasp] = []
     for grasp in grasps:

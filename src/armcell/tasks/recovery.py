@@ -156,14 +156,14 @@ def _once(
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Return whether some grasp leads to the goal and a transfer only lacks the motion to this grasp."""
+    """Return whether some grasp leads to a transfer's goal and only the motion to this grasp is missing."""
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 
 
 def _straight(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None, up: Vector | None
 ) -> Outcome:
-    """Transfer the object with a single grasp, if one reaches the goal."""
+    """Transfer an object with a single grasp, without recovery, if one reaches the goal."""
     if item not in ctx.holding:
         outcome = pick(ctx, item, gripper, ahead=[_goal(ctx, item, gripper, on, at, up)])
         if not outcome.ok:

@@ -92,7 +92,7 @@ def _breadth_first(
     hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
     goals: tuple[RestingPose, ...], planning: Planning, most: int, seen: set[int],
 ) -> Iterator[tuple[RegraspStep, ...]]:  # fmt: skip
-    """Yield regrasp sequences; breadth first; those over sides with a grasp to a goal come first.
+    """Yield regrasp sequences breadth first; those over sides with a grasp to a goal come first.
 
     Adds the ids of reachable poses to `seen`.
     """
@@ -233,7 +233,7 @@ class _Hands:
         return any(self.can(grasp, goal) for grasp in self.grasps(pose) for goal in goals)
 
     def shared(self, here: RestingPose, there: Sequence[RestingPose]) -> tuple[str, ...]:
-        """Return the names of the regrasp grasps feasible at one resting pose and at one of several others."""
+        """Return the names of the regrasp grasps feasible at one resting pose and at another one."""
         found: list[str] = []
         for grasp in self.grasps(here):
             if self._fits(grasp, here) and any(self.can(grasp, t) for t in there) and self.can(grasp, here):

@@ -30,7 +30,7 @@ CANCEL_PERIOD = 0.02  # [s] between checks for cancellation while threads evalua
 
 @dataclass(frozen=True, eq=False)
 class PartialSolution:
-    """Partial solution of a task: the resulting scene, the steps so far, data for later stages."""
+    """Partial solution in a task's search: the resulting scene, the steps so far, data for later."""
 
     scene: PlanningScene
     steps: tuple[Step, ...] = ()
@@ -149,7 +149,7 @@ stage_types: Registry[Callable[..., Stage]] = Registry("stage", "armcell.stages"
 
 
 def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
-    """Make a registered stage from the values of a cell file.
+    """Make a registered stage for a task's search from the values of a cell file.
 
     The default of `name` is the stage's own name.
 

@@ -122,7 +122,7 @@ Some = TypeVar("Some", bound=Outcome)
 
 
 class TaskFailed(ArmcellError):
-    """Exception for a failed task outcome in a script.
+    """Exception for a failed outcome of a task in a script.
 
     `outcome` has the code, the message and the evidence.
     """

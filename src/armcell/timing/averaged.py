@@ -58,7 +58,7 @@ def _averaged(t: Array, p: Array, speeds: Array, window: float) -> tuple[Array, 
     )
 
     def integral(x: Array) -> Array:
-        """Return the integral of a piecewise linear motion to average from time 0 to `x`; at rest outside it."""
+        """Return a piecewise linear motion's integral from time 0 to `x`, to average it; at rest outside."""
         k = np.clip(np.searchsorted(t, x, side="right") - 1, 0, len(t) - 1)
         e = np.clip(x, t[0], t[-1]) - t[k]
         v = speeds[np.minimum(k, len(speeds) - 1)] if len(speeds) else np.zeros((len(x), p.shape[1]))

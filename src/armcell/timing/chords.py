@@ -25,8 +25,7 @@ def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
 
 
 def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
-    """Return a trajectory's times, positions, velocities, accelerations and its kind, for approximation by
-    chords.
+    """Return a trajectory's times, positions, velocities, accelerations and kind, to compute chords.
 
     The kind is 0 for positions only, 1 with velocities, 2 with velocities and accelerations.
     """
@@ -36,8 +35,7 @@ def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, in
 
 
 def acceleration_bounds(trajectory: JointTrajectory) -> Array:
-    """Return an upper bound of each joint's acceleration (n,) anywhere in a trajectory, to bound its chords'
-    error.
+    """Return an upper bound of each joint's acceleration (n,) in a trajectory, to bound chord errors.
 
     A polynomial is bounded by its Bernstein coefficients; the bound uses those of the second derivative.
     Straight pieces have the bound 0.

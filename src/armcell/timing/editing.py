@@ -19,7 +19,7 @@ SAME_TIME = 1e-9  # [s] points of merged motions that are closer become one poin
 
 
 def check_scaling(value: float, what: str) -> float:
-    """Return a velocity or acceleration scaling factor after checking that it is in (0, 1].
+    """Check a velocity or acceleration scaling factor for trajectory editing: it must be in (0, 1].
 
     Raises:
         InputError: the factor is outside (0, 1].
@@ -31,7 +31,7 @@ def check_scaling(value: float, what: str) -> float:
 
 # --- time ---
 def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
-    """Return a timed trajectory slowed down by a factor >= 1.
+    """Edit a trajectory: slow it down by a factor >= 1.
 
     Raises:
         InputError: the factor is below 1, which could violate limits, or not finite.
@@ -48,7 +48,7 @@ def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
 
 
 def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajectory:
-    """Return a timed trajectory slowed down to exactly `duration` [s].
+    """Edit a trajectory: slow it down to exactly `duration` [s].
 
     With r the ratio of the old to the new duration, velocities change by the factor r, accelerations by r^2
     and jerks by r^3, so the trajectory stays within its limits. A trajectory with one point becomes a pause.
@@ -74,13 +74,13 @@ def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajector
 
 
 def synchronized(trajectories: Sequence[JointTrajectory]) -> tuple[JointTrajectory, ...]:
-    """Return all trajectories slowed down to the longest duration, so that they end together."""
+    """Edit trajectories: slow all down to the longest duration, so that they end together."""
     longest = max((t.duration for t in trajectories), default=0.0)
     return tuple(stretched_to(t, longest) for t in trajectories)
 
 
 def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
-    """Return a timed trajectory played backward in time.
+    """Edit a trajectory: reverse it in time.
 
     Symmetric limits remain satisfied.
     """
@@ -95,20 +95,20 @@ def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
 
 
 def delayed(trajectory: JointTrajectory, wait: float) -> JointTrajectory:
-    """Return a timed trajectory after a standstill of `wait` > 0 [s] at its start position."""
+    """Edit a trajectory: delay it by a standstill of `wait` > 0 [s] at its start position."""
     later = replace(trajectory, times=trajectory.times + wait)
     return started_from(trajectory.start, later)
 
 
 # --- points ---
 def resting(joint_names: Iterable[str], positions: ArrayLike, time: float = 0.0) -> JointTrajectory:
-    """Return a one-point trajectory: the joints rest at the positions (n,) at `time` [s]."""
+    """Create a trajectory of one point for editing: joints rest at the positions (n,) at `time` [s]."""
     q = float_array(positions, (None,), "positions")[None]
     return JointTrajectory(tuple(joint_names), np.array([time]), q, np.zeros_like(q), np.zeros_like(q))
 
 
 def started_from(state: JointState, trajectory: JointTrajectory) -> JointTrajectory:
-    """Return a timed trajectory with an added point at time 0: a state's positions and velocities.
+    """Edit a trajectory: add a point at time 0 with a state's positions and velocities.
 
     Args:
         state: state of at least the trajectory's joints; without velocities the joints are at rest.
@@ -130,7 +130,7 @@ def started_from(state: JointState, trajectory: JointTrajectory) -> JointTraject
 
 
 def section(trajectory: JointTrajectory, begin: float, end: float, apart: float = 0.0) -> JointTrajectory:
-    """Return the part of a timed trajectory between two times [s], with unchanged time stamps.
+    """Edit a trajectory: cut out the part between two times [s], with unchanged time stamps.
 
     Args:
         trajectory: with velocities and accelerations.
@@ -149,7 +149,7 @@ def section(trajectory: JointTrajectory, begin: float, end: float, apart: float 
 
 
 def _point(trajectory: JointTrajectory, t: float) -> tuple[Array, Array, Array]:
-    """Return a timed trajectory's position, velocity and acceleration (n,) at a time [s].
+    """Return a trajectory's position, velocity and acceleration (n,) at a time [s], for editing.
 
     Unlike `JointTrajectory.sample`, the function does not assume rest at the trajectory's ends.
     """
@@ -168,8 +168,7 @@ def _row(trajectory: JointTrajectory, i: int) -> tuple[Array, Array, Array]:
 def with_resting_joints(
     trajectory: JointTrajectory, state: JointState, joint_names: Iterable[str]
 ) -> JointTrajectory:
-    """Extend a trajectory to the motion of `joint_names`, in this order; joints without motion rest at
-    `state`.
+    """Edit a trajectory: extend it to `joint_names`, in this order; other joints rest at `state`.
 
     Raises:
         UnknownNameError: neither the trajectory nor the state has a joint.
@@ -192,7 +191,7 @@ def with_resting_joints(
 
 
 def concatenated(*parts: JointTrajectory) -> JointTrajectory:
-    """Concatenate trajectories of the same joints; each begins where the previous part ends.
+    """Edit trajectories: concatenate those of the same joints, each from the previous part's end.
 
     The first point of a part is dropped, because it equals the last point of the previous part. Velocities
     (accelerations) are kept if all parts have them.
@@ -223,7 +222,7 @@ def concatenated(*parts: JointTrajectory) -> JointTrajectory:
 
 
 def merged(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Merge two timed motions of different joints with the same start time into one trajectory.
+    """Edit trajectories: merge two motions of different joints with the same start time.
 
     The joints of the shorter motion stay at its end.
     """

@@ -159,9 +159,7 @@ def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
 
 @njit(cache=True)
 def states(times, begins, phase, kind, origin, x, y, length, radius):
-    """Return a jerk-limited motion's joint positions, velocities and accelerations (m, n) at increasing times
-    (m,).
-    """
+    """Return a jerk-limited motion's positions, velocities and accelerations (m, n) at times (m,)."""
     m, n = len(times), x.shape[1]
     q, dq, ddq = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
     k = 0
@@ -221,9 +219,7 @@ def jerk_limited(
 
 
 def _times(begins: Array, step: float) -> Array:
-    """Return a jerk-limited trajectory's times at least MIN_GAP apart: starts of the phases and a regular
-    grid.
-    """
+    """Return a jerk-limited trajectory's times: starts of phases and a grid, MIN_GAP apart or more."""
     end = begins[-1]
     knots = begins[np.concatenate([[True], np.diff(begins) >= MIN_GAP])]
     knots = np.append(knots[knots <= end - MIN_GAP], end)

@@ -45,7 +45,7 @@ class TimingSettings:
 
 
 class TorqueModel(Protocol):
-    """Protocol of a model that computes a robot's joint torques and their limits."""
+    """Protocol of the torque model for time parameterization: joint torques and their limits."""
 
     @property
     def limits(self) -> Array:
@@ -53,7 +53,7 @@ class TorqueModel(Protocol):
         ...
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return the coefficients (m, 3, n) of the joint torques at points of a path to time.
+        """Return the coefficients (m, 3, n) of joint torques at a path's points, for time parameterization.
 
         The torques are linear in u and x: the coefficients belong to u, x and 1, with path acceleration u and
         squared path speed x.
@@ -65,7 +65,7 @@ class TorqueModel(Protocol):
         ...
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Return the timed motion's joint torques (m, n) for positions, velocities and accelerations (m, n)."""
+        """Return the timed motion's joint torques (m, n) of positions, velocities, accelerations (m, n)."""
         ...
 
 
@@ -92,8 +92,7 @@ def parameterize(
     settings: TimingSettings = TimingSettings(),
     torque: TorqueModel | None = None,
 ) -> JointTrajectory:
-    """Parameterize a path by time: return the fastest trajectory within joint limits and optional torque
-    limits.
+    """Parameterize a path: return the fastest trajectory within joint limits and optional torque limits.
 
     The trajectory is at rest at both ends and at the path's sharp corners. Its velocities and accelerations
     are within the limits at all times of its (quintic) interpolation. The trajectory follows the path except
@@ -186,7 +185,7 @@ def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
 
 
 def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Return the time parameterization (one point) of a path of length zero."""
+    """Return the time parameterization of a path of length zero: a single point."""
     return resting(joint_names, path.points[0])
 
 

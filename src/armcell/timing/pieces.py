@@ -18,8 +18,7 @@ HALF_STEP = 0.09375  # integral of the smooth step 3 z^2 - 2 z^3 over its first 
 
 @njit(cache=True)
 def coefficients(kind, length, radius, s):
-    """Return a path piece's (line, arc, spline) coefficients a and b and their first and second derivatives
-    at s.
+    """Return a path piece's (line, arc, spline) coefficients a, b and their two derivatives at s.
 
     A line has (a, b) = (s, 0), an arc (r cos(s/r), r sin(s/r)). A spline turns its derivative from x to y by
     a smooth step, q' = (1 - w) x + w y with w = 3 z^2 - 2 z^3, z = s / length: its second derivative is
@@ -133,9 +132,7 @@ def build(points, deviation, smooth):
 
 @njit(cache=True)
 def evaluate(kind, origin, x, y, length, radius, piece, s):
-    """Evaluate path pieces (lines, arcs, splines): points and their first and second derivatives (m, n) at s
-    (m,) in pieces (m,).
-    """
+    """Evaluate path pieces (lines, arcs, splines) at s (m,): points and two derivatives (m, n)."""
     m, n = len(s), origin.shape[1]
     point, first, second = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
     for i in range(m):

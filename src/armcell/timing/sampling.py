@@ -17,8 +17,7 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
-    """Return, for a moving average, the motion's integral of position, position and velocity (m, n) at times
-    (m,).
+    """Return a motion's integral of position, position and velocity (m, n), for a moving average.
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.
@@ -119,9 +118,7 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
 
 @njit(cache=True)
 def _largest_cubic(b0, b1, b2, b3):
-    """Return the largest absolute value over [0, 1] of a cubic with Bernstein coefficients b, for a
-    trajectory's peaks.
-    """
+    """Return the largest absolute value of a Bernstein cubic over [0, 1], for a trajectory's peaks."""
     best = max(abs(b0), abs(b3))
     d0, d1, d2 = b1 - b0, b2 - b1, b3 - b2  # its derivative / 3
     p, r = d0 - 2.0 * d1 + d2, d1 - d0  # p t^2 + 2 r t + d0 = 0
@@ -141,8 +138,7 @@ def _largest_cubic(b0, b1, b2, b3):
 
 @njit(cache=True)
 def peaks(times, q, v, a, velocity, acceleration):
-    """Return the largest ratios |velocity| / limit and |acceleration| / limit of a sampled trajectory (peak
-    values).
+    """Return a sampled trajectory's peaks: largest ratios |velocity| / limit and |acceleration| / limit.
 
     The ratios hold at any time of the quintic interpolation.
 

@@ -24,8 +24,7 @@ MIN_GRIDDED = 16  # intervals of a line with torque limits
 
 @njit(cache=True)
 def grid(kind, length, turn, line_step):
-    """Divide path pieces into intervals for time-optimal parameterization; return their pieces, starts and
-    ends (m,).
+    """Divide path pieces into intervals for time-optimal parameterization; return pieces, starts, ends.
 
     Start and end are path parameters in the piece. Lines are divided only if line_step > 0.
     """
@@ -74,8 +73,7 @@ def _largest_x(center, half, slope, i, ds, reach, cap):
 
 @njit(cache=True)
 def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
-    """Store for time-optimal parameterization the constraint |alpha u + beta x + constant| <= limit as row r
-    of interval i.
+    """Store constraint |alpha u + beta x + constant| <= limit of time-optimal parameterization as row r.
 
     Return the upper bound that the constraint sets on x, at most `cap`.
     """

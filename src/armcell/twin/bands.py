@@ -51,7 +51,7 @@ CREEP = 0.02  # [rad/s] at which Coulomb friction reaches 76 % of its final valu
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One sample of a moving real arm, from which the twin's thresholds are learned."""
+    """One sample of a real arm's motion without faults, from which the twin's bands are learned."""
 
     clock: float  # [s] time on the trajectory
     scaling: float  # speed fraction, 0 to 1
@@ -65,7 +65,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class ArmBands:
-    """A twin's residual thresholds and fitted current model of one arm; arrays are indexed by joint."""
+    """A twin's bands (residual thresholds) and fitted current model of one arm, by joint."""
 
     lag: float  # [s]
     position: Array  # [rad]
@@ -293,8 +293,7 @@ def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
 
 
 def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
-    """Return, for the twin's bands, the largest residual (n,) that lasts for LASTING consecutive samples of
-    one motion.
+    """Return the largest residual (n,) that lasts for LASTING samples of one motion, for twin bands.
 
     A shorter peak does not count, because it would not slow the arm either.
     """
@@ -309,9 +308,7 @@ def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
-    """Return, for the twin's bands, the largest absolute mean over SMOOTHED consecutive samples of one motion
-    (n,).
-    """
+    """Return the largest mean (n,) over SMOOTHED samples of one motion, for the twin's bands."""
     largest, first = np.zeros(left.shape[1]), 0
     for length in lengths:
         sums = np.cumsum(np.vstack([np.zeros(left.shape[1]), left[first : first + length]]), axis=0)
@@ -323,8 +320,7 @@ def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_load(left: Array, kilo: Array, spread: Array, lengths: Sequence[int]) -> float:
-    """Return, for the twin's bands, the largest flange mass [kg] that explains any window of samples of one
-    motion.
+    """Return the largest flange mass [kg] that explains a window of samples, for the twin's bands.
 
     A window contains the last SMOOTHED samples; at the start of a motion, at least FEWEST.
     """

@@ -90,8 +90,7 @@ class TwinGuard:
         poses: Mapping[str, SE3],
         held: Mapping[str, str],
     ) -> Outcome | None:
-        """Let the twin guard dry-run a trajectory in simulation; return the reason not to execute it, or
-        None.
+        """Dry-run a trajectory for the twin guard; return the reason not to execute it, or None.
 
         Args:
             state: measured joint state at the start.
@@ -112,8 +111,7 @@ class TwinGuard:
         self, following: Following, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
         trip: Callable[[Fault], None], sent_for: SentClock | None = None, forced: bool = False,
     ) -> Following:  # fmt: skip
-        """Return the twin guard's handle that compares a running motion with its twin whenever its clock is
-        read.
+        """Return the twin guard's handle that compares a running motion with its twin at each reading.
 
         Args:
             following: handle of the running motion.

@@ -23,9 +23,7 @@ UNTOLD = 1.0  # [kg] prior standard deviation of a mass: keeps poorly observable
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """Joint efforts along a motion for load estimation: per kilogram of load, and for the arm's own
-    acceleration.
-    """
+    """Joint efforts for load estimation: per kilogram of load, and for the arm's own acceleration."""
 
     weight: Array  # (k, n) [Nm/kg] gravity torque of a mass at the flange
     inertia: Array  # (k, n) [Nm/kg] torque to accelerate the mass at full speed
@@ -33,8 +31,7 @@ class Demand:
 
 
 def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Demand:
-    """Return the load and acceleration efforts of a trajectory at times (k,) [s], to estimate the flange
-    load.
+    """Return a trajectory's load and acceleration efforts at times (k,) [s], to estimate the flange load.
 
     The load is a point mass at the origin of each arm's last link. `swing` excludes held objects.
     """
@@ -55,8 +52,7 @@ def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Dema
 
 
 def explaining(wrong: Array, kilo: Array, spread: Array) -> float:
-    """Estimate the flange load: return the additional mass [kg] that explains the motor-current residuals
-    best.
+    """Estimate the flange load: return the added mass [kg] that explains the motor currents best.
 
     The result is the expected value under a zero-mean normal prior with standard deviation `UNTOLD`.
 

@@ -36,7 +36,7 @@ class Rehearsal:
     demand: Demand
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Return a dry run's simulated position, velocity and effort, each (n,), at a time [s].
+        """Return a rehearsed (dry-run) motion's position, velocity and effort, each (n,), at a time [s].
 
         Before the start and after the end, the nearest values apply.
         """
@@ -44,7 +44,7 @@ class Rehearsal:
         return q, v, effort
 
     def efforts_at(self, t: float, scaling: float) -> tuple[Array, Array]:
-        """Return a dry run's joint efforts at a reduced speed, and their increase per kilogram load.
+        """Return a rehearsed (dry-run) motion's efforts at a reduced speed, and the increase per kilogram.
 
         Args:
             t: trajectory time [s].
@@ -57,7 +57,7 @@ class Rehearsal:
         return effort - (1.0 - scaling**2) * swing, weight + scaling**2 * inertia
 
     def _between(self, t: float, *rows: Array) -> list[Array]:
-        """Interpolate each array of a dry run (k, n) linearly at a time [s]; clamped at both ends."""
+        """Interpolate a rehearsed (dry-run) motion's arrays (k, n) at a time [s]; clamped at both ends."""
         k = int(np.searchsorted(self.times, t))
         if k == 0 or k == len(self.times):
             k = min(k, len(self.times) - 1)
@@ -67,7 +67,7 @@ class Rehearsal:
 
 
 class Stage:
-    """Physics simulation of the cell for dry runs, each from the measured state.
+    """Stage for rehearsals: physics simulation of the cell for dry runs, from the measured state.
 
     Args:
         scene: scene of the cell.
@@ -99,7 +99,7 @@ class Stage:
         poses: Mapping[str, SE3],
         held: Mapping[str, str],
     ) -> Rehearsal:
-        """Dry-run a trajectory in simulation from the measured state of the real robot.
+        """Rehearse (dry-run) a trajectory in simulation from the measured state of the real robot.
 
         Args:
             state: measured state of all joints.

@@ -76,13 +76,13 @@ _TESSELLATE: dict[type, Callable[[Any], trimesh.Trimesh]] = {
 
 
 def shape_part(shape: Shape, color: Color) -> Part:
-    """Return a shape for the viewer as triangles in its own frame; a plane becomes a thin slab below z = 0."""
+    """Return the geometry of a shape in the viewer: triangles; a plane becomes a thin slab."""
     kind = Mesh if isinstance(shape, Mesh) else type(shape)
     return _shaded(_TESSELLATE[kind](shape), color)
 
 
 def collision_part(shape: Shape) -> Part:
-    """Return a translucent, slightly inflated mesh of a collision shape for the viewer.
+    """Return the viewer geometry of a collision shape: a translucent, slightly inflated mesh.
 
     The inflation avoids flicker where the collision shape coincides with the visual mesh.
     """
@@ -94,7 +94,7 @@ def collision_part(shape: Shape) -> Part:
 # --- mesh files ---
 @lru_cache(maxsize=256)
 def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Part, ...]:
-    """Load a visual mesh file for the viewer as one part per color; large meshes are decimated.
+    """Load a visual mesh file as viewer geometry, one part per color; large meshes are decimated.
 
     Raises:
         InputError: the file is unreadable or contains no triangles.
@@ -106,7 +106,7 @@ def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) 
 
 
 def _shaded(mesh: Any, color: Color) -> Part:
-    """Return a displayed mesh merged, decimated and split at sharp edges.
+    """Return viewer geometry: a mesh merged, decimated and split at sharp edges.
 
     A browser shades smoothly across shared vertices; the split keeps sharp edges visible.
     """
@@ -138,7 +138,7 @@ def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Arr
 
 # --- viser nodes ---
 def node_name(*parts: str) -> str:
-    """Return the viser scene path (node name) for the given parts.
+    """Return the viser scene path (node name) of viewer geometry for the given parts.
 
     Slashes inside a part are percent-encoded, so that they do not add a level to the scene tree.
     """
@@ -146,7 +146,7 @@ def node_name(*parts: str) -> str:
 
 
 def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True) -> Any:
-    """Draw a colored mesh part in viser at pose `T` in the frame of the parent node of `name`.
+    """Draw the viewer geometry of a mesh part in viser at pose `T` in the parent's frame.
 
     Returns:
         viser's handle.
@@ -166,7 +166,7 @@ def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True)
 
 
 def visual_parts(visual: Visual) -> tuple[Part, ...]:
-    """Return the meshes of a link's visual element for the viewer.
+    """Return the viewer geometry of a link's visual element: its meshes.
 
     A color given in the URDF overrides the colors of the mesh file, as in RViz.
     """
@@ -181,7 +181,7 @@ def visual_parts(visual: Visual) -> tuple[Part, ...]:
 
 
 def add_link(api: SceneApi, name: str, link: Link) -> tuple[list[Any], list[Any]]:
-    """Draw a robot link in viser below the scene node `name`.
+    """Draw the viewer geometry of a robot link below the viser scene node `name`.
 
     A link without visual elements shows its collision shapes in gray.
 
@@ -228,7 +228,7 @@ def _add_cells(api: SceneApi, name: str, shape: Octree, T: SE3, color: Color) ->
 
 
 def add_object_shape(api: SceneApi, name: str, shape: Shape, T: SE3, color: Color) -> Any:
-    """Draw one shape of an object in viser; return the handle.
+    """Draw the viewer geometry of an object's shape in viser; return the handle.
 
     A plane gets a grid on top; point clouds are drawn as points and octrees as cubes.
     """

@@ -25,7 +25,7 @@ AMBER: Color = (0.95, 0.60, 0.05, 0.55)
 
 
 class Ghost:
-    """Ghost: translucent robot: link collision shapes and attached objects; hidden until `place`.
+    """Ghost, a translucent robot: link collision shapes and attached objects; hidden until `place`.
 
     Args:
         name: name of the ghost's node in viser's scene.

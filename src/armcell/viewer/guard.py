@@ -142,9 +142,7 @@ class PageGuard:
         return answer
 
     def _admit(self, connection: ServerConnection) -> Response | None:
-        """Let the page guard accept a websocket (None), or return a 503 response if the page has too many
-        clients.
-        """
+        """Let the page guard accept a websocket (None), or return a 503 response if there are too many."""
         from websockets.protocol import State
 
         self._clients = {c for c in self._clients if c.state is not State.CLOSED}
@@ -180,7 +178,7 @@ def page_url(host: str, port: int, token: str) -> str:
 
 
 def _name_of(host: str) -> str:
-    """Page guard: return the name or address in a Host header without port and brackets; empty if malformed."""
+    """Page guard: return a Host header's name or address without port; empty if malformed."""
     match = _HOST.fullmatch(host)
     return match[1].strip("[]") if match else ""
 
@@ -208,7 +206,7 @@ def _response(status: int, text: str, more: dict[str, str]) -> Response:
 
 
 def _harden(headers: Any, host: str) -> None:
-    """Page guard: add HTTP headers that forbid framing, foreign connections and revealing referrers."""
+    """Page guard: add HTTP headers that forbid framing, foreign connections and referrers."""
     own = f"ws://{host} wss://{host}" if host else ""
     headers["Content-Security-Policy"] = (
         f"frame-ancestors 'none'; connect-src 'self' blob: data: {own}; base-uri 'none'; "

@@ -10,7 +10,7 @@ logger = logging.getLogger(__name__)
 
 
 class Latest:
-    """Worker thread that runs only the latest function under each name; a pending older function is dropped."""
+    """Worker thread that runs only the latest function under each name; drops older pending ones."""
 
     def __init__(self) -> None:
         self._wake = threading.Condition()

@@ -158,9 +158,7 @@ class PlanTab:
         return paragraph("SUCCESS", COLORS["free"], bold=True) + paragraph(numbers) + paragraph(more)
 
     def _show_explanation(self, explanation: Explanation | None) -> None:
-        """Show in the "Plan" tab a button for each suggestion; a click applies the suggestion and plans
-        again.
-        """
+        """Show a button for each suggestion in the "Plan" tab; a click applies it and plans again."""
         if explanation is self._shown:
             return
         self._shown = explanation

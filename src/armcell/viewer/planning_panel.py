@@ -211,7 +211,7 @@ class PlanningPanel:
             _move(self.object_control, session.scene.object(name).T_world_object)
 
     def _draw_result(self) -> None:
-        """Draw in the planning panel the tool path of a new plan, or the explanation of a failed one."""
+        """Draw the tool path of a new plan, or a failure's explanation, in the planning panel."""
         session = self.session
         if session.result is not self._result:
             self._result = session.result

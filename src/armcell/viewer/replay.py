@@ -84,7 +84,7 @@ class ReplayView:
 
     # --- time ---
     def seek(self, time: float) -> None:
-        """Stop playing and show the recorded run at a time [s]."""
+        """Stop playing the replay and show the recorded run at a time [s]."""
         self._stopped()
         self._player.stop()
         self.show(time)
@@ -133,9 +133,7 @@ class ReplayView:
         self.viewer.on_state(self.record.states[self.record.index_at(time + 1e-9)].sample())
 
     def _said_until(self, time: float) -> list[Event]:
-        """Return the replayed run's last stage event up to a time [s], and a newer event of another kind, if
-        any.
-        """
+        """Return the replayed run's last stage event until a time [s], and a newer event of another kind."""
         before = [e for e in self.record.events if e.time <= time + 1e-9]
         stages = [e for e in before if e.kind == "stage"]
         return [*stages[-1:], *(e for e in before[-1:] if e.kind != "stage")]

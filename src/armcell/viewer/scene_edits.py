@@ -17,7 +17,7 @@ SUFFIXES = (".scene", ".yaml", ".yml")
 
 
 def free_name(scene: PlanningScene, kind: str) -> str:
-    """Scene edit: return an unused name for a new object of this kind, e.g. "box_2"."""
+    """Return an unused name for a new object such as "box_2", for scene edits."""
     taken, number = set(scene.frame_names), 1
     while f"{kind}_{number}" in taken:
         number += 1
@@ -27,7 +27,7 @@ def free_name(scene: PlanningScene, kind: str) -> str:
 def with_new(
     scene: PlanningScene, name: str, kind: str, size: tuple[float, ...], T_world_object: SE3
 ) -> PlanningScene:
-    """Scene edit: return the scene with a new box, sphere or cylinder.
+    """Edit a scene: return it with a new box, sphere or cylinder.
 
     Args:
         size: box (x, y, z), sphere (radius) or cylinder (radius, length) [m].
@@ -45,7 +45,7 @@ def with_new(
 
 
 def with_attached(scene: PlanningScene, name: str, link: str | None) -> PlanningScene:
-    """Scene edit: return the scene with an object attached to a link at the object's current pose.
+    """Edit a scene: return it with an object attached to a link at the object's current pose.
 
     Links that are in contact with the object now are allowed to stay in contact.
 
@@ -58,9 +58,7 @@ def with_attached(scene: PlanningScene, name: str, link: str | None) -> Planning
 
 
 def bodies(scene: PlanningScene) -> list[str]:
-    """Return for the planning panel's scene edits the names of all bodies: links with geometry, objects,
-    attached objects.
-    """
+    """Return the names of all bodies of a scene to edit: links with geometry, objects, attached objects."""
     solid = [name for name, link in scene.model.links.items() if link.collisions]
     return [*solid, *scene.objects, *scene.attached]
 
@@ -75,7 +73,7 @@ def other_bodies(scene: PlanningScene, body: str) -> list[str]:
 
 
 def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
-    """Scene edit: write the objects to a .scene or .yaml file; return a message for the user.
+    """Write an edited scene's objects to a .scene or .yaml file; return a message for the user.
 
     Attached objects are written at their current pose.
 
@@ -101,7 +99,7 @@ def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
 
 
 def with_loaded(scene: PlanningScene, file: str, folder: Path) -> PlanningScene:
-    """Scene edit: return the scene with the objects of a file added; objects of the same name are replaced.
+    """Edit a scene: return it with the objects of a file added; equal names are replaced.
 
     Raises:
         InputError: the file is invalid; the error names the file, the line or element, and the reason.

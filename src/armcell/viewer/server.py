@@ -155,9 +155,7 @@ def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
 
 
 class _OneLine(logging.Filter):
-    """Log filter of the page server that drops untrusted request data and tracebacks of malformed browser
-    requests.
-    """
+    """Log filter of the page server that drops untrusted data and tracebacks of malformed requests."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         if record.exc_info:
@@ -232,7 +230,7 @@ _printing = threading.Lock()
 
 @contextlib.contextmanager
 def _quiet_viser() -> Iterator[None]:
-    """Log viser's `rich.print` output during a `with` block; other callers print as usual.
+    """Log `rich.print` output of viser's server during a `with` block; others print as usual.
 
     viser announces its start and end on stdout even with `verbose=False`, and stdout belongs to the caller.
     """

@@ -55,7 +55,7 @@ CLOSE_S = 5.0
 
 
 class PlanningSession:
-    """Planning session of the panel in one scene: goal, settings, planning and execution. Thread-safe.
+    """Thread-safe planning session of the panel in one scene: goal, settings, planning and execution.
 
     Long operations run in a background thread. Attributes hold immutable values that are replaced on change,
     so they can be read at any time. Register a callback with `listen`: it is called with "goal", "scene",
@@ -164,15 +164,14 @@ class PlanningSession:
         self._tell("settings")
 
     def set_goal_pose(self, T_world_tip: SE3) -> None:
-        """Set a planning session's goal to a pose of the group's tip link; `goal.status` reports the outcome."""
+        """Set a planning session's goal to a tip pose of the group; `goal.status` reports the outcome."""
         with self._lock:
             self._given = None
             self.goal = posed(self._start_scene(), self.group, T_world_tip, self.goal.positions, self._seed)
         self._tell("goal")
 
     def set_positions(self, state: JointState, start: bool = False) -> None:
-        """Set in a planning session some joints of the goal state, or of the start state; other joints stay
-        unchanged.
+        """Set some joints of a planning session's goal or start state; other joints stay unchanged.
 
         Raises:
             InputError: a position is outside the joint limits.
@@ -190,7 +189,7 @@ class PlanningSession:
         self._tell("goal")
 
     def set_named(self, name: str, start: bool = False) -> None:
-        """Set a planning session's goal state, or the start state, to a named state of the group.
+        """Set a planning session's goal or start state to a named state of the group.
 
         Raises:
             UnknownNameError: the state does not exist.
@@ -198,8 +197,7 @@ class PlanningSession:
         self.set_positions(self.scene.model.named_state(self.group, name), start)
 
     def set_random(self, start: bool = False) -> None:
-        """Set a planning session's goal state, or the start state, to a random collision-free state of the
-        group.
+        """Set a planning session's goal or start state to a random collision-free state of the group.
 
         Raises:
             InputError: no collision-free sample was found.
@@ -208,7 +206,7 @@ class PlanningSession:
         self.set_positions(JointState(self.joint_names, q), start)
 
     def set_present(self, start: bool = False) -> None:
-        """Set a planning session's goal state, or the start state, to the robot's current state."""
+        """Set a planning session's goal or start state to the robot's current state."""
         with self._lock:
             self._given = None
             if start:
@@ -276,8 +274,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def apply(self, suggestion: Suggestion) -> None:
-        """Apply the change that an explanation suggests to a planning session's scene, goal, start or
-        settings.
+        """Apply an explanation's suggested change to a planning session's scene, goal, start or settings.
 
         The next plan uses exactly the suggested request until a goal or setting changes.
         """
@@ -315,14 +312,11 @@ class PlanningSession:
     # --- planning ---
     @property
     def busy(self) -> str:
-        """Return a planning session's current activity: "planning", "explaining", "executing" or an empty
-        string.
-        """
+        """Return a planning session's activity: "planning", "explaining", "executing" or an empty string."""
         return self._jobs.busy
 
     def plan(self) -> None:
-        """Start a session's planning in the background; the outcome appears in `result`, then in
-        `explanation`.
+        """Start planning in a session's background; the outcome is in `result`, then in `explanation`.
 
         Raises:
             InputError: another job is running, or the request is invalid.
@@ -385,9 +379,7 @@ class PlanningSession:
     # --- executing ---
     @property
     def why_not_executable(self) -> str:
-        """Return the reason why a planning session's last plan cannot be executed; empty if execution is
-        possible.
-        """
+        """Return why a planning session's last plan cannot be executed; empty if execution is possible."""
         result = self.result
         if self._connect is None:
             return "there is no robot to execute it: this is a scene, not a cell"
@@ -433,7 +425,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def _connected(self, job: Job) -> LiveCell:
-        """Return a planning session's live cell; reconnect if the user has edited the world in the meantime."""
+        """Return a planning session's live cell; reconnect if the user has edited the world meanwhile."""
         if self._live is not None and self._live_with != self._edits:
             self._disconnect()
         if self._live is None:

@@ -141,7 +141,7 @@ def posed(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed:
 
 
 def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator) -> Array:
-    """Sample as a session's goal a collision-free state (n,) of a group, uniformly within the joint limits.
+    """Sample a session's goal: a collision-free state (n,) of a group, uniform within joint limits.
 
     Joints without limits are sampled within one turn around their current position.
 

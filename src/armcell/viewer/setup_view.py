@@ -30,7 +30,7 @@ class Pair(Protocol):
 
 
 class Proposed(Protocol):
-    """Interface of a robot setup that the browser page shows, implemented by `armcell.cell.setup.Proposal`."""
+    """Interface of a robot setup that the browser page shows (`armcell.cell.setup.Proposal`)."""
 
     @property
     def model(self) -> RobotModel: ...
@@ -138,9 +138,7 @@ class SetupView:
             self._show_pairs()
 
     def _show_pairs(self) -> None:
-        """Show a check box for each pair of the selected link in the setup page, labeled with the contact
-        frequency.
-        """
+        """Show the setup page's check box for each pair of the selected link, with its contact frequency."""
         with self._deciding:
             for box in self.boxes.values():
                 box.remove()

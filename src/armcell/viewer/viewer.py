@@ -118,9 +118,7 @@ class CellViewer:
             self._wake.notify()
 
     def close(self) -> None:
-        """Close the cell viewer: stop its server and threads and free the port; repeated calls have no
-        effect.
-        """
+        """Close the cell viewer: stop its server and threads, free the port; repeatable without effect."""
         with self._wake:
             if self._closing:
                 return
@@ -160,9 +158,7 @@ class CellViewer:
         _place(self.object_frames[item.name], item.T_world_object)
 
     def show_scene(self, scene: PlanningScene) -> None:
-        """Show in the cell viewer another scene with the same robot: update the objects and the robot's
-        state.
-        """
+        """Show another scene with the same robot in the cell viewer: update objects and robot state."""
         with self._wake:  # discard samples of the old scene
             self._sample = None
             old, self._scene = self._scene, scene
@@ -227,7 +223,7 @@ class CellViewer:
                 _place(self.object_frames[name], T)
 
     def _draw_path(self, trajectory: JointTrajectory) -> None:
-        """Draw in the cell viewer the planned path of each moving tool as a line in the world frame.
+        """Draw the planned path of each moving tool in the cell viewer as a line in the world frame.
 
         The new lines replace those of the previous plan.
         """

@@ -22,7 +22,7 @@ POINT_M = 0.012  # [m] radius of the ball at a contact
 
 
 def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
-    """Draw an explanation into a view of the scene and show its summary in the panel.
+    """Draw an explanation of why planning failed into a view, and its summary into the panel.
 
     Colliding bodies are red, at the state of the collision. A green ghost of the whole robot shows
     `explanation.nearest`.
@@ -39,7 +39,7 @@ def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Expl
 
 
 def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
-    """Draw an explanation's colliding bodies, contact points and nearest state, without text."""
+    """Draw why planning failed: colliding bodies, contact points and nearest state, without text."""
     api = server.scene
     handles: list[Any] = []
     bodies = list(dict.fromkeys(n for c in explanation.contacts for n in (c.body_a, c.body_b)))
@@ -64,14 +64,14 @@ def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanatio
 
 
 def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
-    """Return an explanation's scene with the joint positions `state`; defaults replace non-finite positions."""
+    """Return the scene for drawing why planning failed; defaults replace non-finite positions."""
     positions = scene.state.updated(state).positions if state is not None else scene.positions
     usual = scene.model.default_positions()
     return replace(scene, positions=np.where(np.isfinite(positions), positions, usual))
 
 
 def _body(api: Any, scene: PlanningScene, name: str, kind: str, color: Color) -> list[Any]:
-    """Draw for an explanation a link's collision shapes, or an object, in one color; return viser's handles."""
+    """Draw a link's or object's shapes in one color, to show why planning failed."""
     if name in scene.model.links:
         T = kinematic_tree(scene.model).link_pose(scene.positions, name)
         shapes = [(c.shape, T @ c.T_link_shape) for c in scene.model.links[name].collisions]

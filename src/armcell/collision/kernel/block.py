@@ -134,7 +134,7 @@ def lanes_of(k):
 
 @njit(cache=True, nogil=True)
 def touches(handle, mode, q):
-    """Return whether one configuration q (dof,) is in collision, by a block check; callable from Python."""
+    """Check one configuration q (dof,) for collision by a block check; callable from Python."""
     k = pointer(handle)
     w = lanes_of(k)
     for j in range(len(q)):

@@ -85,8 +85,7 @@ class KernelChecker:
         )
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the kernel checker's padding of pairs that are within their padding at q (n,) but do not
-        touch.
+        """Reduce the kernel checker's padding of pairs that at q (n,) are within it but do not touch.
 
         See `ExactChecker.relax_margins`.
         """
@@ -163,9 +162,7 @@ class KernelChecker:
         return float(proven_clearance(self.handle, points, most, tolerance))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
-        """Check with the SIMD kernel whether a straight motion is collision-free at samples at most `step`
-        [rad] apart.
-        """
+        """Check with the SIMD kernel a straight motion at samples at most `step` [rad] apart."""
         return bool(free_edge(self.handle, self._path(np.stack([np.asarray(a), np.asarray(b)])), step))
 
     def certify(

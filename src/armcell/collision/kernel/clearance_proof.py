@@ -16,8 +16,7 @@ from armcell.collision.kernel.simd import at_address, pointer
 
 @njit(cache=True, nogil=True)
 def first_below_clearance(handle, points, room, distance):
-    """Prove clearance: return where on a piecewise linear motion (k, dof) a clearance of bodies is not
-    proven.
+    """Prove clearance: return where a motion (k, dof) may bring two of the robot's bodies too close.
 
     Args:
         room: (dof,) largest deviation of each joint from the edges [rad or m].

@@ -77,7 +77,7 @@ def _cloud_of(I, o):
 
 @inner_njit(forceinline=True)
 def _side(F, at, u, v, x, y, z):
-    """Return vectors to a point (cloud test) from the nearest points on one edge of each of 16 triangles.
+    """Return vectors to a cloud test's point from the nearest points on one edge of 16 triangles.
 
     The triangles are at F[at:]; their edges lead from corner u to corner v. Also returns on which side of the
     edge the point is, positive on the inner side.
@@ -296,8 +296,7 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
 
 @inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
-    """Return the radius for a cloud test of a ball that also covers a body's margin and motion in an
-    interval.
+    """Return a ball's radius for a cloud test, grown by a body's margin and motion in an interval.
 
     The ball is around center i.
     """
@@ -403,8 +402,7 @@ def _turns(F, at, u, v, x, y):
 
 @inner_njit
 def encloses(I, F, state, o, px, py, pz):
-    """Return whether a point in a world shape's frame is inside its closed triangle mesh, a cloud of
-    triangles.
+    """Return whether a point (shape frame) is inside the closed triangle mesh that a cloud represents.
 
     The triangles above the point decide.
     """

@@ -204,8 +204,7 @@ def fk_block(I, F, w):
 
 @inner_njit
 def twist_block(I, F, w):
-    """Compute the twist of every link frame of 16 configurations, per unit of the motion's edge; run
-    `fk_block` before.
+    """Compute the twist of every link frame of 16 configurations, per unit of the motion's edge.
 
     A twist is the angular velocity and the velocity of the origin. The function also sums up the rotation of
     all revolute joints, which bounds the change of the velocities.

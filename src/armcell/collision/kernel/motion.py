@@ -72,8 +72,7 @@ def edge_free(k, p, a, b, step):
 
 @inner_njit
 def prove(k, p, first, last, count, at, mode, finest):
-    """Prove in the kernel that a motion's straight edges are collision-free; return the number of unproven
-    edges.
+    """Prove in the kernel that a motion's straight edges are free; return the number of unproven edges.
 
     Each edge is divided into intervals. Every body is enlarged, around the middle of an interval, by the
     largest motion of its points in half the interval; if the enlarged bodies are free, the interval is free.
@@ -181,8 +180,7 @@ def free_edge(handle, ends, step):
 
 @njit(cache=True, nogil=True)
 def prove_points(handle, points, room, distance, mode):
-    """Prove a motion in the kernel: return where the proof of a piecewise linear motion (k, dof) fails, or
-    -1.0 if nowhere.
+    """Return where the kernel's proof of a piecewise linear motion (k, dof) fails, or -1.0 if nowhere.
 
     The position is counted in edges.
 

@@ -24,9 +24,7 @@ BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 @njit(cache=True)
 def _place(branch, fixed, kind, multiplier, offset, column, q, out):
-    """For sphere groups that never come near, compute the transform (3, 4) of a branch's last frame in the
-    frame above its first frame.
-    """
+    """Compute a branch's last frame (3, 4) above its first, to find sphere groups that never come near."""
     for i in range(3):
         for j in range(4):
             out[i, j] = 1.0 if i == j else 0.0

@@ -29,8 +29,7 @@ CHUNK = 4096  # samples between two calls of `progress`
 
 @njit(cache=True, nogil=True)
 def _ask_pairs(handle, pairs, q, masks):
-    """Fill masks (pairs, blocks) with the SIMD lanes (bits) of sampled configurations in which a body pair is
-    close.
+    """Fill masks (pairs, blocks): SIMD lanes (bits) of samples in which a body pair is close.
 
     A block has 16 rows of q.
     """
@@ -75,8 +74,7 @@ class PairSampler:
     def close(
         self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
     ) -> NDArray[np.bool_]:
-        """Return a mask (len(numbers), samples): the sampled configurations in which body pairs are in
-        contact.
+        """Return a mask (len(numbers), samples): the sampled configurations with a body pair in contact.
 
         Args:
             numbers: indices in `pairs`.

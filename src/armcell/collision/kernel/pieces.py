@@ -146,9 +146,7 @@ def solid(shape: Shape) -> tuple[int, list[float]]:
 
 
 def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
-    """Return an exact piece's kind, size, bounding sphere (4,) in the shape's frame, and hull vertices (n,
-    3).
-    """
+    """Return an exact piece's kind, size, bounding sphere (4,) in shape frame, hull vertices (n, 3)."""
     kind, size = solid(shape)
     points: F64 = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
     if isinstance(shape, Plane):

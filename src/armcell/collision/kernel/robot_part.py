@@ -50,7 +50,7 @@ class RobotPart:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """Sphere cover and exact pieces of a robot link or held object, in its own frame.
+    """Sphere cover and exact pieces of a robot part's body (link or held object), in its own frame.
 
     Spheres (s, 5), their groups (g, 4) with sizes (g,), and one sphere around all.
     """
@@ -62,7 +62,7 @@ class _Body:
     pieces: Pieces
 
     def placed(self, T: F64) -> _Placed:
-        """Transform a robot body's sphere cover and exact pieces to a frame of the group.
+        """Transform a kernel robot body's sphere cover and exact pieces to a frame of the group.
 
         T (4, 4) is the pose of the body in this frame.
         """
@@ -82,7 +82,7 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Sphere cover and exact pieces of a robot body in a frame of the group, in a `Pack`'s format."""
+    """Sphere cover and exact pieces of a kernel robot body in a frame of the group, in a `Pack`'s format."""
 
     around: F32
     sphere: F32
@@ -92,8 +92,7 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """The kernel robot's kinematic chain of a planning group: frames that its joints move; other joints are
-    fixed.
+    """The kernel robot's chain of a planning group: frames that its joints move; other joints are fixed.
 
     Attributes:
         above: for each frame, the frames from the world's child down to it.
@@ -283,7 +282,7 @@ class _Builder:
     def _near_pairs(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
     ) -> tuple[I32, dict[str, I32]]:
-        """Return the robot's pairs of bodies that can meet, and tables of their sphere groups that can meet.
+        """Return the kernel robot's pairs of bodies that can meet, and tables of their sphere groups.
 
         The result is cached for all poses of bodies that are not placed for good.
         """
@@ -307,7 +306,7 @@ class _Builder:
     def _near(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32
     ) -> list[NDArray[np.bool_]]:
-        """Return for each pair of robot bodies a mask (g, h): which sphere groups of the two can meet."""
+        """Return a mask (g, h) for each pair of kernel robot bodies: the sphere groups that can meet."""
         found = []
         for i, j in pairs:
             branch_i, branch_j = self._branches(bodies[i][1], bodies[j][1])
@@ -321,8 +320,7 @@ class _Builder:
         return found
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
-        """Return for a pair of robot bodies the frames from the nearest common frame down to each of two
-        frames.
+        """Return a kernel robot body pair's frames from the nearest common frame down to each body.
 
         The common frame itself is not included.
         """
@@ -359,7 +357,7 @@ class _Builder:
         return near.which_meet(*arguments)
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return upper bounds (groups, columns) of the motion of a robot body's sphere groups per joint.
+        """Return upper bounds (groups, columns) of a kernel robot body's sphere group motion per joint.
 
         The bounds are like those of `_reach`.
 
@@ -382,7 +380,7 @@ class _Builder:
 
     # --- motion bounds ---
     def _reach(self, bodies: list[tuple[str, int]]) -> F64:
-        """Return upper bounds (bodies, dof) of each robot body's motion per unit of each joint."""
+        """Return upper bounds (bodies, dof) of each kernel robot body's motion per unit of each joint."""
         reach = np.zeros((len(bodies), self.dof))
         for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
             reach[k] = _reaches.get((self.chain, frame, body), partial(self._reach_of, frame, body.around))
@@ -408,7 +406,7 @@ class _Builder:
         return max(abs(limits.lower), abs(limits.upper))
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
-        """Return upper bounds (pairs, dof) of each robot body pair's relative motion per unit of each joint.
+        """Return upper bounds (pairs, dof) of kernel robot body pairs' relative motion per joint unit.
 
         Only joints above exactly one of the two bodies move them relative to each other.
         """
@@ -418,7 +416,7 @@ class _Builder:
         return np.where(moves, reach[i] + reach[j], 0.0)
 
     def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
-        """Return a mask (pairs, dof): which joints move two robot bodies relative to each other."""
+        """Return a mask (pairs, dof): the joints that move two kernel robot bodies relative to each other."""
         above = np.zeros((len(frames), len(self.parent)), bool)
         for k, frame in enumerate(frames):
             above[k, self.chain.above[frame]] = True
@@ -433,14 +431,14 @@ def _ends(sizes: Iterable[int]) -> I32:
 
 @lru_cache
 def _turned_to_z(x: float, y: float, z: float) -> F64:
-    """Return the transform (4, 4) that rotates the z axis to a robot joint's axis, for the kernel's frames."""
+    """Return the transform (4, 4) that rotates the z axis to a robot joint's axis, for kernel frames."""
     A = np.eye(4)
     A[:3, :3] = SO3.between((0.0, 0.0, 1.0), (x, y, z)).matrix
     return A
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[NDArray[np.bool_]]) -> dict[str, I32]:
-    """Return the robot's tables of sphere groups that can meet, in the format of a `Pack`."""
+    """Return the kernel robot's tables of sphere groups that can meet, in the format of a `Pack`."""
     first, groups, counts, others = [0], [], [], []
     for (i, j), meets in zip(pairs.tolist(), meeting, strict=True):
         count = meets.sum(axis=1)
@@ -467,7 +465,7 @@ def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> _Body:
-    """Return a robot body's sphere cover and exact pieces from shapes with poses (4, 4) and overshoots [m].
+    """Return a kernel robot body's sphere cover and exact pieces from shapes with poses (4, 4).
 
     The result is cached on disk, so that later starts need no mesh library.
     """
@@ -494,7 +492,7 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
 
 
 def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
-    """Return all data on which the cached cover and pieces of a robot body depend."""
+    """Return all data on which the cached cover and pieces of a kernel robot body depend."""
     if isinstance(shape, Mesh):
         return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
     return (T, repr((overshoot, shape)))

@@ -83,7 +83,7 @@ def at_address(typingctx, dtype, address):
 
 @intrinsic
 def call(typingctx, function, a, b, c):
-    """Call a compiled kernel function by its address (Numba intrinsic); it takes three int64 and returns one."""
+    """Call a compiled kernel function by its address (Numba intrinsic): three int64 in, one out."""
 
     def codegen(context, builder, signature, args):
         number = ir.IntType(64)

@@ -195,7 +195,7 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Kernel test of a robot body against one world shape by its groups; return True if the check can stop."""
+    """Kernel test of a robot body against one world shape by groups; return True if the check can stop."""
     if I[I[SHAPE_CLOUD] + o] >= 0:
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     f, bodies = I[I[FRAME] + body], I[BODIES]
@@ -234,7 +234,7 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Kernel test of all robot bodies against the world in 16 SIMD lanes; return True if the check can stop.
+    """Kernel test of all robot bodies against the world in 16 lanes; return True if the check can stop.
 
     See `_check_arrays`.
     """

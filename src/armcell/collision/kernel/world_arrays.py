@@ -78,9 +78,7 @@ class World:
 
     @cached_property
     def shape_pieces(self) -> NDArray[np.int32]:
-        """Return from the world arrays the index (shapes + 1,) of each shape's first piece among the world's
-        exact pieces.
-        """
+        """Return the index (shapes + 1,) of each shape's first piece among the world arrays' exact pieces."""
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
         return self._ends("pieces_end", PIECES, of_shape)
 
@@ -103,7 +101,7 @@ _recent: deque[World] = deque(maxlen=KEPT)
 
 
 def world_of(objects: Mapping[str, CollisionObject]) -> World:
-    """Return the kernel arrays of a scene's objects, the world arrays, cached for the last worlds.
+    """Return the world arrays: kernel arrays of a scene's objects, cached for the last worlds.
 
     Arrays of a new world are copied from an earlier one where its objects are the same, so that a change of a
     few among thousands of objects costs little.
@@ -156,7 +154,7 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split the world arrays' object indices (-1: new object) into runs of neighbors; return the runs' ends."""
+    """Split the world arrays' object indices (-1: new object) into runs of neighbors; return their ends."""
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))
     begin = np.concatenate([np.zeros(min(len(known), 1), np.int64), np.flatnonzero(~joins) + 1])

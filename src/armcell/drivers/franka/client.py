@@ -67,7 +67,7 @@ class FciClient:
             )  # fmt: skip
 
     def send(self, command: Command, payload: bytes = b"") -> int:
-        """Send a request to the Franka robot's control interface and return its identifier."""
+        """Send a request from the Franka Control Interface client to the robot; return its identifier."""
         self._identifier += 1
         self.tcp.sendall(wire.message(command, self._identifier, payload))
         return self._identifier
@@ -113,7 +113,7 @@ class FciClient:
         raise FciError("unreachable", f"{self.host} does not answer")
 
     def states(self) -> list[bytes]:
-        """Return the Franka state messages that have arrived, without waiting for more."""
+        """Return the state messages that the Franka client has received, without waiting for more."""
         found = []
         while True:
             try:
@@ -123,7 +123,7 @@ class FciClient:
             found.append(data)
 
     def first_state(self) -> bytes:
-        """Wait for the Franka robot's first state message and return it.
+        """Wait for the first state message of the Franka client's robot and return it.
 
         Raises:
             FciError: none arrives.
@@ -136,7 +136,7 @@ class FciClient:
         return data
 
     def command(self, data: bytes) -> None:
-        """Send a motion command message to the Franka Control Interface over UDP."""
+        """Send a motion command message from the Franka client to the robot over UDP."""
         if self._robot is not None:
             with contextlib.suppress(OSError):  # a full buffer: the robot misses one command
                 self.udp.sendto(data, self._robot)

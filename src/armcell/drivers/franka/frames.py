@@ -13,7 +13,7 @@ PROGRESS = struct.Struct("<dId")  # receive time of the state [s], number of the
 
 
 def pack(kind: int, content: bytes) -> bytes:
-    """Encode a message for the stream socket between Franka driver and worker process."""
+    """Encode a frame (message) for the stream socket between Franka driver and worker process."""
     return _HEAD.pack(len(content), kind) + content
 
 
@@ -22,7 +22,7 @@ def pack_json(kind: int, value: dict[str, Any]) -> bytes:
 
 
 def take(received: bytearray) -> tuple[int, bytes] | None:
-    """Remove and return the first complete message of a Franka worker's stream buffer, or None."""
+    """Remove and return the first complete frame of a Franka worker's stream buffer, or None."""
     if len(received) < _HEAD.size:
         return None
     size, kind = _HEAD.unpack_from(received)
@@ -34,7 +34,7 @@ def take(received: bytearray) -> tuple[int, bytes] | None:
 
 
 def read_into(sock: socket.socket, received: bytearray) -> bool:
-    """Append a Franka worker socket's data to a buffer; return False if the other side closed."""
+    """Append a Franka worker's frames from a socket to a buffer; return False if it was closed."""
     try:
         data = sock.recv(1 << 18)
     except BlockingIOError:

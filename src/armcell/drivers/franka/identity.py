@@ -55,7 +55,7 @@ class FrankaIdentity:
 
     @property
     def calibration(self) -> str:
-        """Return a checksum of the robot description that a Franka robot sends, as its calibration."""
+        """Return the checksum of a Franka robot's description, the calibration part of its identity."""
         return f"{crc32(self.description.encode()):08x}"
 
     def __str__(self) -> str:
@@ -65,7 +65,7 @@ class FrankaIdentity:
 
 
 def identify(host: str) -> FrankaIdentity:
-    """Read the description and state of a Franka robot over a temporary connection.
+    """Identify a Franka robot: read its description and state over a temporary connection.
 
     Raises:
         InputError: no Franka robot answers, or it rejects the connection; the message states the remedy.
@@ -106,7 +106,7 @@ def _is_ur(host: str) -> bool:
 
 
 def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> None:
-    """Check that a Franka robot is the one that the cell file names.
+    """Check a Franka robot's identity: it must be the one that the cell file names.
 
     Raises:
         InputError: it is another model or has another description.
@@ -125,7 +125,7 @@ def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> 
 
 
 def check_load(name: str, arm: FrankaArmSettings) -> None:
-    """Check that a Franka arm can carry its configured payload together with its hand.
+    """Check with a Franka robot's identity that it can carry its payload together with its hand.
 
     Raises:
         InputError: the arm cannot carry it.
@@ -139,7 +139,7 @@ def check_load(name: str, arm: FrankaArmSettings) -> None:
 
 
 def check_ready(name: str, found: FrankaIdentity) -> None:
-    """Check that a Franka robot can be driven now.
+    """Check, after identification, that a Franka robot can be driven now.
 
     Raises:
         InputError: it cannot; the message states the remedy.
@@ -156,7 +156,7 @@ def check_ready(name: str, found: FrankaIdentity) -> None:
 
 
 def check_position(name: str, model: str, q: Array) -> None:
-    """Check that a Franka arm's measured positions (7,) [rad] are within the joint limits.
+    """Check, after identification, that a Franka arm's positions (7,) [rad] are within limits.
 
     Raises:
         InputError: a joint is outside its limits.

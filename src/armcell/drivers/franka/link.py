@@ -52,7 +52,7 @@ class WorkerLink:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start a Franka arm's worker process, which connects to the robot; wait for the first state.
+        """Start the worker link of a Franka arm: its process connects to the robot; await the first state.
 
         Raises:
             InputError: the connection failed.
@@ -79,7 +79,7 @@ class WorkerLink:
             )
 
     def close(self) -> None:
-        """End the Franka arm's worker process, which stops a moving arm."""
+        """Close the worker link of a Franka arm: end its process, which stops a moving arm."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -170,7 +170,7 @@ class WorkerLink:
         self._order(do="pace", pace=pace)
 
     def play(self, rows: Array) -> int:
-        """Let the Franka worker play positions (n, 7) [rad] in 1 ms steps; return the motion's number."""
+        """Play positions (n, 7) [rad] in 1 ms steps over a Franka arm's worker link; return the number."""
         self._number += 1
         with self._news:
             self._results.clear()
@@ -186,10 +186,10 @@ class WorkerLink:
         self._order(do="cancel")
 
     def result(self, number: int) -> str:
-        """Return a motion's state from the Franka worker: running, done, cancelled, or its failure."""
+        """Return a motion's state from the Franka worker link: running, done, cancelled, or its failure."""
         return self._results.get(number, self.error or "cancelled")
 
     @property
     def age(self) -> float:
-        """Return the age [s] of the latest robot state from the Franka worker."""
+        """Return the age [s] of the latest robot state on the Franka worker link."""
         return time.monotonic() - self.history[-1][0] if self.history else float("inf")

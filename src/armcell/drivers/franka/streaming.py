@@ -28,7 +28,7 @@ CATCH_UP = 0.4  # largest deviation of that rate from 1
 
 
 class Rows:
-    """A Franka trajectory in setpoints of 1 ms, played at a pace.
+    """Franka trajectory to stream in setpoints of 1 ms, played at a pace.
 
     Args:
         rows: joint positions (n, 7) [rad].
@@ -46,7 +46,7 @@ class Rows:
         return self._rows[0]
 
     def next(self, pace: float, now: float) -> Array:
-        """Advance a Franka trajectory by 1 ms at a pace (0 to 1); return the setpoint positions (7,)."""
+        """Advance a streamed Franka trajectory by 1 ms at a pace (0 to 1); return positions (7,)."""
         self.clock = min(self.clock + pace * TICK, (len(self._rows) - 1) * TICK)
         at = self.clock / TICK
         i = min(int(at), len(self._rows) - 2)
@@ -54,7 +54,7 @@ class Rows:
 
 
 class Decay:
-    """A Franka setpoint's deviation from a plan that decays to zero, smooth up to the acceleration.
+    """Deviation of streamed Franka setpoints from a plan, which decays smoothly to zero.
 
     Args:
         off, rate, change: deviation (7,) [rad] and its first two derivatives.
@@ -69,7 +69,7 @@ class Decay:
         self._coefficients = np.stack([off, rate * T, 0.5 * change * T**2, a, b, c])
 
     def at(self, t: float) -> Array | None:
-        """Return a Franka setpoint's deviation (7,) at time t [s] after the start; None: it has decayed."""
+        """Return the deviation (7,) of streamed Franka setpoints at time t [s]; None: it has decayed."""
         x = t / self._duration
         return None if x >= 1.0 else np.power(x, np.arange(6)) @ self._coefficients
 
@@ -173,7 +173,7 @@ def _between(points: list[Point], now: float) -> Array:
 
 
 class Setpoints:
-    """Converter of a source of positions into setpoints that a Franka arm accepts, one per millisecond.
+    """Streaming of a Franka arm: converts a source of positions into one setpoint per millisecond.
 
     Args:
         source: positions over time.
@@ -192,17 +192,17 @@ class Setpoints:
 
     @property
     def finished(self) -> bool:
-        """Whether the source of Franka setpoints has ended and the setpoints are at rest there."""
+        """Whether a streamed Franka source has ended, with the setpoints at rest."""
         return self._settled > WINDOW and self._away is None
 
     def start_error(self, q: Array) -> float:
-        """Return the distance [rad] of a Franka setpoint source's start from positions q (7,)."""
+        """Return the distance [rad] of a streamed Franka source's start from positions q (7,)."""
         return float(np.abs(self.source.start - q).max())
 
     def next(
         self, ticks: int, wanted_pace: float, now: float, q_d: Array, dq_d: Array, ddq_d: Array
     ) -> Array:
-        """Return the Franka setpoint (7,) [rad] for the millisecond after a state.
+        """Return the streamed Franka setpoint (7,) [rad] for the millisecond after a state.
 
         Args:
             ticks: milliseconds since the last state; above 1 if states were lost.
@@ -229,7 +229,7 @@ class Setpoints:
         self._settled = self._settled + 1 if self.source.ended else 0
 
     def _rejoin(self, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
-        """Let Franka setpoints rejoin the plan: decay the robot's deviation, smooth up to the acceleration."""
+        """Let streamed Franka setpoints rejoin the plan: decay the deviation, smooth in acceleration."""
         p0, p1, p2 = self._plan
         off = q_d - p2
         rate = dq_d - (p2 - p1) / TICK

@@ -153,7 +153,7 @@ class RealDriver(Driver):
         return self._supervisor
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Dry-run a trajectory of real arms in the twin; return the reason to refuse it, or None."""
+        """Dry-run a trajectory for the real driver in the twin; return the reason to refuse it, or None."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
         held = {gripper: item for gripper, (item, _) in self._held.items()}
@@ -204,7 +204,7 @@ class RealDriver(Driver):
         return time.monotonic() - self._began
 
     def joint_state(self) -> JointState:
-        """Return the state of all joints of all real arms at one common time.
+        """Return the state of all joints of the real driver's arms at one common time.
 
         The common time is that of the oldest of the arms' latest states, at most `LONGEST_SKEW` before the
         newest.
@@ -250,7 +250,7 @@ class RealDriver(Driver):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Stream a joint target to the real arms that own the joints; after a stop, send no target.
+        """Stream a joint target to the real driver's arms that own the joints; after a stop, send none.
 
         The target is due `stream_lead` after `tick`, on one clock for all arms.
         """
@@ -264,7 +264,7 @@ class RealDriver(Driver):
         return sent
 
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory on real arms: one arm plays it itself, several arms receive setpoints.
+        """Start a trajectory in the real driver: one arm plays it itself, several arms receive setpoints.
 
         The setpoints of several arms follow one clock.
         """
@@ -308,32 +308,32 @@ class RealDriver(Driver):
         return arms
 
     def stop(self) -> None:
-        """Stop every real arm; each arm then holds its measured position."""
+        """Stop every arm of the real driver; each arm then holds its measured position."""
         for arm in self.arms.values():
             arm.cancel()
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the real arms that own the given joints; ignore other joints, such as fingers."""
+        """Stop the real driver's arms that own the given joints; ignore other joints, such as fingers."""
         for arm in self.arms.values():
             if set(joint_names) & set(arm.joint_names):
                 arm.cancel()
 
     def fault(self) -> Fault | None:
-        """Return the fault that stopped the real arms and that no resume has cleared yet, or None."""
+        """Return the fault that stopped the real driver's arms and that no resume has cleared, or None."""
         self._look()
         return self._supervisor.tripped if self._supervisor is not None else None
 
     def arm_modes(self) -> dict[str, tuple[int, int]]:
-        """Return robot and safety mode by real arm; DISCONNECTED if the arm's link is lost."""
+        """Return robot and safety mode of the real driver by arm; DISCONNECTED if an arm's link is lost."""
         return {name: arm.modes for name, arm in self.arms.items()}
 
     @property
     def safety_events(self) -> list[SafetyEvent]:
-        """Return all stops and resumes of the real arms so far, with time and cause."""
+        """Return all stops and resumes of the real driver's arms so far, with time and cause."""
         return list(self._supervisor.events) if self._supervisor is not None else []
 
     def resume(self) -> None:
-        """Resume real arms: reconnect lost links and make every arm ready for commands.
+        """Resume the real driver: reconnect lost links and make every arm ready for commands.
 
         Raises:
             InputError: an arm cannot resume; the message states the remedy. All arms stay stopped.
@@ -358,7 +358,7 @@ class RealDriver(Driver):
                 raise
 
     def _wait_for_grippers(self) -> None:
-        """Wait until all grippers of the real arms answer again.
+        """Wait until all grippers of the real driver answer again.
 
         Raises:
             InputError: a thread of this driver has ended, or a gripper does not reconnect in time.
@@ -375,7 +375,7 @@ class RealDriver(Driver):
 
     @property
     def speed_fraction(self) -> float:
-        """Return the speed fraction, 0 to 1, of the slowest real arm that sliders and pauses allow."""
+        """Return the speed fraction, 0 to 1, of the real driver's slowest arm, by sliders and pauses."""
         return min((arm.scaling for arm in self.arms.values()), default=1.0)
 
     # --- gripper and objects ---
@@ -408,7 +408,7 @@ class RealDriver(Driver):
         return GripperReading(width, self._forces.get(gripper, 0.0), held[0])
 
     def wrench(self, gripper: str) -> NDArray[np.float64]:
-        """Return the external wrench on a gripper, measured by its real arm.
+        """Return the real driver's external wrench on a gripper, which the arm measures.
 
         The measurement is zeroed whenever the hand begins to close.
 
@@ -425,7 +425,7 @@ class RealDriver(Driver):
         return np.concatenate([force, torque + np.cross(T.apply(point) - here, force)])
 
     def zero_wrench(self, gripper: str) -> None:
-        """Zero the wrench that a real arm measures at its gripper; call only while nothing touches it."""
+        """Zero the real driver's wrench on a gripper; call only while nothing touches it."""
         self._arm_of(gripper).zero_force()
 
     def _gripper_hint(self, gripper: str) -> str:

@@ -22,7 +22,7 @@ class RobotIdentity(Protocol):
 
 @dataclass(frozen=True)
 class NetworkReport:
-    """Network quality of a real robot's connection, from one measurement; times in [s]."""
+    """Network quality beside a real robot's identity, from one measurement; times in [s]."""
 
     round_trip: float  # median
     worst_round_trip: float
@@ -38,7 +38,7 @@ class NetworkReport:
 
 
 def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
-    """Check that a real robot's serial number and calibration match those in the cell file, if any.
+    """Check a real robot's identity: serial number and calibration must match the cell file, if given.
 
     Raises:
         InputError: the robot is not the one in the cell file.
@@ -55,7 +55,7 @@ def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
 
 
 def check_swapped(wanted: Mapping[str, ArmSettings], found: Mapping[str, RobotIdentity]) -> None:
-    """Check that no real arm answers with the serial number or calibration of another arm.
+    """Check the identity of real arms: none may answer with another arm's serial or calibration.
 
     Raises:
         InputError: the arms' addresses are swapped.

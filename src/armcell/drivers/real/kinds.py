@@ -23,7 +23,7 @@ I = TypeVar("I", bound=RobotIdentity)
 
 
 class RobotKind(ABC, Generic[A, I]):
-    """Interface that the vendor of an arm implements for mode `real`, the bring-up and the twin.
+    """Robot kind: the interface that a vendor implements for mode `real`, the bring-up and the twin.
 
     Attributes:
         arm_settings: model of an arm's block in the cell file.

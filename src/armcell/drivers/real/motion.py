@@ -13,7 +13,7 @@ from armcell.drivers.safety import Fault
 
 
 class Streamed:
-    """Trajectory streamed to several real arms on one clock; if one arm slows or stops, all do."""
+    """Motion streamed to several real arms on one clock; if one arm slows or stops, all do."""
 
     def __init__(
         self, arms: Sequence[RealArm], trajectory: JointTrajectory, lead: float,

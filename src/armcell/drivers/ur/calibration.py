@@ -32,7 +32,7 @@ LARGEST = 0.05  # [m] largest correction of a joint origin: more indicates anoth
 
 
 def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinematics) -> RobotModel:
-    """Return the robot model with a UR arm's joint origins replaced by the robot's calibrated ones.
+    """Return the robot model with the joint origins of a UR arm's factory calibration.
 
     Args:
         group: planning group of the arm's six joints.
@@ -113,7 +113,7 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
-    """Return a calibrated UR link's rotation and offset that keep the next joint near its nominal position.
+    """Return a link's rotation and offset by UR calibration, with the next joint near nominal.
 
     Args:
         own: K_i of the robot.

@@ -91,7 +91,7 @@ class SocketGripper:
 
 
 class ToolPins(Protocol):
-    """Interface to the digital inputs and outputs of the UR arm that carries a `ToolGripper`."""
+    """Interface of a `ToolGripper` to the digital inputs and outputs of its UR arm."""
 
     def set_tool_output(self, pin: int, on: bool) -> None: ...
 

@@ -41,7 +41,7 @@ class Identity:
 
     @property
     def calibration(self) -> str:
-        """Return the checksum of a UR robot's geometry, equal only for one robot and calibration."""
+        """Return the checksum of a UR robot's geometry, which identifies robot and calibration."""
         g = self.geometry
         data = struct.pack("<24d", *g.theta, *g.a, *g.d, *g.alpha)
         return hashlib.sha256(data).hexdigest()[:12]
@@ -72,7 +72,7 @@ def identify(host: str) -> Identity:
 
 
 def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
-    """Read the calibrated Denavit-Hartenberg parameters from a UR robot's primary interface.
+    """Read from the primary interface the Denavit-Hartenberg parameters that identify a UR robot.
 
     Raises:
         InputError: the robot does not send its geometry.
@@ -99,7 +99,7 @@ def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
 
 
 def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
-    """Check that a UR robot has the model, serial number and calibration of the cell file.
+    """Check a UR robot's identity: model, serial number and calibration of the cell file.
 
     Raises:
         InputError: the robot is not the one in the cell file.
@@ -114,7 +114,7 @@ def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
 
 
 def check_ready(arm: str, found: Identity) -> None:
-    """Check that a UR robot is in remote control, running, and not stopped.
+    """Check, after identification, that a UR robot is in remote control, running, and not stopped.
 
     Raises:
         InputError: the robot cannot be driven now; the message states the remedy.

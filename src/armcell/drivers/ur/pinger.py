@@ -16,7 +16,7 @@ SHORTEST_OF = 5  # one late answer indicates a busy computer, five in a row the 
 
 
 class Pinger:
-    """Measurement of the network round trip to a UR robot by repeated RTDE version requests.
+    """Pinger that measures the network round trip to a UR robot by RTDE version requests.
 
     A controller always answers these requests, and they do not move the robot.
     """
@@ -40,7 +40,7 @@ class Pinger:
         self._thread.start()
 
     def trip(self) -> float:
-        """Return the shortest of the last few round trips [s] to a UR robot; NaN before enough are measured.
+        """Return the pinger's shortest of the last round trips [s] to a UR robot; NaN at the start.
 
         A pending request counts with its current age.
         """

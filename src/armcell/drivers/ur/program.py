@@ -50,8 +50,7 @@ def program_text(host: str, port: int, session: int, settings: ProgramSettings) 
 
 
 def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[bytes]:
-    """Encode the points of a trajectory, except the first, as messages for armcell's robot program on a UR
-    arm.
+    """Encode a trajectory's points, except the first, as messages for armcell's UR robot program.
 
     Points are at least two steps apart; nearer points are omitted. The robot interpolates between the points
     by quintics from the trajectory's positions, velocities and accelerations.
@@ -111,8 +110,7 @@ class ProgramLink:
         return self._reverse is not None
 
     def start(self, timeout: float = 5.0) -> int:
-        """Upload armcell's robot program to the UR arm and wait until it connects back; return the session
-        number.
+        """Upload armcell's robot program to the UR arm, wait for its connection; return the session number.
 
         Raises:
             InputError: the program did not connect; the message states possible causes.

@@ -33,9 +33,7 @@ LOST = 0.05  # [s] increase beyond which the offset jumps
 
 @dataclass(frozen=True)
 class RobotState:
-    """State of a UR robot from one RTDE packet: values by RTDE variable name, and arrival time (monotonic
-    clock).
-    """
+    """State of a UR robot from one RTDE packet: values by RTDE variable name, and arrival time."""
 
     values: dict[str, Any]
     received: float  # [s]
@@ -97,8 +95,7 @@ class RtdeClient:
         self._sending = threading.Lock()
 
     def connect(self, timeout: float = 3.0) -> None:
-        """Connect the RTDE client: negotiate with the UR robot, start the transmission, and wait for the
-        first state.
+        """Connect the RTDE client: negotiate with the UR robot, start transmission, await the first state.
 
         Raises:
             InputError: no RTDE server answers, or another client holds one of the inputs.
@@ -196,7 +193,7 @@ class RtdeClient:
 
     @property
     def blind(self) -> float:
-        """Return the time [s] since the RTDE client last checked for packets; large while the process hangs."""
+        """Return the time [s] since the RTDE client last checked for packets; large if the process hangs."""
         return time.monotonic() - self._looked
 
     def send(self, recipe: int, values: Sequence[Any]) -> None:

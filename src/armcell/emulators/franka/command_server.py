@@ -15,8 +15,7 @@ from armcell.emulators.network import Link, Network
 
 
 class CommandServer:
-    """Emulated Franka command server for one client at a time, as on a Franka robot; closes other
-    connections.
+    """Emulated Franka command server for one client at a time, like the robot; closes other connections.
 
     Attributes:
         active: whether the Franka Control Interface is active (in Desk); otherwise connections are closed.
@@ -50,7 +49,7 @@ class CommandServer:
         self._client, self._state_to = link, None
 
     def commands(self) -> list[RobotCommand]:
-        """Return the emulated Franka arm's valid UDP motion commands that have arrived since the last call."""
+        """Return the emulated Franka arm's valid UDP motion commands since the last call."""
         found = []
         for data in self.udp.receive(COMMAND.size + 1):
             try:

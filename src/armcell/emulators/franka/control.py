@@ -22,21 +22,19 @@ DAMPING_RATIO = 1.0
 
 @dataclass
 class Impedance:
-    """Stiffness and damping of the emulated Franka arm's internal impedance controllers."""
+    """Stiffness and damping of the emulated Franka arm's impedance control."""
 
     joint: Array = field(default_factory=lambda: np.array(JOINT_STIFFNESS))
     cartesian: Array = field(default_factory=lambda: np.array(CARTESIAN_STIFFNESS))
     damping: Array = field(default_factory=lambda: np.full(JOINTS, 50.0))
 
     def fit(self, inertia: Array) -> None:
-        """Set the emulated Franka arm's joint damping to match an inertia (7,) [kg m^2]."""
+        """Set the damping of the emulated Franka joint control to match an inertia (7,) [kg m^2]."""
         self.damping = 2.0 * DAMPING_RATIO * np.sqrt(self.joint * inertia)
 
 
 def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedance) -> Array:
-    """Return the emulated Franka arm's torques (7,) [Nm] of springs and dampers to the joint reference, with
-    feedforward.
-    """
+    """Return the emulated Franka arm's joint impedance torques (7,) [Nm] toward the joint reference."""
     q, dq = plant.read()
     spring = impedance.joint * (reference.q - q) + impedance.damping * (reference.dq - dq)
     return spring + plant.inertial_torque(reference.ddq) + plant.coriolis() + plant.friction()
@@ -45,9 +43,7 @@ def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedan
 def cartesian_impedance(
     plant: FrankaPlant, frames: Frames, reference: Reference, impedance: Impedance
 ) -> Array:
-    """Return the emulated Franka arm's torques (7,) [Nm] of a spring and damper to the end effector's
-    reference.
-    """
+    """Return the emulated Franka arm's Cartesian impedance torques (7,) [Nm] toward its reference."""
     q, dq = plant.read()
     wanted = frames.pose(reference.q)
     T, J = frames.pose_and_jacobian(q)
@@ -61,7 +57,7 @@ def cartesian_impedance(
 
 
 class Brake:
-    """Brake that brings an emulated Franka arm's moving joint reference to rest along its direction.
+    """Brake of the emulated Franka control, which brings a moving joint reference to rest.
 
     All joints stop at the same time.
     """
@@ -73,7 +69,7 @@ class Brake:
         self._left, self._duration = duration, duration
 
     def step(self) -> bool:
-        """Advance an emulated Franka arm's braking by 1 ms; return whether the joint reference is at rest."""
+        """Advance the braking of the emulated Franka control by 1 ms; return whether it is at rest."""
         r = self._reference
         self._left = max(self._left - PERIOD, 0.0)
         if self._left == 0.0 or self._duration == 0.0:

@@ -42,16 +42,14 @@ class ControllerSettings:
 
 
 def free_arm() -> PlanningScene:
-    """Return an emulated controller's scene of a Franka arm with a hand at its home position, without
-    objects.
-    """
+    """Return the emulated controller's scene: a Franka arm with hand at its home position, no objects."""
     model = load_robot("panda")
     home = {**model.named_states["arm"]["home"], **model.named_states["hand"]["open"]}
     return PlanningScene.of(model, [home[name] for name in model.joint_names])
 
 
 def torque_world(scene: PlanningScene, physics: PhysicsSettings | None = None) -> SimWorld:
-    """Return the physics world of a scene whose emulated Franka arms are driven by torques at 1 kHz."""
+    """Return the physics world of a scene for emulated Franka controllers, torque-driven at 1 kHz."""
     settings = replace(physics or PhysicsSettings(), timestep=PERIOD, arm_control="torque")
     return SimWorld(scene, settings)
 
@@ -84,9 +82,7 @@ class FrankaController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether the emulated Franka controller has a client, or disconnected only by an injected
-        network fault.
-        """
+        """Return whether the emulated Franka controller has a client, or lost it by an injected fault."""
         return self.commands.connected or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
@@ -97,7 +93,7 @@ class FrankaController:
         self.network.flush()
 
     def reset(self) -> None:
-        """Reset the emulated Franka arm, the hand and all objects to their initial state."""
+        """Reset the emulated Franka controller: arm, hand and all objects to their initial state."""
         self.plant.reset()
         self.hand.follow_reset()
         self.robot.follow_reset()

@@ -39,8 +39,7 @@ class Reflex(Exception):
 
 @dataclass
 class Reference:
-    """Reference of a Franka motion generator: the desired state: joints, and end effector in the base frame
-    O.
+    """Reference of a Franka motion generator: desired joints, and end effector in base frame O.
 
     Attributes:
         T: T_O_EE (4, 4); twist (6,) [m/s, rad/s] and acceleration (6,) of the command.
@@ -62,9 +61,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames for Franka motion generators: kinematics of the arm with the configured end effector, T_F_EE (4,
-    4).
-    """
+    """Frames for Franka motion generators: arm kinematics with the configured end effector T_F_EE (4, 4)."""
 
     kinematics: ArmKinematics
     T_F_EE: Array
@@ -194,8 +191,7 @@ class JointVelocity:
 
 
 class Interpolation:
-    """Emulated Franka motion generator for joint positions at a slow rate, between which the robot
-    interpolates.
+    """Emulated Franka motion generator for slow joint positions, between which the robot interpolates.
 
     This is Franka's asynchronous control.
     """
@@ -298,9 +294,7 @@ class Cartesian:
                 raise Reflex("cartesian_motion_generator_acceleration_discontinuity", f"{change:.0f}")
 
     def _elbow(self, command: RobotCommand | None) -> float | None:
-        """Return Franka's commanded elbow: the angle of joint 3 [rad], or None if the robot chooses the
-        angle.
-        """
+        """Return the elbow that a Franka motion generator commands: angle of joint 3 [rad], or None."""
         if command is None or not command.valid_elbow:
             return None
         r, limits = self._reference, self._limits
@@ -316,8 +310,7 @@ class Cartesian:
         return angle
 
     def _resolve(self, T: Array, elbow: float | None) -> Array:
-        """Return the Franka generator's joint positions (7,) near the current reference with the end effector
-        at T.
+        """Return the Franka generator's joint positions (7,) near the reference with the end effector at T.
 
         The solution takes Newton steps; without an elbow angle, the joint motion has the least norm. Raises
         Reflex at a singularity.
@@ -354,12 +347,12 @@ class Follow:
 
 
 def elbow_of(q: Array) -> Array:
-    """Return a Franka arm's elbow configuration (2,): angle of joint 3 [rad], flip direction of joint 4."""
+    """Return the elbow (2,) for a Franka motion generator: angle of joint 3 [rad], flip of joint 4."""
     return np.array([q[2], np.sign(q[3] - ELBOW_FLIP)])
 
 
 def _moved(T: Array, twist: Array) -> Array:
-    """Return the commanded Franka pose (4, 4) moved for one control period by a twist (6,) in the base frame."""
+    """Return a pose (4, 4) that a Franka motion generator moves for one period by a twist (6,)."""
     moved = T.copy()
     moved[:3, 3] += twist[:3] * PERIOD
     moved[:3, :3] = rotation_exp(twist[3:] * PERIOD) @ T[:3, :3]

@@ -21,7 +21,7 @@ TEMPERATURE = 30  # [C]
 
 @dataclass
 class _Task:
-    """Running command of the emulated Franka Hand: its goal, limits, and function that receives the result."""
+    """Running command of the emulated Franka Hand: its goal, limits, and receiver of the result."""
 
     command: Command
     answer: Callable[[Status], None]

@@ -86,9 +86,7 @@ class ArmKinematics:
 
 
 def rotation_log(R: Array) -> Array:
-    """Return the rotation vector (3,) [rad] of a small rotation (3, 3), for Franka kinematics; exact below
-    pi.
-    """
+    """Return a small rotation (3, 3) as rotation vector (3,) [rad], for Franka kinematics; exact below pi."""
     axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
@@ -106,7 +104,7 @@ def rotation_exp(w: Array) -> Array:
 
 
 def urdf(model: RobotModel, group: str, limits: FrankaLimits) -> str:
-    """Return the URDF that the emulated Franka robot sends to clients: the arm without its hand.
+    """Return the URDF (kinematics) that the emulated Franka robot sends to clients: arm without hand.
 
     Clients compute dynamics with it and read velocity limits from it, so every joint has
     `position_based_velocity_limits`.

@@ -22,7 +22,7 @@ T_F_NE = np.array(  # nominal end effector of a Franka Hand: turned by -45 degre
 
 @dataclass
 class Thresholds:
-    """Franka parameters: contact (lower) and collision (upper) thresholds: torques (7,) [Nm], wrenches (6,).
+    """Franka parameters for contact (lower) and collision (upper): torques (7,) [Nm], wrenches (6,).
 
     Wrenches are in [N, Nm]. The defaults are those of Franka's ROS packages.
     """
@@ -38,9 +38,7 @@ def _both(lower: Sequence[float], more: float) -> dict[str, Array]:
 
 @dataclass
 class Load:
-    """Franka parameter: the configured load: mass [kg], center (3,) [m] in the flange frame, inertia (9,) [kg
-    m^2].
-    """
+    """Franka load parameter: mass [kg], center (3,) [m] in the flange frame, inertia (9,) [kg m^2]."""
 
     mass: float = 0.0
     center: Array = field(default_factory=lambda: np.zeros(3))

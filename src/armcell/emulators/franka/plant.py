@@ -72,17 +72,14 @@ class FrankaPlant:
         return data.qfrc_actuator[self._dofs] + data.qfrc_gravcomp[self._dofs]
 
     def external(self) -> Array:
-        """Return the Franka plant's external torques (7,) [Nm]: measured torques minus the robot's own
-        dynamics.
+        """Return the Franka plant's external torques (7,) [Nm]: measured minus the robot's own dynamics.
 
         Forces of the robot on its environment are positive. The configured load is not subtracted.
         """
         return self._filtered
 
     def inertial_torque(self, acceleration: Array) -> Array:
-        """Return the Franka plant's joint torques (7,) [Nm] for accelerations [rad/s^2] of the arm and its
-        hand.
-        """
+        """Return the Franka plant's joint torques (7,) [Nm] for accelerations [rad/s^2] of arm and hand."""
         model, data = self.world.mj_model, self.world._data
         wanted, torque = np.zeros(model.nv), np.zeros(model.nv)
         wanted[self._dofs] = acceleration
@@ -100,9 +97,7 @@ class FrankaPlant:
         return data.qfrc_gravcomp[dofs] - data.qfrc_passive[dofs]  # MuJoCo's passive forces have both
 
     def inertia(self) -> Array:
-        """Return the Franka plant's diagonal of the joint-space inertia matrix (7,) [kg m^2] at the current
-        state.
-        """
+        """Return the diagonal of the Franka plant's joint-space inertia matrix (7,) [kg m^2]."""
         model, data = self.world.mj_model, self.world.mj_data
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
@@ -146,7 +141,7 @@ class FrankaPlant:
         return [p for p in pairs if p[0] in self.links]
 
     def contact(self) -> str:
-        """Return the bodies of the emulated Franka arm's strongest contact, such as "panda_hand on wall"."""
+        """Return the strongest contact of the Franka plant's arm, such as "panda_hand on wall"."""
         mine = [c for c in self.world.contacts() if self.links & {c.body_a, c.body_b}]
         if not mine:
             return "no contact"
@@ -172,9 +167,7 @@ class FrankaPlant:
 
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:
-        """Displace the Franka plant's joints to other positions (7,) [rad], as a person guiding the arm
-        would.
-        """
+        """Displace the Franka plant's joints to positions (7,) [rad], as a person guiding the arm would."""
         positions = np.array(self.world.joint_state().positions)
         positions[self.world.robot.columns(self.names)] = q
         self.world.set_positions(np.clip(positions, self.world.robot.lower, self.world.robot.upper))

@@ -131,9 +131,7 @@ class Robot:
 
     # --- one millisecond ---
     def step(self, commands: Sequence[RobotCommand]) -> None:
-        """Run one control cycle of the emulated Franka arm with the commands that have arrived since the last
-        one.
-        """
+        """Run one control cycle of the emulated Franka arm with the commands since the last cycle."""
         command = next((c for c in reversed(commands) if c.time == self.time), None)
         self.time += 1
         self._end_recovery()
@@ -235,9 +233,7 @@ class Robot:
         return torque + self.load_torque()
 
     def _supervise(self) -> None:
-        """Check the measured state of the emulated Franka arm against the limits; raise Reflex at a
-        violation.
-        """
+        """Check the emulated Franka arm's measured state against the limits; raise Reflex at a violation."""
         accelerating = bool(np.any(np.abs(self.reference.ddq) > MOVING))
         kind = "_acceleration" if accelerating else ""
         torque, force = np.abs(self.tau_ext), np.abs(self.K_F_K)
@@ -280,9 +276,7 @@ class Robot:
 
     # --- motions ---
     def move(self, request: MoveRequest, answer: Callable[[MoveStatus], None]) -> None:
-        """Start a motion of the emulated Franka arm; `answer` is called when the motion starts, and again
-        when it ends.
-        """
+        """Start a motion of the emulated Franka arm; `answer` is called at its start and at its end."""
         if self.mode is not RobotMode.IDLE or self.motion is not None:
             answer(MoveStatus.NOT_POSSIBLE)
             return
@@ -408,9 +402,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def guide(self, on: bool) -> None:
-        """Press or release the emulated Franka robot's enabling button, with which a person guides the arm by
-        hand.
-        """
+        """Press or release the enabling button for guiding the emulated Franka arm by hand."""
         if on and self.mode is RobotMode.IDLE:
             self.mode = RobotMode.GUIDING
         elif not on and self.mode is RobotMode.GUIDING:
@@ -423,9 +415,7 @@ class Robot:
         self.follow_reset()
 
     def follow_reset(self) -> None:
-        """Let the emulated Franka robot continue at rest from the plant's state after the plant was reset or
-        displaced.
-        """
+        """Let the emulated Franka robot continue at rest after its plant was reset or displaced."""
         self._finish(MoveStatus.ABORTED)
         self._brake = None
         self.errors.clear()
@@ -443,15 +433,11 @@ class Robot:
     # --- parameters ---
     @property
     def may_set(self) -> SetterStatus:
-        """Return whether clients may set the emulated Franka robot's parameters now, which is forbidden
-        during a motion.
-        """
+        """Return whether clients may set the emulated Franka robot's parameters now: not during a motion."""
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
-        """Set the emulated Franka robot's load: mass [kg], center (3,) [m] in the flange frame, inertia (9,)
-        [kg m^2].
-        """
+        """Set the emulated Franka robot's load: mass [kg], center (3,) [m] at the flange, inertia (9,)."""
         center, inertia = np.asarray(center, dtype=float), np.asarray(inertia, dtype=float)
         tensor = inertia.reshape(3, 3)
         heavy = mass + (wire_limits.HAND_MASS if self.plant.hand else 0.0) > wire_limits.MAX_LOAD
@@ -489,9 +475,7 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_thresholds(self, values: Sequence[float]) -> SetterStatus:
-        """Set the emulated Franka robot's 52 contact and collision thresholds in the order of
-        SetCollisionBehavior.
-        """
+        """Set the emulated Franka robot's 52 contact and collision thresholds (SetCollisionBehavior)."""
         numbers = np.array(values)
         names = ("lower_acceleration", "upper_acceleration", "lower", "upper")
         if np.any(numbers < 0.0):

@@ -35,9 +35,7 @@ Functions = dict[str, Callable[..., Any]]
 
 
 def motion_functions(robot: Robot) -> Functions:
-    """Return the emulated UR's built-in URScript functions that take time: generators that yield once per
-    control step.
-    """
+    """Return the emulated UR's URScript functions that take time, as generators per control step."""
     s = robot.setpoint
 
     def _joints(target: Any) -> Any:
@@ -61,8 +59,7 @@ def motion_functions(robot: Robot) -> Functions:
         yield
 
     def _along(make: Callable[[Setpoint], MoveJ | MoveL], goal: Any, radius: float) -> Wait:
-        """Run an emulated UR motion to a goal pose (4, 4), blended with a running motion that is near its
-        goal.
+        """Run an emulated UR's built-in motion to a pose (4, 4), blended with one that is near its goal.
 
         Blend radii [m] are limited to half the path length, so that two blends do not overlap.
         """
@@ -99,16 +96,14 @@ def motion_functions(robot: Robot) -> Functions:
         yield from _along(lambda at: MoveC(at, via, goal, a, v, fixed), goal, r)
 
     def optimovej(q: Any, a: float = 0.3, v: float = 0.3, t: float = 0.0, r: float = 0.0) -> Wait:
-        """URScript's optimovej: move the joints to a goal; `a` and `v` are fractions (0..1) of the arm's
-        limits.
-        """
+        """URScript built-in optimovej: move to joints; `a` and `v` are fractions (0..1) of limits."""
         yield from movej(q, max(a, 0.01) * FULL_ACCELERATION, max(v, 0.01) * float(s.v_max.min()), t, r)
 
     def optimovel(pose: Any, a: float = 0.3, v: float = 0.3, t: float = 0.0, r: float = 0.0) -> Wait:
         yield from movel(pose, max(a, 0.01) * FULL_TOOL_ACCELERATION, max(v, 0.01) * FULL_TOOL_SPEED, t, r)
 
     def _for(seconds: float) -> Wait:
-        """Let a URScript program wait for a duration in program time [s], which the speed slider slows.
+        """URScript built-in: wait for a duration in program time [s], which the speed slider slows.
 
         If a wait takes too long, the next wait is shortened.
         """
@@ -182,7 +177,7 @@ def _state_functions(robot: Robot) -> Functions:
         return Vec(float(x) for x in s.q)
 
     def history(steps: int = 0) -> Vec:
-        """URScript function: return the joint positions from a given number of control steps ago."""
+        """URScript built-in: return the joint positions from a given number of control steps ago."""
         back = int(steps)
         if not robot.history or back < 1:
             return actual_q()
@@ -283,5 +278,5 @@ def _state_functions(robot: Robot) -> Functions:
 
 
 def rows(matrix: Any) -> Vec:
-    """Return a matrix in URScript's representation: a list of rows."""
+    """Return a matrix in the built-in representation of URScript: a list of rows."""
     return Vec(Vec(float(x) for x in row) for row in matrix)

@@ -107,7 +107,7 @@ def _six(name: str, values: Any) -> Any:
 
 
 def contact_steps(robot: Robot, direction: Any) -> int:
-    """URScript function: return the number of control steps since a tool contact began; 0 without contact.
+    """URScript force built-in: number of control steps since a tool contact began; 0 without contact.
 
     Args:
         direction: tool motion direction (3,), base frame; a zero vector detects forces from every direction.

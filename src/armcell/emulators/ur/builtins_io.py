@@ -16,7 +16,7 @@ def io_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
 
 
 class DigitalOutputs(list):
-    """Legacy URScript variable `digital_out[n]`; assigning an item sets the digital output."""
+    """URScript I/O built-in `digital_out[n]` (legacy): assigning an item sets the digital output."""
 
     def __init__(self, robot: Robot):
         super().__init__([False] * 18)

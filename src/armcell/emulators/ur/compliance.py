@@ -24,8 +24,7 @@ RISE = 0.05  # [s] time constant of the speed's response to the force
 
 @dataclass
 class Compliance:
-    """Compliant mode of an emulated UR arm: a task frame with its compliant axes and the parameters of their
-    motion.
+    """Compliance mode of an emulated UR arm: task frame, compliant axes and their parameters.
 
     Attributes:
         T_base_task: (4, 4); None: the tool's frame.
@@ -45,7 +44,7 @@ class Compliance:
     _speed: Array = field(default_factory=lambda: np.zeros(6))
 
     def keep_speed(self, before: Compliance) -> None:
-        """Continue force mode with the speed of a previous force mode, so that new parameters cause no jump."""
+        """Continue force mode with a previous force mode's speed, so that new parameters cause no jump."""
         self._speed = before._speed
 
     def apply(self, s: Setpoint, q: Array, felt: Array, dt: float) -> tuple[Array, Array]:
@@ -78,7 +77,7 @@ def freedrive(axes: Array, T_base_task: Array | None) -> Compliance:
 def force_mode(
     s: Setpoint, task_frame: list[float], axes: Array, wrench: Array, kind: int, limits: Array, gain: float
 ) -> Compliance:
-    """Return the compliant mode of URScript's `force_mode` for a task frame and a type.
+    """Return the compliance of URScript's `force_mode` for a task frame and a type.
 
     Type 1 rotates the task frame so that its y axis points from the frame's origin to the TCP. Type 2 keeps
     the frame. Type 3 rotates it so that its x axis follows the tool's motion in the frame's x-y plane.
@@ -96,8 +95,7 @@ def force_mode(
 
 
 def _turned(frame: Array, direction: Array, axis: int) -> Array:
-    """Return a compliant mode's frame rotated by the smallest angle such that an axis points along a
-    direction.
+    """Return a compliance frame rotated minimally so that an axis points along a direction.
 
     A zero direction leaves the frame unchanged.
     """

@@ -102,13 +102,11 @@ class UrController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether the emulated UR controller has an RTDE client, or disconnected only by an injected
-        fault.
-        """
+        """Return whether the emulated UR controller has an RTDE client, or lost it by an injected fault."""
         return self._rtde.clients > 0 or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
-        """Run one control step of the emulated UR controller: the URScript program, the plant and the ports."""
+        """Run one control step of the emulated UR controller: URScript program, plant and ports."""
         self._external.step()
         self.robot.before_step()
         self.robot.plant.step(self.robot.period)

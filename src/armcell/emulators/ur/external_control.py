@@ -64,8 +64,7 @@ class ExternalControl:
         return True
 
     def play(self) -> bool:
-        """Request the program text of External Control from the remote host; return False if the request
-        fails.
+        """Request External Control's program text from the remote host; return False if that fails.
 
         The program starts when its text has arrived.
         """

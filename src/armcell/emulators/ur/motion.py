@@ -25,7 +25,7 @@ class MotionFault(ArmcellError):
 
 
 class Setpoint:
-    """Commanded joint positions and speeds of the emulated UR arm, with its limits and TCP."""
+    """Setpoint of an emulated UR motion: joint positions and speeds, with the arm's limits and TCP."""
 
     def __init__(self, model: UrModel, dh: Kinematics, q: ArrayLike):
         self.model, self.dh = model, dh
@@ -41,7 +41,7 @@ class Setpoint:
         return other
 
     def towards(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
-        """Return the emulated UR arm's joint target after one step toward a velocity within the arm's limits.
+        """Return an emulated UR motion's joint target after one step toward a velocity within limits.
 
         Args:
             v_wanted: joint velocities (6,) [rad/s].
@@ -98,9 +98,7 @@ class _Along:
         self._stop: StopJ | None = StopJ(8.0)
 
     def advance(self, s: Setpoint, dt: float) -> tuple[Array, Array] | float:
-        """Return the emulated UR motion's path fraction (0..1), or the arm's braking step while the arm still
-        moves.
-        """
+        """Return the emulated UR motion's path fraction (0..1), or a braking step of a still moving arm."""
         if self._stop is not None:
             if np.abs(s.v).max() > 1e-6 and not s.compliant:
                 return self._stop.step(s, dt)
@@ -119,7 +117,7 @@ class _Along:
         return 1.0 - 0.5 * peak * (total - t) ** 2 / rise
 
     def begin(self, s: Setpoint) -> None:
-        """Start the emulated UR motion's path at the arm's current setpoint; called when the arm is at rest."""
+        """Start the emulated UR motion's path at the arm's setpoint, once the arm is at rest."""
 
 
 class MoveJ(_Along):
@@ -338,8 +336,7 @@ class Torque:
 
 
 class ServoJ:
-    """URScript's servoj: tracking of a moving joint target, smoothed over about lookahead * 300 / gain
-    seconds.
+    """URScript's servoj: tracking of a moving joint target, smoothed over lookahead * 300 / gain seconds.
 
     The arm's limits apply.
     """
@@ -362,9 +359,7 @@ class ServoJ:
 
 
 class SpeedJ:
-    """URScript's speedj: joint motion at constant velocities [rad/s], reached with acceleration `a`
-    [rad/s^2].
-    """
+    """URScript's speedj: joint motion at constant velocities [rad/s] with acceleration `a` [rad/s^2]."""
 
     done = False
 
@@ -378,7 +373,7 @@ class SpeedJ:
 
 
 class SpeedL(SpeedJ):
-    """URScript's speedl: tool motion at constant velocity [m/s, rad/s, base frame], reached at `a` [m/s^2]."""
+    """URScript's speedl: tool motion at constant velocity [m/s, rad/s, base frame], reached with `a`."""
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
         J = jacobian(s.dh, s.q, forward(s.dh, s.q, s.tcp)[:3, 3])

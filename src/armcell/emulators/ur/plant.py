@@ -29,9 +29,7 @@ class Plant(Protocol):
     resets: int
 
     def reset(self) -> None:
-        """Reset an emulated UR arm's joints to their initial state, and the whole world if several arms share
-        one.
-        """
+        """Reset an emulated UR arm's joints to their initial state, or the whole world if arms share it."""
         ...
 
     def read(self) -> tuple[Array, Array, Array]:
@@ -39,14 +37,11 @@ class Plant(Protocol):
         ...
 
     def command(self, q: Array, v: Array, period: float) -> None:
-        """Set the UR plant's joint targets for one control period [s] from now: positions and velocities
-        (6,).
-        """
+        """Set the UR plant's joint targets for one control period [s]: positions and velocities (6,)."""
         ...
 
     def step(self, dt: float) -> None:
-        """Advance the UR plant's simulation by a control period [s]; several arms in one world share the
-        time.
+        """Advance the UR plant's simulation by a control period [s]; arms in one world share the time.
 
         Each of n arms advances the world by 1/n of the period.
         """
@@ -57,7 +52,7 @@ class Plant(Protocol):
         ...
 
     def contact(self, hand: bool = True) -> str | None:
-        """Return a description of an unexpected contact of the emulated UR arm since the last call, or None.
+        """Return the UR plant's unexpected contact of the arm since the last call as text, or None.
 
         Args:
             hand: whether contacts of the hand count.
@@ -156,7 +151,7 @@ class SharedWorld:
             plant.follow_reset()
 
     def advance(self, dt: float) -> None:
-        """Advance the UR plants' shared world by `dt` [s]; a remainder below one time step is carried over."""
+        """Advance the UR plants' shared world by `dt` [s]; carry over a remainder below one time step."""
         self._owed += dt
         step = self.world.timestep
         while self._owed >= step - 1e-9:

@@ -38,8 +38,7 @@ def run_command(robot: Robot, text: str) -> bool:
 
 
 def run_script(robot: Robot, network: Network, text: str, name: str = "") -> bool:
-    """Compile and start a client's URScript program on the emulated UR robot, which replaces a running
-    program.
+    """Compile a client's URScript program and start it on the emulated UR robot instead of the running one.
 
     A secondary program runs beside the running program. If the text does not compile, the robot reports the
     error as a pendant does, and the running program ends as well.

@@ -37,7 +37,7 @@ MIN_UPTIME = 60.0  # [s] controller time at start: UR's client library requires 
 
 
 class Robot:
-    """State and behavior of one emulated UR arm and its controller, without network access."""
+    """Emulated UR robot: state and behavior of one arm and its controller, without network access."""
 
     def __init__(self, model: UrModel, plant: Plant, serial: str, kinematics: Kinematics | None = None):
         self.model, self.plant, self.serial = model, plant, serial
@@ -151,9 +151,7 @@ class Robot:
         return self.period if isinstance(self.motion, StopJ) else dt  # the slider does not slow a stop
 
     def _targets(self, dt: float) -> tuple[Array, Array]:
-        """Return the emulated UR robot's joint targets (positions and speeds, each (6,)) at the end of a
-        control step.
-        """
+        """Return the emulated UR robot's joint targets (positions, speeds, each (6,)) after a step."""
         s = self.setpoint
         q, v = (s.q, np.zeros(6)) if self.motion is None else self.motion.step(s, dt)
         if self.compliance is None:
@@ -206,8 +204,7 @@ class Robot:
         self._motion_used = True
 
     def comply(self, compliance: Compliance | None) -> None:
-        """Start the emulated UR robot's compliant mode, in which forces move the tool along some axes, or end
-        it (None).
+        """Start the emulated UR robot's compliant mode, in which forces move the tool, or end it (None).
 
         Raises:
             ProgramError: the robot is not running.
@@ -219,9 +216,7 @@ class Robot:
     # --- program ---
     @property
     def may_run(self) -> bool:
-        """Return whether a program may start on the emulated UR robot, which runs, and its safety mode
-        permits motion.
-        """
+        """Return whether a program may start on the emulated UR robot: it runs, and safety permits motion."""
         return self.mode is RobotMode.RUNNING and self.safety in MAY_MOVE
 
     def run(self, machine: Machine) -> None:
@@ -263,9 +258,7 @@ class Robot:
         return True
 
     def play(self) -> bool:
-        """Resume the emulated UR robot's paused program; return False if none is paused or motion is
-        forbidden.
-        """
+        """Resume the emulated UR robot's paused program; return False without one or if forbidden."""
         if self.runtime not in (RuntimeState.PAUSED, RuntimeState.PAUSING) or self.safety not in MAY_MOVE:
             return False
         self.runtime = RuntimeState.RESUMING
@@ -353,7 +346,7 @@ class Robot:
         self._later.append((self.time + seconds, change))
 
     def displace(self, q: ArrayLike) -> None:
-        """Displace the emulated UR arm to other joint positions, as a person moving it by hand would."""
+        """Displace the emulated UR robot to other joint positions, as a person moving it would."""
         self.plant.displace(q)
         self.setpoint.q, self.setpoint.v = np.array(q, dtype=float), np.zeros(6)
         self.motion = None
@@ -382,7 +375,7 @@ class Robot:
         self.analog_volts = (self.analog_volts & ~(1 << i)) | (int(volts) << i)
 
     def analog_output(self, i: int) -> float:
-        """Return an analog output of the emulated UR robot: 0 to 10 V or 4 to 20 mA, depending on its domain."""
+        """Return an analog output of the emulated UR robot: 0 to 10 V or 4 to 20 mA, by its domain."""
         ratio = float(np.clip(self.analog_out[i], 0.0, 1.0))
         return 10.0 * ratio if self.analog_volts >> i & 1 else 4.0 + 16.0 * ratio
 
@@ -413,9 +406,7 @@ class Robot:
         return self.plant.wrench()[0] + self.hand
 
     def felt(self) -> Array:
-        """Return the emulated UR robot's external force [N] and torque [Nm] on the tool (6,), base frame, at
-        the TCP.
-        """
+        """Return the emulated UR robot's external force [N] and torque [Nm] on the tool (6,), base frame."""
         return self._wrench_about(self.setpoint.tcp)
 
     def _wrench_about(self, tcp: list[float]) -> Array:

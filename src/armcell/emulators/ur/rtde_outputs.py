@@ -95,9 +95,7 @@ MAX_DEVIATION = 0.1  # [rad] between target and measured position: deviation rat
 
 
 def _tcp_acceleration(r: Robot, q: Array, v: Array, a: Array) -> Array:
-    """Return for RTDE output the tool's acceleration (6,) [m/s^2, rad/s^2] by finite differences of its
-    speed.
-    """
+    """Return the tool acceleration (6,) [m/s^2, rad/s^2] for RTDE output, by finite differences."""
     dt = r.period
     return (r.tcp_speed(q, v) - r.tcp_speed(q - v * dt, v - a * dt)) / dt
 
@@ -108,9 +106,7 @@ def _elbow_velocity(r: Robot, q: Array, v: Array) -> Array:
 
 
 def _raw_wrench(r: Robot) -> Array:
-    """Return for RTDE output the wrench (6,) [N, Nm] at the flange, in flange axes, with the payload's
-    weight.
-    """
+    """Return the flange wrench (6,) [N, Nm] for RTDE output, with the payload's weight."""
     if not r.model.e_series:
         return np.zeros(6)
     R = forward(r.dh, r.plant.read()[0], [0.0] * 6)[:3, :3]

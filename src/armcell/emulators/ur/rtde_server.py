@@ -118,9 +118,7 @@ class RtdeServer:
         return bytes([number]) + ",".join(kinds).encode()
 
     def send_outputs(self) -> None:
-        """Send the emulated UR's RTDE output variables to the clients that are due; call once per control
-        step.
-        """
+        """Send the emulated UR's RTDE output variables to clients that are due, once per control step."""
         for link, client in list(self._clients.items()):
             if not link.open:
                 del self._clients[link]

@@ -84,7 +84,7 @@ class ScriptServer:
             link.send(robot_messages.error_code(self._state.now_us, READ_ONLY_CODE, 0, level, why))
 
     def _announce(self, notice: Notice) -> None:
-        """Send an event of the emulated UR robot to the primary clients, encoded as by a real controller."""
+        """Send an emulated UR event to the clients of the script server's primary port."""
         message = self._message(notice)
         for link, client in self._clients.items():
             if client.kind == PRIMARY:
@@ -106,7 +106,8 @@ class ScriptServer:
                 return robot_messages.safety_mode(now, int(mode))
 
     def send_state(self) -> None:
-        """Send the emulated UR robot's state: primary and secondary at 10 Hz, real-time every control step.
+        """Send emulated UR states from the script server: primary, secondary at 10 Hz, real-time at each
+        step.
 
         A client that does not read its data, such as ur_rtde's script client, is skipped while it is behind.
         """

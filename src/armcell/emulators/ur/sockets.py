@@ -117,9 +117,7 @@ def socket_functions(
                 return ""
 
     def socket_read_ascii_float(number: int, name: str = "socket_0", timeout: float = 2.0) -> Wait:
-        """Return from a URScript socket the numbers of a received text such as `(1.5, 2, 3)`, preceded by
-        their count.
-        """
+        """Return the count and numbers of a text from a URScript socket, such as `(1.5, 2, 3)`."""
         text = yield from socket_read_string(name, "(", ")", False, timeout)
         try:
             values = [float(part) for part in text.split(",")] if text else []

@@ -46,8 +46,7 @@ def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _depth(half: float, hand: Hand) -> float:
-    """Return the depth [m] of the tcp below an object's near face, for a primitive's grasp, limited by the
-    finger length.
+    """Return the depth [m] of the tcp below a primitive's near face, limited by the finger length.
 
     Without the limit, the tcp is at the object's center.
     """

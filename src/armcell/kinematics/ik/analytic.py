@@ -57,7 +57,7 @@ class AnalyticIK(IKSolver):
 
 
 def is_analytic(model: RobotModel, group: str, tip_link: str | None = None) -> bool:
-    """Return whether a planning group's chain has the structure of a UR arm.
+    """Return whether analytic IK fits: the group's chain has the structure of a UR arm.
 
     The result is True only if it does not depend on the positions of the robot's other joints.
     """

@@ -114,7 +114,7 @@ def _reach(table: Array, bounds: Array) -> float:
 
 @njit(cache=True, error_model="numpy")
 def goal_in_base(inverse_base, T, goal):
-    """Compute an IK chain's T_base_tip into `goal` (12,) from T_root_tip (4, 4); return whether it is finite."""
+    """Compute T_base_tip of an IK chain into `goal` (12,) from T_root_tip (4, 4); return if it is finite."""
     total = 0.0
     for i in range(3):
         for j in range(4):

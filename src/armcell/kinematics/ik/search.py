@@ -17,8 +17,7 @@ def search(
     table, bounds, turning, goal, scale, reference, seeds, scores, tries, iterations,
     position_tolerance, rotation_tolerance, found, count, want,
 ):  # fmt: skip
-    """Search IK solutions from many seeds: fill `found` from row `count` on with distinct ones, up to `want`
-    in total.
+    """Search from many seeds: fill `found` from row `count` on with up to `want` distinct IK solutions.
 
     Args:
         reference: positions (n,) near which the solutions' full turns are chosen.
@@ -60,9 +59,7 @@ def any_solution(
     table, bounds, turning, goal, scale, reference, seeds, poses, tries, iterations,
     position_tolerance, rotation_tolerance, found,
 ):  # fmt: skip
-    """Search one IK solution and write it to `found` (1, n), from the tabled seeds; return whether one
-    exists.
-    """
+    """Search one IK solution from the tabled seeds and write it to `found` (1, n); return success."""
     scores = np.empty(len(seeds), np.float32)
     rank(poses, goal, scale, scores)
     return search(

@@ -73,8 +73,7 @@ def halton(count: int, dimensions: int) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def pose_numbers(T, out):
-    """Write the position and quaternion (w, x, y, z) of a pose (12,) to `out` (7,), for the table of IK
-    seeds.
+    """Write a pose's (12,) position and quaternion (w, x, y, z) to `out` (7,), for the IK seed table.
 
     Shepperd's method.
     """

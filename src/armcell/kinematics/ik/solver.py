@@ -34,7 +34,7 @@ AT_LIMIT = 1e-3  # [rad or m] joints nearer to a limit count as being at the lim
 @dataclass(frozen=True)
 @checked()
 class IKSettings:
-    """Settings of inverse kinematics solvers; the analytic solver needs no search settings."""
+    """Settings of IK solvers; the analytic solver needs no search settings."""
 
     position_tolerance: float = 1e-6  # [m]
     rotation_tolerance: float = 1e-6  # [rad]
@@ -92,7 +92,7 @@ class IKSolver(ABC):
 
     @classmethod
     def solves(cls, model: RobotModel, group: str, tip_link: str | None = None) -> bool:
-        """Return whether this IK solver supports a planning group and tip link."""
+        """Return whether an IK solver supports a planning group and tip link."""
         return True
 
     @property
@@ -106,8 +106,7 @@ class IKSolver(ABC):
     @abstractmethod
     def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
-        """Search distinct solutions of an IK solver (n,) for a goal (12,), the tip pose in the chain's base
-        frame.
+        """Search an IK solver's distinct solutions (n,) for a goal (12,), the tip pose in the base frame.
 
         The method also counts, in `outside` per joint, the solutions that only this joint's limits forbid.
         """

@@ -95,9 +95,7 @@ def couplings(model: Any, name: str) -> Couplings:
 
 
 def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
-    """Return the joints and coefficients of a fixed MJCF tendon, for joint couplings; empty for other
-    tendons.
-    """
+    """Return joints and coefficients of a fixed MJCF tendon, for joint couplings; else empty."""
     first = int(model.tendon_adr[tendon])
     parts = range(first, first + int(model.tendon_num[tendon]))
     return [
@@ -158,7 +156,7 @@ def _range(model: Any, joint: int) -> tuple[float, float]:
 
 
 def _close_linkages(model: Any, found: Couplings, name: str) -> None:
-    """Fit a linear rule (mimic coupling) to each passive joint of a closed linkage, for each driving joint."""
+    """Fit a linear rule (mimic coupling) to each passive joint of a closed linkage per driving joint."""
     from scipy.optimize import least_squares  # imported late: few models have linkages
 
     model = copy.copy(model)
@@ -206,9 +204,7 @@ def _close_linkages(model: Any, found: Couplings, name: str) -> None:
 
 
 def _rest(model: Any, joints: list[int]) -> tuple[Array, Array]:
-    """Return, for couplings of MJCF joints, the rest positions of joints and the weights of their springs,
-    (n,) each.
-    """
+    """Return joints' rest positions and spring weights, (n,) each, for couplings of MJCF joints."""
     stiffness = np.array([float(np.ravel(model.jnt_stiffness[j])[0]) for j in joints])
     strongest = max(float(stiffness.max()), 1e-12)
     weight = REST_WEIGHT + SPRING_WEIGHT * np.sqrt(stiffness / strongest)

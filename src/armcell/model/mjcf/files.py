@@ -38,9 +38,7 @@ class MjcfText:
     places: list[tuple[Path, int]] = field(default_factory=list)
 
     def failed(self, message: str) -> InputError:
-        """Return an `InputError` for MuJoCo's message about an MJCF file, with the file and line that it
-        refers to.
-        """
+        """Return an `InputError` for MuJoCo's message about an MJCF file, with file and line."""
         reason = " ".join(message.split()).removeprefix("Error: ")
         place = self._of_line(message) or self._of_name(message)
         file, line = place or (self.file, None)

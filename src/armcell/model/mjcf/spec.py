@@ -158,9 +158,7 @@ def _unused(name: str, taken: set[str]) -> str:
 
 
 def joints_of(model: Any, body: int) -> range:
-    """Return the ids of the joints of a body in a robot's MuJoCo spec, in the order in which MuJoCo applies
-    them.
-    """
+    """Return the joint ids of a body in a robot's MuJoCo spec, in the order of their application."""
     first = int(model.body_jntadr[body])
     return range(first, first + int(model.body_jntnum[body])) if first >= 0 else range(0)
 
@@ -184,9 +182,7 @@ def _add_joint_frames(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
 
 
 def _add_sites(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
-    """Add to a robot's MuJoCo spec an empty body at each named site of a body, because tool frames are sites
-    in MJCF.
-    """
+    """Add to a robot's MuJoCo spec an empty body at each named site, as MJCF's tool frames are sites."""
     found = {}
     for i in range(model.nsite):
         name, body = model.site(i).name, int(model.site_bodyid[i])

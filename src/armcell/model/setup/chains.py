@@ -40,7 +40,7 @@ def find_chains(model: RobotModel) -> list[Chain]:
 
 
 def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
-    """Return the robot with planning groups for its arms and grippers, and end effectors.
+    """Return the robot with planning groups for its detected arm chains and grippers.
 
     A robot with exactly two arms that share no joint also gets the group `both_arms`.
 
@@ -97,7 +97,7 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
 
 # --- the tree ---
 def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
-    """Detect arms: append to `found` the chains that start at or below a link."""
+    """Detect arm chains that start at or below a link and append them to `found`."""
     starts = _next_movable(model, link)
     if len(starts) > 1 and all(JAW.search(j.name + j.child) for j in starts):
         return  # fingers without an arm
@@ -119,7 +119,7 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
-    """Detect an arm: return a serial chain of movable joints, and the joints after the chain's next branch."""
+    """Detect an arm chain: return its serial movable joints, and those after its next branch."""
     row = [first]
     while len(ends := _next_movable(model, row[-1].child)) == 1:
         row.append(ends[0])
@@ -127,7 +127,7 @@ def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
 
 
 def _next_movable(model: RobotModel, link: str) -> list[Joint]:
-    """Detect arms: return the first movable joints below a link, skipping fixed joints."""
+    """Detect arm chains: return the first movable joints below a link, skipping fixed joints."""
     found: list[Joint] = []
     rigid = {link}
     for joint in model.joints.values():
@@ -140,7 +140,7 @@ def _next_movable(model: RobotModel, link: str) -> list[Joint]:
 
 
 def _depth(model: RobotModel, joint: Joint) -> int:
-    """Detect arms: return the number of movable joints on the longest branch below a joint, inclusive."""
+    """Detect arm chains: return the number of movable joints on a joint's longest branch, inclusive."""
     return 1 + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
 
 
@@ -181,7 +181,7 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
 
 
 def _tip(model: RobotModel, last: str, palm: str | None) -> str:
-    """Return a detected arm's tip link: a tool frame if there is one, else the palm or the last link."""
+    """Return the tip link of a detected arm chain: a tool frame, else the palm or the last link."""
     rigid = _rigid_below(model, last)
     frames = [n for n in rigid if n != last and not model.links[n].collisions and TOOL.search(n)]
     if palm is not None:
@@ -210,7 +210,7 @@ def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _prefix(joints: tuple[str, ...], robots: Sequence[str]) -> str:
-    """Return the name prefix of a detected arm, or the common beginning of its joint names."""
+    """Return the name prefix of a detected arm chain, or the common beginning of its joint names."""
     for robot in sorted(robots, key=len, reverse=True):
         if robot and joints[0].startswith(robot):
             return robot

@@ -21,8 +21,7 @@ MANAGER = "moveit_simple_controller_manager/MoveItSimpleControllerManager"
 
 
 def joint_limits(model: RobotModel) -> dict[str, Any]:
-    """Return MoveIt's default joint_limits.yaml: the URDF's velocity limits and MoveIt's default
-    accelerations.
+    """Return MoveIt's default joint_limits.yaml: the URDF's velocities and MoveIt's accelerations.
 
     URDF has no acceleration limits. Joint limits that the model does have take precedence over the defaults.
     """
@@ -50,9 +49,7 @@ def _finite(value: float, otherwise: float) -> float:
 
 
 def kinematics(model: RobotModel) -> dict[str, Any]:
-    """Return MoveIt's default kinematics.yaml: the KDL inverse kinematics solver for every group with a tip
-    link.
-    """
+    """Return MoveIt's default kinematics.yaml: KDL for every group with a tip link."""
     solver = {
         "kinematics_solver": SOLVER,
         "kinematics_solver_search_resolution": 0.005,

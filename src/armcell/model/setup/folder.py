@@ -71,9 +71,7 @@ def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) ->
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML writer of generated files in the style of MoveIt's files: lists indented below their key, no
-    aliases.
-    """
+    """YAML writer of generated files in MoveIt's style: lists indented below their key, no aliases."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)
@@ -83,6 +81,6 @@ class _Dumper(yaml.SafeDumper):
 
 
 def yaml_text(data: Any, *comments: str) -> str:
-    """Return data as YAML text of a generated file that begins with comment lines."""
+    """Return data as YAML text of a file to generate, which begins with comment lines."""
     head = "".join(f"# {line}\n" for line in comments)
     return head + yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)

@@ -101,9 +101,7 @@ def _measured(
 
 
 def _pose(model: RobotModel, base: str, tip: str) -> SE3:
-    """To detect a gripper, return the pose of link `tip` in the frame of link `base`, with all joints at
-    zero.
-    """
+    """Return link `tip`'s pose in link `base`'s frame at zero joints, to detect a gripper."""
     T = SE3.identity()
     for joint in model.chain(base, tip):
         T = T @ joint.T_parent_joint
@@ -111,7 +109,7 @@ def _pose(model: RobotModel, base: str, tip: str) -> SE3:
 
 
 def _corners(model: RobotModel, link: str, T: SE3) -> Array:
-    """To detect a gripper, return points (n, 3) [m] that bound a link's collision shapes, transformed by `T`.
+    """Return points (n, 3) [m] that bound a link's shapes, transformed by `T`, to detect a gripper.
 
     A mesh contributes its vertices, another shape the corners of its bounding box.
     """

@@ -115,7 +115,7 @@ class MoveItConfig:
     # --- settings for planners and controllers ---
     @property
     def planner_configs(self) -> dict[str, dict[str, Any]]:
-        """Return a MoveIt package's OMPL planner configurations by name: `type` and parameters.
+        """Return a MoveIt configuration's OMPL planner configurations by name: `type` and parameters.
 
         Numeric strings are converted to numbers.
         """
@@ -124,7 +124,7 @@ class MoveItConfig:
 
     @property
     def group_planning(self) -> dict[str, dict[str, Any]]:
-        """Return a MoveIt package's OMPL settings by planning group, such as the list `planner_configs`."""
+        """Return a MoveIt configuration's OMPL settings by planning group, such as `planner_configs`."""
         return {
             group: {k: _number(v) for k, v in entry.items()}
             for group, entry in self._ompl().items()
@@ -133,17 +133,17 @@ class MoveItConfig:
 
     @property
     def controllers(self) -> dict[str, dict[str, Any]]:
-        """Return a MoveIt package's controllers by name, with `type`, `action_ns`, `default` and `joints`."""
+        """Return a MoveIt configuration's controllers by name: `type`, `action_ns`, `default`, `joints`."""
         return _controllers(_unwrapped(self.files.get("controllers", {})))
 
     @property
     def kinematics(self) -> Data:
-        """Return a MoveIt package's inverse kinematics settings (kinematics.yaml), by planning group."""
+        """Return a MoveIt configuration's inverse kinematics settings (kinematics.yaml), by group."""
         return _unwrapped(self.files.get("kinematics", {}), "robot_description_kinematics")
 
     @property
     def cartesian_limits(self) -> dict[str, float]:
-        """Return a MoveIt package's Cartesian limits of the Pilz planners LIN and CIRC.
+        """Return a MoveIt configuration's Cartesian limits of the Pilz planners LIN and CIRC.
 
         The keys are those of pilz_cartesian_limits.yaml.
         """
@@ -203,13 +203,12 @@ def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
 
 
 def is_moveit_config(folder: Path) -> bool:
-    """Return whether a folder is a MoveIt package: contains `config/*.srdf*` or a `.setup_assistant` file."""
+    """Return whether a folder is a MoveIt configuration: has `config/*.srdf*` or `.setup_assistant`."""
     return any((folder / "config").glob("*.srdf*")) or (folder / SETUP_FILE).is_file()
 
 
 def _unwrapped(data: Data, *inner: str) -> Data:
-    """Return the content of a MoveIt package's ROS parameter file without the node names and namespaces
-    around it.
+    """Return a MoveIt configuration's ROS parameter file without node names and namespaces around it.
 
     ROS 2 files wrap parameters in a node name, `ros__parameters` and possibly a namespace in `inner`.
     """
@@ -222,7 +221,7 @@ def _unwrapped(data: Data, *inner: str) -> Data:
 
 
 def _number(value: Any) -> Any:
-    """Return a numeric string from a MoveIt package's YAML as a float, any other value unchanged.
+    """Return a numeric string from a MoveIt configuration's YAML as a float, other values unchanged.
 
     YAML 1.1 parses a number such as 10e-10 as a string.
     """
@@ -352,7 +351,7 @@ class _Reader:
         return urdf_text(file, self.allow_env, self.folder, xacro_args)
 
     def own_xacro_args(self, setup: Data) -> dict[str, str]:
-        """Return a MoveIt package's xacro arguments that MoveIt's Setup Assistant has stored.
+        """Return a MoveIt configuration's xacro arguments that MoveIt's Setup Assistant has stored.
 
         The text has the form `a:=1 b:=2`.
         """
@@ -391,7 +390,7 @@ class _Reader:
         return value
 
     def known_group(self, name: str, file: Path, model: RobotModel) -> bool:
-        """Return whether a MoveIt package's SRDF defines a planning group; if not, log a warning.
+        """Return whether a MoveIt configuration's SRDF defines a planning group; if not, log a warning.
 
         Like MoveIt, armcell ignores settings of undefined groups.
         """
@@ -422,8 +421,7 @@ class _Reader:
         return self.mapping(inner["joint_limits"] or {}, file, "joint_limits")
 
     def limited(self, model: RobotModel, data: Data, file: Path) -> RobotModel:
-        """Return a MoveIt package's robot with limits from joint_limits.yaml that are tighter than the
-        URDF's.
+        """Return a MoveIt configuration's robot with the tighter limits of joint_limits.yaml.
 
         A wider velocity, acceleration or jerk limit is ignored with a warning. Joints without any velocity or
         acceleration limit get MoveIt's defaults.
@@ -547,7 +545,7 @@ class _Reader:
 
 
 def _with_full_paths(text: str, file: Path) -> str:
-    """Return a MoveIt package's URDF text with absolute paths for meshes relative to the URDF's folder."""
+    """Return a MoveIt configuration's URDF text with absolute paths for meshes beside the URDF."""
     root = parse_xml(text, file)
     find_meshes(root, file.resolve().parent)
     return xml_text(root)

@@ -36,7 +36,7 @@ def element(tag: str, *inside: Element, **attributes: str) -> Element:
 
 
 def parse_srdf(text: str, file: Path) -> Element:
-    """Return the <robot> element of an SRDF text.
+    """Return the <robot> element of an SRDF text, to read its semantics.
 
     Raises:
         InputError: invalid XML, or the root element is not <robot>.
@@ -54,7 +54,7 @@ def _value(node: etree._Element) -> Element:
 
 
 def srdf_text(robot: Element) -> str:
-    """Return the text of an SRDF file for a <robot> element."""
+    """Return the SRDF text of a <robot> element with its semantics."""
     return xml_text(_node(robot))
 
 
@@ -68,7 +68,7 @@ def _node(value: Element) -> etree._Element:
 
 
 def described(model: RobotModel) -> Element:
-    """Return the SRDF of a robot model: groups, end effectors, named states, disabled pairs.
+    """Return a robot model's semantics as SRDF: groups, end effectors, named states, disabled pairs.
 
     - A group with a base and a tip link becomes a chain.
     - A group such as "both_arms" becomes a list of subgroups if the subgroups have the same joints.

@@ -24,9 +24,7 @@ NOWHERE = Path("/")
 
 @dataclass(frozen=True)
 class UrdfPart:
-    """URDF part: a URDF or xacro file to merge as text: its name prefix and the pose of its root link in the
-    world.
-    """
+    """URDF text to merge: a URDF or xacro file, its name prefix and its root link's world pose."""
 
     file: Path
     prefix: str = ""

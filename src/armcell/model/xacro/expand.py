@@ -92,9 +92,7 @@ def expand_xacro(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """Return the arguments without a value of a xacro file to expand: `name`, and all used but undeclared
-    ones.
-    """
+    """Return the arguments without a value of a xacro file to expand: `name`, and undeclared ones."""
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
     return list(dict.fromkeys([name, *(n for n in ARGUMENT.findall(text) if n not in known)]))
@@ -157,9 +155,7 @@ class _Expansion:
         return self.substitution.resolve(inside, self.reading[-1].parent)
 
     def _names(self, names: Scope) -> dict[str, Any]:
-        """Return the functions, constants and namespaces that every xacro expression can use during an
-        expansion.
-        """
+        """Return the functions, constants and namespaces for every xacro expression in an expansion."""
 
         def say(level: int) -> Any:
             def run(budget: Budget, /, *arguments: Any, **_: Any) -> str:
@@ -447,8 +443,7 @@ def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Mac
 
 
 def _parent_of(scope: Scope) -> Scope:
-    """Return the scope to which xacro's `scope="parent"` refers in an expansion: the scope of a macro's
-    caller.
+    """Return the scope of a macro's caller, to which xacro's `scope="parent"` refers in an expansion.
 
     For an included file with a namespace, the caller is the file that includes it.
     """
@@ -494,7 +489,7 @@ def _append_text(out: Element, text: str) -> None:
 
 
 def _move(made: Element, out: Element) -> None:
-    """Move in a xacro expansion the text and children of one element to the end of another."""
+    """Move the text and children of one element to the end of another in a xacro expansion."""
     if made.text:
         _append_text(out, made.text)
     out.extend(list(made))

@@ -73,7 +73,7 @@ class RobotFiles:
         return found.folder
 
     def checked(self, path: Path) -> Path:
-        """Check file access: return a path with symlinks resolved that is in the robot's packages.
+        """Check a robot file's path: resolve symlinks, and require it in the robot's packages.
 
         Raises:
             XacroError: the file is outside the robot's packages, or `path` is not a valid path.
@@ -164,9 +164,7 @@ class RobotFiles:
             raise InputError(f"is not valid YAML: {error}", file=path) from None
 
     def _plain(self, value: Any) -> Any:
-        """Convert a robot file's YAML data to xacro values: dictionaries become `Dotted`, dates become
-        strings.
-        """
+        """Convert a robot file's YAML data to xacro values: dicts become `Dotted`, dates become strings."""
         self.budget.charge(1)
         if isinstance(value, dict):
             found = Dotted((key, self._plain(item)) for key, item in value.items())

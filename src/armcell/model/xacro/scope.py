@@ -87,7 +87,7 @@ class Scope:
         return scope.values[name]
 
     def put(self, name: str, value: Any, lazy: bool = False) -> None:
-        """Set a xacro property in a scope; if `lazy`, its text is evaluated at the first use."""
+        """Set a property in a xacro scope; if `lazy`, its text is evaluated at the first use."""
         value = literal(value)
         self.values[name] = value
         if lazy and isinstance(value, str):
@@ -103,7 +103,7 @@ class Scope:
 
 
 def evaluate_text(text: str, scope: Scope) -> Any:
-    """Evaluate in a xacro scope a text with `${...}` and `$(...)`; a single expression keeps its type.
+    """Evaluate a text with `${...}` and `$(...)` in a xacro scope; a single expression keeps its type.
 
     Raises:
         XacroError: an expression fails (see `evaluate`), or a `$` starts neither form.

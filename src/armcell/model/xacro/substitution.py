@@ -31,7 +31,7 @@ class MissingArgument(XacroError):
 
 
 def missing_hint(names: list[str]) -> str:
-    """Return a hint on how to pass xacro arguments on the command line and in a cell file."""
+    """Return a hint on how to pass values for xacro's substitution arguments."""
     options = " ".join(f"--xacro-arg {name}:=VALUE" for name in names)
     entries = ", ".join(f"{name}: VALUE" for name in names)
     return f"pass {options}, or write 'xacro_args: {{{entries}}}' in the cell file"

@@ -33,9 +33,7 @@ def _seconds(duration: Any) -> float:
 
 
 class SimpleActionClient:
-    """actionlib.SimpleActionClient: action client with one goal at a time; a new goal replaces the previous
-    one.
-    """
+    """actionlib.SimpleActionClient: action client with one goal at a time, which a new goal replaces."""
 
     def __init__(self, ns: str, ActionSpec: Any):
         session = current_session()

@@ -21,27 +21,27 @@ class ROSException(Exception):
 
 
 class ROSInterruptException(ROSException, KeyboardInterrupt):
-    """rospy error: a blocking call was interrupted because the program shuts down."""
+    """Exception of rospy's node: a blocking call was interrupted because the program shuts down."""
 
 
 class ROSInitException(ROSException):
-    """rospy error: the node is not initialized, or cannot be initialized."""
+    """Exception of rospy's node: the node is not initialized, or cannot be initialized."""
 
 
 class ROSSerializationException(ROSException):
-    """rospy error: a message cannot be serialized."""
+    """Exception of rospy's node: a message cannot be serialized."""
 
 
 class TransportException(ROSException):
-    """rospy error: a connection to another ROS node failed."""
+    """Exception of rospy's node: a connection to another ROS node failed."""
 
 
 class ServiceException(Exception):
-    """rospy error: a service call failed."""
+    """Exception of rospy's node: a service call failed."""
 
 
 class ROSTimeMovedBackwardsException(ROSInterruptException):
-    """rospy error: ROS time moved backwards (simulation reset) during a sleep."""
+    """Exception of rospy's node: ROS time moved backwards (simulation reset) during a sleep."""
 
 
 # --- names and errors ---
@@ -151,7 +151,7 @@ def get_time() -> float:
 
 
 def sleep(duration: float | Duration) -> None:
-    """rospy.sleep: sleep by the cell's clock, like ROS with use_sim_time.
+    """rospy node's sleep: sleep by the cell's clock, like ROS with use_sim_time.
 
     Args:
         duration: seconds or a Duration.
@@ -178,7 +178,7 @@ def wait_until(seconds: float) -> None:
 
 
 class Rate:
-    """rospy.Rate: loop timer that sleeps to keep a loop at a rate [Hz] of the cell's clock."""
+    """rospy node's Rate: loop timer that sleeps to keep a loop at a rate [Hz] of the cell's clock."""
 
     def __init__(self, hz: float, reset: bool = False):
         self.sleep_dur = Duration.from_sec(1.0 / hz)
@@ -199,7 +199,7 @@ class Rate:
 
 
 class Timer(threading.Thread):
-    """rospy.Timer: calls back with a TimerEvent every period of the cell's clock."""
+    """rospy node's Timer: calls back with a TimerEvent every period of the cell's clock."""
 
     def __init__(
         self, period: Duration, callback: Callable[[Any], None], oneshot: bool = False, reset: bool = False
@@ -231,7 +231,7 @@ class Timer(threading.Thread):
 
 
 class TimerEvent:
-    """rospy.TimerEvent: expected and actual times of a timer's previous and current calls."""
+    """rospy node's TimerEvent: expected and actual times of a timer's previous and current calls."""
 
     def __init__(
         self, last_expected: Any, last_real: Any, current_expected: Any, current_real: Any, last_duration: Any

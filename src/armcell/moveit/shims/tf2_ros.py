@@ -73,8 +73,7 @@ class Buffer:
     def lookup_transform(
         self, target_frame: str, source_frame: str, time: Any = None, timeout: Any = 0.0
     ) -> Any:
-        """tf2_ros.Buffer: return T_target_source as a TransformStamped; waits for the frames up to `timeout`
-        [s].
+        """tf2_ros.Buffer: return T_target_source as a TransformStamped; wait for it up to `timeout` [s].
 
         Raises:
             TransformException: a frame does not exist, or the frames are not connected.

@@ -21,8 +21,7 @@ _AXES = ["xyz", "xyx", "xzy", "xzx", "yzx", "yzy", "yxz", "yxy", "zxy", "zxz", "
 
 
 def _axes(axes: str | Sequence[int]) -> tuple[list[int], bool]:
-    """Shim of tf.transformations: convert Euler axes such as "sxyz" to an order of rotations about fixed
-    axes.
+    """Shim of tf.transformations: convert Euler axes such as "sxyz" to rotations about fixed axes.
 
     Returns:
         The axes (0 to 2) in order, and whether the name describes a rotating frame.

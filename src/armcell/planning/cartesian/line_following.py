@@ -66,13 +66,13 @@ class StopReason:
 
 
 def collision_stop(contacts: list[Contact]) -> StopReason:
-    """Describe the stop on a line of a Cartesian path because of contacts."""
+    """Describe the stop of a Cartesian line because of contacts."""
     text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
     return StopReason(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
 
 
 def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) -> StopReason:
-    """Describe the stop on a line of a Cartesian path because a joint would jump.
+    """Describe the stop of a Cartesian line because a joint would jump.
 
     Args:
         threshold: jump threshold of the request, in `unit` or as a factor.
@@ -89,7 +89,7 @@ def at_violation(manifold: ConstraintManifold, q: Array) -> list[Violation]:
 
 
 def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
-    """Describe the stop on a line of a Cartesian path because of path constraints."""
+    """Describe the stop of a Cartesian line because of path constraints."""
     found = at_violation(manifold, q)
     words = [
         v.text
@@ -105,7 +105,7 @@ def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
 def ik_stop(
     ik: IKSolver, pose: SE3, before: Array, closest: Array, short: tuple[float, float], limits: list[str]
 ) -> StopReason:
-    """Describe the stop on a line of a Cartesian path because inverse kinematics fails.
+    """Describe the stop of a Cartesian line because inverse kinematics fails.
 
     The cause is a joint limit, an unreachable pose, a singularity or a change to another branch.
 
@@ -184,8 +184,7 @@ class RestingStart:
 
 
 class LineFollower:
-    """Follower of Cartesian lines by step-by-step inverse kinematics of one group; other joints stay at
-    `rest` (dof,).
+    """Follower of Cartesian lines by step-by-step IK of one group; other joints stay at `rest` (dof,).
 
     Args:
         bounds: (n, 2) lower and upper limits that the group's joints keep.
@@ -208,9 +207,7 @@ class LineFollower:
         self.zone = np.where(np.isfinite(span), np.minimum(ZONE, ZONE_SHARE * span), 0.0)
 
     def follow(self, poses: list[SE3], start: Array) -> FollowedLine:
-        """Follow the tip poses of a Cartesian line from positions (n,); return the attempt that gets
-        farthest.
-        """
+        """Follow a Cartesian line's tip poses from positions (n,); return the attempt that gets farthest."""
         best = None
         for wish in self._wishes(poses, start):
             tried = self._walk(poses, start, wish)

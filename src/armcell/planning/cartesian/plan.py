@@ -47,9 +47,7 @@ FEWEST = 10  # smallest number of steps for the relative jump test, as in MoveIt
 
 
 def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
-    """Interpolate the tip poses of each line segment of a Cartesian path: first pose excluded, waypoint
-    included.
-    """
+    """Interpolate the tip poses of each segment of a Cartesian path, first pose excluded."""
     legs, at = [], start
     least = FEWEST if request.relative_jump_threshold > 0 else 1
     for waypoint in request.waypoints:
@@ -208,7 +206,7 @@ class _CartesianProblem:
         return points, None if stop is None else stop.explain()
 
     def proven_part(self, path: Array, reason: StopReason | None) -> tuple[Array, StopReason | None]:
-        """Return the part of a Cartesian path before the first unproven step, and why the rest is not proven."""
+        """Return a Cartesian path's part before the first unproven step, and why the rest is not proven."""
         if self.request.avoid_collisions and len(path) > 1:
             certificate = self.certify(path)
             while not certificate.free and len(path) > 1:

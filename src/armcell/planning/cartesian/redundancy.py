@@ -44,7 +44,7 @@ def plan_redundancy(
     zone: Array,
     allowed: Callable[[Array], bool],
 ) -> Array | None:
-    """Resolve a redundant arm's null space along a line: guiding joint positions (len(poses), n) or None.
+    """Resolve an arm's redundancy along a line: guiding joint positions (len(poses), n), or None.
 
     Args:
         start: (n,). rest: (dof,) of all joints. bounds: (n, 2) joint limits. zone: (n,) distance from the

@@ -177,7 +177,7 @@ def point_at(n, c, x, point):
 
 @njit(cache=True)
 def signed_distance(n, c, shape, sizes, px, py, pz):
-    """Compute the signed distance [m] from a world point to a position constraint's convex shape.
+    """Compute the error kernel's signed distance [m] from a world point to a region's convex shape.
 
     `sizes` is the offset of the shape's sizes: SIZE or INNER_SIZE.
     """

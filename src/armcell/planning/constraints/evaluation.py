@@ -75,7 +75,7 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
 
 
 def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, float, float]:
-    """Compute a visibility constraint's world poses of sensor and target, view and range angle [rad]."""
+    """Evaluate a visibility constraint: world poses of sensor and target, view and range angle [rad]."""
     sensor = scene.frame_pose(c.sensor) @ c.T_link_sensor
     target = scene.frame_pose(c.frame) @ c.T_frame_target
     looks = sensor.rotation.matrix[:, AXES[c.view_axis]]
@@ -84,7 +84,7 @@ def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, fl
 
 
 def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
-    """Return the links that carry a visibility constraint's sensor and target; the cone may contain them."""
+    """Return the links with sensor and target of an evaluated visibility constraint."""
     return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 
 
@@ -119,7 +119,7 @@ PARAMETERIZATIONS = ("rotation_vector", "xyz_euler")
 
 @dataclass(frozen=True, eq=False)
 class ConstraintError:
-    """Error of joint positions with respect to one constraint.
+    """Evaluated error of joint positions with respect to one constraint.
 
     `error` is, for a joint, the difference from the constraint's position (1,) [rad or m]; for a point, the
     distance from its region (1,) [m], 0 inside; for an orientation, the rotation error (3,) [rad]; for a view
@@ -133,7 +133,7 @@ class ConstraintError:
 
     @property
     def ok(self) -> bool:
-        """Whether the constraint is satisfied up to rounding."""
+        """Whether an evaluated constraint is satisfied up to rounding."""
         return bool(np.all(self.excess <= ROUNDING))
 
 
@@ -168,7 +168,7 @@ def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: Arr
 
 
 def violations(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> str:
-    """Describe which constraints q (n,) violates and by how much; "" if it satisfies all."""
+    """Evaluate constraints at q (n,): text of the violated ones with amounts; "" if all are satisfied."""
     return "; ".join(e.words for e in constraint_errors(scene, group, constraints, q) if not e.ok)
 
 
@@ -192,7 +192,7 @@ def _position(scene: PlanningScene, group: str, c: PositionConstraint) -> Constr
 
 
 def region_distance(scene: PlanningScene, c: PositionConstraint, point: ArrayLike) -> float:
-    """Compute the distance [m] of a world point (3,) from a position constraint's region; 0 inside."""
+    """Evaluate a position constraint: distance [m] of a world point (3,) from its region; 0 inside."""
     at = scene.frame_pose(c.frame).inv().apply(point)
     return min(distance_to_shape(shape, T.inv().apply(at)) for shape, T in c.region)
 
@@ -214,7 +214,7 @@ def _pose(scene: PlanningScene, group: str, name: str | None) -> tuple[SE3, str]
 
 
 def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
-    """Compute an orientation constraint's error (3,) [rad] from desired to current rotation, desired axes."""
+    """Evaluate an orientation constraint: error (3,) [rad] from desired to current rotation."""
     turn = wanted.inv() @ present
     if parameterization == "rotation_vector":
         return turn.log()
@@ -261,7 +261,7 @@ _DISTANCES: dict[type, Callable[..., float]] = {
 
 
 def distance_to_shape(shape: Shape, point: ArrayLike) -> float:
-    """Compute a constraint's distance [m] of a point (3,) in a shape's frame from the shape; 0 inside.
+    """Evaluate a constraint's distance [m] of a point (3,) from a shape, in its frame; 0 inside.
 
     Raises:
         InputError: the shape is a mesh, cloud or octree: these are surfaces, not regions.

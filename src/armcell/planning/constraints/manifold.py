@@ -122,7 +122,7 @@ class ConstraintManifold:
         return at
 
     def _resolve(self, name: str | None) -> tuple[str, SE3]:
-        """Resolve a constraint's link, tip or attached object to the carrying link and the pose in it."""
+        """Resolve a manifold constraint's link, tip or attached object to the carrying link and pose."""
         scene = self._scene
         if name is None:
             name = scene.model.group(self._group).tip_link
@@ -161,7 +161,7 @@ class ConstraintManifold:
         return self._links[name]
 
     def _frame(self, name: str) -> SE3:
-        """Return the pose T_world_frame of a constraint's reference frame.
+        """Return the pose T_world_frame of the reference frame of a constraint in the manifold.
 
         The frame must not move with the group.
         """
@@ -302,9 +302,7 @@ class ConstraintManifold:
         return int(first_unproven_edge(self.handle, np.ascontiguousarray(points), slack, self.allowance))
 
     def relax_boundary(self, ends: list[Array]) -> None:
-        """Widen the constraint manifold's tolerances slightly if a start or goal (dof,) is very close to a
-        boundary.
-        """
+        """Widen a constraint manifold's tolerances slightly if a start or goal (dof,) is at a boundary."""
         self.allowance = self.boundary_margin if any(self.violations(q, inside=True) for q in ends) else 0.0
 
 

@@ -206,7 +206,7 @@ def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem:
 
 
 def _searched(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlannerResult:
-    """Search for a path on the constraint manifoldto the goals, or report why none was found."""
+    """Search for a path to the goals on the constraint manifold, or report why none was found."""
     if isinstance(manifold, VisibilityManifold):  # visibility has no projection: OMPL rejects invalid samples
         return find_planner("ompl", PLANNER)(replace(problem, forbids=manifold.forbids))
     planner = constrained_planner(problem.checker, manifold)
@@ -306,6 +306,6 @@ def _more(
     known: tuple[Array, ...],
     seed: int,
 ) -> Iterator[Array] | None:
-    """Yield further goals of a constrained request that satisfy the path constraints while a search runs."""
+    """Yield further goals of a constrained plan that satisfy the path constraints during a search."""
     more = stream_goals(validated, checker, known, seed)
     return None if more is None else (q for q in more if not manifold.violations(q))

@@ -250,8 +250,6 @@ def project(n, c, x, q, at, lower, upper):
 
 @njit(cache=True, nogil=True)
 def projected(handle, q, lower, upper):
-    """Project a configuration q (dof,) onto its constraints outside kernels; runs the kernel `project` on
-    arrays.
-    """
+    """Project a configuration q (dof,) onto its constraints; runs the kernel `project` on arrays."""
     n, c, x = manifold_pointers(handle)
     return project(n, c, x, pointer(q), 0, pointer(lower), pointer(upper))

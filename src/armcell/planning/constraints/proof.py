@@ -208,8 +208,7 @@ def edge_keeps_tolerances(n, c, x, p, a, b, room, allowance):
 
 @njit(cache=True, nogil=True)
 def first_unproven_edge(handle, points, room, allowance):
-    """Find the first edge of a motion (k, dof) that is not proven to keep the constraint tolerances
-    everywhere.
+    """Find a motion's (k, dof) first edge that is not proven to keep the constraint tolerances.
 
     Args:
         room: (dof,), allowance: see `edge_keeps_tolerances`.

@@ -85,8 +85,7 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
 
 @njit(cache=True)
 def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance):
-    """Smooth a constrained path: move inner rows toward the middle of their neighbors if manifold and proofs
-    allow.
+    """Smooth a constrained path: move rows toward their neighbors' middle if the proofs allow.
 
     Return the number of moved rows.
     """

@@ -165,7 +165,7 @@ class _View:
 
 
 def _farthest(scene: PlanningScene, link: str) -> float:
-    """Compute the distance [m] from a viewing link's origin to the farthest corner of its bodies' boxes."""
+    """Return a sensor link's largest distance [m] to its bodies' boxes, for visibility bounds."""
     far, scale = 0.0, scene.link_scale.get(link, 1.0)
     for part in scene.model.links[link].collisions:
         center, half = local_bounds(part.shape)
@@ -201,8 +201,7 @@ def _table(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
 
 
 def make_manifold(scene: PlanningScene, group: str, constraints: Constraints) -> ConstraintManifold:
-    """Create the manifold of path constraints, as `VisibilityManifold` if the request has visibility
-    constraints.
+    """Create the constraint manifold, as `VisibilityManifold` if there are visibility constraints.
 
     Raises:
         InputError: the constraints are invalid, or no planner supports them.

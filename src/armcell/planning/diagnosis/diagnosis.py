@@ -132,7 +132,7 @@ class Diagnosis:
         return self.deadline - time.monotonic()
 
     def add_finding(self, line: str) -> None:
-        """Add a finding to the diagnosis' findings unless it is already present."""
+        """Add a finding to a diagnosis unless it is already present."""
         if line not in self.details:
             self.details.append(line)
 

@@ -115,9 +115,7 @@ def explain_blend(
     scene: PlanningScene, sequence: SequenceRequest, outcome: Outcome,
     solve: Callable[[PlanningScene, Any], PlanResult], seconds: float,
 ) -> Explanation:  # fmt: skip
-    """Explain why a blend of PTP, LIN or CIRC motions failed; find the largest blend radius or speed that
-    works.
-    """
+    """Explain why a blend of PTP, LIN or CIRC motions failed; find the largest radius or speed that works."""
     deadline, number = time.monotonic() + seconds, outcome.evidence["item"]
     radius = sequence.items[number][1]
 

@@ -32,7 +32,7 @@ DEFAULT = {"planner_id": "RRTConnect", "pipeline_id": "native"}
 
 
 def explain_search_failure(diagnosis: Diagnosis) -> None:
-    """Diagnose a failed search: test whether more time, another planner, less padding or fewer objects helps."""
+    """Diagnose a failed search: would more time, another planner, less padding or fewer objects help?"""
     request = diagnosis.request
     assert isinstance(request, PlanRequest)
     if diagnosis.result.code is ErrorCode.PREEMPTED:
@@ -133,9 +133,7 @@ def _less_padding(diagnosis: Diagnosis, request: PlanRequest) -> None:
 
 
 def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the fewest objects whose removal lets a failed search find a path: one, two, or as many as
-    necessary.
-    """
+    """Find the fewest objects whose removal lets a failed search find a path."""
     names = _by_suspicion(diagnosis)
 
     def opens(gone: tuple[str, ...] | list[str]) -> bool:

@@ -146,9 +146,7 @@ def explain_start(measured: JointState, planned: JointState, tolerance: float, c
 
 
 def start_from(scene: PlanningScene, request: PlanRequest, state: JointState) -> SceneAndRequest:
-    """Suggested change of an invalid start: use the measured state as the scene's state, and drop the
-    request's own start.
-    """
+    """Suggested change of an invalid start: use the measured state, drop the request's own start."""
     return change_request(scene.with_state(state), request, start=None)
 
 

@@ -15,7 +15,7 @@ from armcell.model import RobotModel
 
 
 def offset(vector: ArrayLike) -> str:
-    """Format for an explanation a translation (3,) [m]: "12 mm along +x, 3.0 mm along -z"."""
+    """Word a translation (3,) [m] in an explanation: "12 mm along +x, 3.0 mm along -z"."""
     v = np.asarray(vector, dtype=float)
     axes = [k for k in range(3) if abs(v[k]) >= max(5e-5, 0.05 * np.abs(v).max())]
     parts = [f"{length(abs(v[k]))} along {'+' if v[k] > 0 else '-'}{'xyz'[k]}" for k in axes]
@@ -23,14 +23,14 @@ def offset(vector: ArrayLike) -> str:
 
 
 def length(meters: float) -> str:
-    """Format for an explanation a length [m]: "12 mm", "3.0 mm" or "1.20 m"."""
+    """Word a length [m] in an explanation: "12 mm", "3.0 mm" or "1.20 m"."""
     if meters >= 1.0:
         return f"{meters:.2f} m"
     return f"{meters * 1000:.1f} mm" if meters < 0.01 else f"{meters * 1000:.0f} mm"
 
 
 def angle(radians: float) -> str:
-    """Format for an explanation an angle [rad] in degrees."""
+    """Word an angle [rad] in degrees in an explanation."""
     degrees = np.rad2deg(abs(radians))
     return f"{degrees:.1f} deg" if degrees < 10 else f"{degrees:.0f} deg"
 
@@ -57,7 +57,7 @@ def joint_value(model: RobotModel, name: str, value: float) -> str:
 
 
 def joint_steps(model: RobotModel, names: Iterable[str], difference: ArrayLike, most: int = 4) -> str:
-    """Word the largest joint motions: "panda_joint2 by +4.0 deg, panda_joint4 by -1.2 deg"."""
+    """Word the largest joint motions of an explanation: "panda_joint2 by +4.0 deg, ..."."""
     steps = [(n, float(d)) for n, d in zip(names, np.asarray(difference), strict=True) if abs(d) > 1e-3]
     steps.sort(key=lambda step: -abs(step[1]))
     parts = [f"{n} by {'+' if d > 0 else ''}{joint_value(model, n, d)}" for n, d in steps[:most]]

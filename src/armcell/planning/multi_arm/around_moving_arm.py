@@ -36,7 +36,7 @@ SEARCHES = 3  # searches, each for an earlier arrival than the last
 
 @dataclass(frozen=True, eq=False)
 class RunningMotion:
-    """Running motion of the other arm that begins at time `start` [s], in the past or future.
+    """Running motion of the moving arm, from time `start` [s] on, in the past or future.
 
     The arm rests after the end of the motion.
     """
@@ -46,12 +46,12 @@ class RunningMotion:
 
     @property
     def end(self) -> float:
-        """End time [s] of the other arm's running motion."""
+        """End time [s] of the moving arm's running motion."""
         return self.start + self.trajectory.duration
 
     @staticmethod
     def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
-        """Create the running motion of another arm that rests at its position in the scene."""
+        """Create the running motion of an arm that is not moving, at its position in the scene."""
         names = scene.model.group(group).joint_names
         return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
 
@@ -65,7 +65,7 @@ def plan_around_moving_arm(
     clearance: float = CLEARANCE,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan one arm's motion that is proven to avoid the running motion of the other arm.
+    """Plan one arm's motion that is proven to avoid the other, moving arm.
 
     Args:
         scene: scene with the planned arm at its start; the other arm's position does not matter.
@@ -123,7 +123,7 @@ def _with_strategy(result: PlanResult, how: str, began: float) -> PlanResult:
 
 
 class MovingArmTimeline:
-    """The other arm's motion as straight pieces over time, with clearance checks."""
+    """Timeline of the moving arm: its motion as straight pieces over time, with clearance checks."""
 
     def __init__(self, arms: Arms, running: RunningMotion, start_time: float, clearance: float):
         self.arms, self.running, self.start_time, self.clearance = arms, running, start_time, clearance
@@ -154,9 +154,7 @@ class MovingArmTimeline:
         return self.arms.contact(np.concatenate([q, self.other_at(at)]))
 
     def keeps_clearance(self, p: Array, s: float, q: Array, t: float, more: float = 0.0) -> bool:
-        """Return whether a straight motion (p, s) to (q, t) keeps the clearance to the moving arm plus `more`
-        [m].
-        """
+        """Return whether a motion (p, s) to (q, t) keeps the clearance to the moving arm plus `more` [m]."""
         inside = self.times[(self.times > s) & (self.times < t)]
         clock = np.concatenate([[s], inside, [t]]) if t > s else np.array([s])
         share = (clock - s) / (t - s) if t > s else np.zeros(1)

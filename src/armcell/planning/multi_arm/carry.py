@@ -87,7 +87,7 @@ def plan_carry(
     seed: int = 0,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan a motion of two arms that carries an object through poses, at rest in each pose.
+    """Plan a two-arm carry of an object through poses, at rest in each pose.
 
     Args:
         scene: scene with the arms at the start of the motion and the object attached to one of them; the
@@ -271,7 +271,7 @@ class _DetourPlanner:
         return BlockedSegment(text, blocked.evidence, ErrorCode.TIMED_OUT), poses_tried
 
     def _ends(self, a: SE3, b: SE3, q: Array) -> list[Array] | BlockedSegment:
-        """Find joint positions of both arms at the goal pose of a carried object.
+        """Find joint positions of both arms at the goal pose of the object that they carry.
 
         The result contains the positions at the end of the straight path, otherwise the nearest ones.
         """

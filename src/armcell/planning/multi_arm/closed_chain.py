@@ -165,7 +165,7 @@ class _Tree:
         return int(np.argmin(np.einsum("ij,ij->i", gaps, gaps)))
 
     def branch(self, node: int) -> Iterator[SE3]:
-        """Yield the object poses of an RRT-Connect tree from a node to the root."""
+        """Yield the object poses of the closed-chain search tree from a node to the root."""
         while node >= 0:
             yield self.poses[node]
             node = self.parents[node]
@@ -224,7 +224,7 @@ class ObjectPoseSearch:
         return SE3(rotation, position)
 
     def _extend(self, tree: _Tree, target: SE3, most: int | None) -> tuple[int, bool] | None:
-        """Extend an RRT-Connect tree toward an object pose by at most `most` strides.
+        """Extend a closed-chain search tree toward an object pose by at most `most` strides.
 
         Return the new node and whether it is at the pose; None if no stride is possible.
         """
@@ -238,9 +238,7 @@ class ObjectPoseSearch:
         return tree.add(T, q, near), arrived
 
     def _walk(self, T: SE3, q: Array, target: SE3, most: int | None = None) -> tuple[SE3, Array, bool] | None:
-        """Move a closed chain's object straight from T toward a pose until an arm cannot follow or bodies
-        touch.
-        """
+        """Move a closed chain's object straight from T toward a pose until blocked by an arm or contact."""
         meters, radians = T.distance_to(target)
         count = max(int(np.ceil(max(meters / STRIDE, radians / SWING))), 1)
         columns, at, arrived = self.checker.columns, None, False

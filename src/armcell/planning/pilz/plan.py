@@ -24,7 +24,7 @@ STANDING = 1e-8  # [rad/s or m/s] largest start velocity that counts as rest (Mo
 
 
 def validate_pilz_request(validated: ValidatedRequest) -> None:
-    """Raise InputError if a request has options that PTP, LIN and CIRC do not support."""
+    """Validate a request to plan PTP, LIN or CIRC: raise InputError for unsupported options."""
     request = validated.request
     if request.torque_limits or request.jerk_limits:
         asked = "torque_limits" if request.torque_limits else "jerk_limits"

@@ -26,7 +26,7 @@ WITHOUT_EFFECT = {
 
 @dataclass(frozen=True, eq=False)
 class PlannerChoice:
-    """A request's chosen planner with its settings, and configuration keys without effect."""
+    """A planner chosen by configuration: planner, settings, and configuration keys without effect."""
 
     planner: Planner
     planner_id: str
@@ -74,7 +74,7 @@ def _mapping(value: Any, what: str) -> Mapping[str, Any]:
 
 
 def _config(request: PlanRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return the request's entry of ompl_planning.yaml and the group's own configuration keys.
+    """Return the request's planner configuration (ompl_planning.yaml) and the group's own keys.
 
     Both are empty if the request has no configuration.
     """

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SpaceOptions:
-    """Options of a planner configuration for the joint space, besides the planner's parameters."""
+    """Space options of a planning problem, besides the planner's parameters."""
 
     longest_valid_segment_fraction: float | None = None  # check step: share of the space's extent
     projection_evaluator: tuple[str, ...] = ()  # joints whose values span the cells of (B)KPIECE
@@ -46,7 +46,7 @@ class Problem:
 
     @property
     def stopped(self) -> bool:
-        """Whether a planner must stop: the request is canceled or its time is up."""
+        """Whether the planner of a problem must stop: the request is canceled or its time is up."""
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
     @property
@@ -56,7 +56,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class PlannerResult:
-    """Result that every planner returns: waypoints (k, n) from start to goal, or None with a message."""
+    """Result of a planning problem: waypoints (k, n) from start to goal, or None with a message."""
 
     waypoints: Array | None
     message: str = ""
@@ -70,7 +70,7 @@ Planner = Callable[[Problem], PlannerResult]
 def sampling_bounds(
     model: RobotModel, joint_names: tuple[str, ...], start: Array, goals: Sequence[Array]
 ) -> tuple[Array, Array]:
-    """Compute the lower and upper sampling bounds (n,) of a planning problem.
+    """Compute a planning problem's sampling bounds (n,), lower and upper.
 
     The bounds are the joint limits, or one turn around start and goals for joints with wider limits.
     """

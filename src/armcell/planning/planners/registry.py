@@ -24,7 +24,7 @@ SettingsParser = Callable[[Mapping[str, Any]], Any]
 
 
 class UnknownParameterError(UnknownNameError):
-    """Error for a parameter that a registered planner does not have.
+    """Error for a parameter that a planner in the registry does not have.
 
     The message lists the planner's parameters with their current values.
     """
@@ -41,7 +41,7 @@ class UnknownParameterError(UnknownNameError):
 
 
 def settings_parser(planner: str, cls: type) -> SettingsParser:
-    """Create a parser from a request's parameters to a registered planner's settings dataclass.
+    """Create a parser from a request's parameters to the settings of a planner in the registry.
 
     Raises:
         UnknownParameterError: no such parameter. InputError: a value of the wrong type.
@@ -69,14 +69,14 @@ logger = logging.getLogger(__name__)
 
 
 def announce_compilation(planner: str, function: Any) -> None:
-    """Log that a registered planner's kernel will be compiled, unless it is loaded or cached."""
+    """Log that a planner in the registry will be compiled, unless it is loaded or cached."""
     if function.signatures or _cached(function):
         return
     logger.info("compiling planner %s, which is kept for later runs", planner)
 
 
 def _cached(function: Any) -> bool:
-    """Return whether Numba's cache folder has an index file for a planner's compiled function."""
+    """Return whether Numba's cache has an index file for a registered planner's function."""
     folder, code = Path(os.environ["NUMBA_CACHE_DIR"]), function.py_func.__code__
     pattern = f"{Path(code.co_filename).stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"
     return any(folder.rglob(pattern))
@@ -120,7 +120,7 @@ def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str,
 
 
 def planner_defaults(pipeline_id: str, planner_id: str) -> dict[str, Any]:
-    """List a registered planner's parameters with their default values.
+    """List the parameters with default values of a planner in the registry.
 
     Raises:
         UnknownNameError: no such pipeline or planner.
@@ -145,7 +145,7 @@ SIMILAR_PLANNERS = {
 
 
 def normalized_pipeline_id(pipeline_id: str) -> str:
-    """Convert a planning pipeline's name to armcell's; an empty name means the default pipeline."""
+    """Convert a pipeline's name to the registry's name; an empty name means the default pipeline."""
     return PIPELINE_ALIASES.get(pipeline_id, pipeline_id)
 
 
@@ -220,7 +220,7 @@ def find_planner(pipeline_id: str, planner_id: str) -> Planner:
 
 
 def normalized_planner_id(planner_id: str) -> str:
-    """Convert MoveIt's planner names to armcell's.
+    """Convert MoveIt's planner names to those in armcell's planner registry.
 
     Examples: `geometric::RRTConnect`, `RRTConnectkConfigDefault`, `arm[RRTConnect]`.
     """

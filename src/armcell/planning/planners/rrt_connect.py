@@ -142,8 +142,7 @@ class NativePlanner:
         self.found[NODES_1] += 1
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Prove the waypoints path[:count] collision-free and shorten the path in place, with the native
-        planner.
+        """Prove waypoints path[:count] free and shorten them in place with the native RRT-Connect planner.
 
         Return the new count, or 0 if a proof fails.
         """
@@ -151,7 +150,7 @@ class NativePlanner:
         return simplify_path(c.handle, self.path, count, self.space, self.index, self.slack, PADDED, stop)
 
     def shortened(self, waypoints: Array, stop: NDArray[np.int64]) -> Array | None:
-        """Simplify a path (m, dof) with the native planner to waypoints (k, dof), every edge proven free.
+        """Simplify a path (m, dof) with the native RRT-Connect planner to proven waypoints (k, dof).
 
         Return None if an edge cannot be proven.
         """
@@ -346,7 +345,7 @@ _of_thread = threading.local()
 
 
 def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -> NativePlanner:
-    """Return the current thread's native planner for the checker's number of joints.
+    """Return the current thread's native RRT-Connect planner for the checker's number of joints.
 
     Planners are reused because their trees are large. Other settings create a new planner.
     """
@@ -381,7 +380,7 @@ def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
 
 
 def simplify(problem: Problem, waypoints: Array) -> Array | None:
-    """Simplify another planner's path (m, n) with the native planner to waypoints (k, n), same ends.
+    """Simplify another planner's path (m, n) by the native RRT-Connect planner, with the same ends.
 
     Return None if an edge cannot be proven.
 

@@ -20,7 +20,7 @@ def frame_of(header: Any) -> str:
 
 
 def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
-    """Convert the shapes of a CollisionObject or BoundingVolume message as pairs (shape, T_object_shape).
+    """Convert the shapes of a CollisionObject or BoundingVolume message to pairs (shape, T_object_shape).
 
     A shape without a pose is at the origin, as in MoveIt.
 

@@ -109,7 +109,7 @@ def _known(scene: PlanningScene, name: str) -> Any:
 
 
 def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
-    """Return the planning scene change that moves an object to the pose in a CollisionObject message.
+    """Convert the new pose in a CollisionObject message to a planning scene change (scene diff).
 
     Older clients send the new pose as the pose of the object's only shape.
     """
@@ -194,8 +194,7 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
 
 
 def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
-    """Convert a moveit_msgs/PlanningSceneWorld to a diff that replaces the planning scene's world and
-    octomap.
+    """Convert a moveit_msgs/PlanningSceneWorld to a diff that replaces a scene's world and octomap.
 
     Raises:
         InputError: the message contains an invalid value or an unknown frame.

@@ -18,11 +18,11 @@ class CellAccess(Protocol):
     def model(self) -> RobotModel: ...
 
     def scene(self) -> PlanningScene:
-        """Return a cell's measured scene with the objects that clients added and the grippers hold."""
+        """Return the accessed cell's measured scene with added and held objects, for move_group."""
         ...
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Edit the scene of an accessed cell with the function `make` and return the resulting scene.
+        """Edit the accessed cell's scene with the function `make` and return the resulting scene.
 
         Raises:
             InputError: `make` raised it; the world is unchanged.
@@ -31,9 +31,7 @@ class CellAccess(Protocol):
 
     @property
     def controllers(self) -> Mapping[str, tuple[str, ...]]:
-        """Return the joint names of a cell's controllers that move_group's clients may select, by controller
-        name.
-        """
+        """Return the accessed cell's controllers for move_group: joint names by controller name."""
         ...
 
     def play(
@@ -78,7 +76,7 @@ class CellAccess(Protocol):
         ...
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare contacts of `body` with `others` as part of a client's task, or revoke a declaration."""
+        """Declare contacts of `body` with `others` as expected in the accessed cell, or revoke this."""
         ...
 
     def tell(self, kind: str, text: str, **data: Any) -> None:

@@ -47,7 +47,7 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANC
 
 
 class CellNode:
-    """Node that serves a live cell on the bus: publishes its states and executes trajectories.
+    """Cell node: serves a live cell on the bus, publishes its states and executes trajectories.
 
     Input topics:
 
@@ -103,7 +103,7 @@ class CellNode:
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step a served cell and execute clients' commands until `close`; then remove the cell's node."""
+        """Step a cell node's cell and execute clients' commands until `close`; then remove the node."""
         try:
             with self.live:
                 self._states.publish(self.live.driver)
@@ -134,13 +134,13 @@ class CellNode:
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
-        """Start the node of a live cell in a new thread and return the thread."""
+        """Start a cell node in a new thread and return the thread."""
         thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
         thread.start()
         return thread
 
     def close(self) -> None:
-        """Stop a cell's node: stop the running motions and request the end of `run`."""
+        """Stop a cell node: stop the running motions and request the end of `run`."""
         self._stop.set()
         self.conductor.stop()
 
@@ -151,7 +151,7 @@ class CellNode:
         settings: ExecutionSettings = ExecutionSettings(),
         planned_in: PlanningScene | None = None,
     ) -> Work:
-        """Start a trajectory_msgs/JointTrajectory in the cell once earlier motions of its joints have ended.
+        """Start a trajectory_msgs/JointTrajectory in a cell node once its joints' earlier motions end.
 
         /trajectory_status reports the progress. A trajectory without points stops its joints, or all joints
         if it names none. The motion gate certifies the motion when it starts, with the contacts that
@@ -198,7 +198,7 @@ class CellNode:
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 
     def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> Work:
-        """Move the fingers of a served cell to their widths [m]; fingers stopped by an object succeed."""
+        """Move a cell node's fingers to their widths [m]; fingers stopped by an object succeed."""
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
@@ -210,7 +210,7 @@ class CellNode:
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
-        """Queue a cell's motion; wait for other arms to arrive if their motions conflict with it.
+        """Queue a cell node's motion; wait for other arms to arrive if their motions conflict with it.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -231,18 +231,18 @@ class CellNode:
         raise InputError("the cell is closed")
 
     def _others(self, work: Work) -> list[Work]:
-        """Return the cell's queued and running motions that share no joint with the motion `work`."""
+        """Return a cell node's queued and running motions that share no joint with the motion `work`."""
         works = self.conductor.works()
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
-        """Return a motion of the served cell that must start or end before `work` can be checked, or None."""
+        """Return a cell node's motion that must start or end before `work` can be checked, or None."""
         before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """Describe a cell motion's conflict with running motions if the conflict ends with them.
+        """Describe the conflict of a cell node's motion with running motions if it ends with them.
 
         Returns an empty string if there is no such conflict.
         """
@@ -286,7 +286,7 @@ class CellNode:
             logger.info("trajectory refused: %s", error)
 
     def _follow(self, goal: Goal) -> Done:
-        """Execute a control_msgs/FollowJointTrajectory goal with the cell, in the thread of the action.
+        """Execute a control_msgs/FollowJointTrajectory goal with a cell node, in the action's thread.
 
         The goal is accepted when the motion starts.
         """
@@ -322,7 +322,7 @@ class CellNode:
 
 
 class _Announced(GuardedMotion):
-    """A guarded motion of a served cell that reports its start on /trajectory_status after certification."""
+    """Guarded motion of a cell node that reports its start on /trajectory_status."""
 
     def __init__(
         self, node: CellNode, trajectory: JointTrajectory, planned_in: PlanningScene | None,
@@ -341,7 +341,7 @@ class _Announced(GuardedMotion):
 
 
 class _Feedback:
-    """FollowJointTrajectory feedback with desired and actual joint state, ten times per second."""
+    """Cell node's FollowJointTrajectory feedback: desired and actual joint state, ten times a second."""
 
     PERIOD = 0.1  # [s]
 

@@ -27,7 +27,7 @@ STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
 
 
 class Work:
-    """Motion in a driver's queue, given as `steps` (creates a generator) or as `job` (one blocking call).
+    """Motion in the conductor's queue, given as `steps` (creates a generator) or blocking `job`.
 
     Attributes:
         joints: the joints of the motion; motions that share a joint never run at the same time.
@@ -63,17 +63,17 @@ class Work:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for the end of a queued motion; return False on timeout."""
+        """Wait up to `timeout` [s] for the end of a conductor's queued motion; return False on timeout."""
         return self._over.wait(timeout)
 
     def stop(self, why: str) -> None:
-        """Stop a queued motion early; its outcome then contains the reason `why`."""
+        """Stop a conductor's queued motion early; its outcome then contains the reason `why`."""
         if not self.cancel.is_set():
             self._why_stopped = why
         self.cancel.set()
 
     def outcome(self) -> ExecutionResult:
-        """Return the result of a finished motion of the driver's queue.
+        """Return the result of a finished motion in the conductor's queue.
 
         Raises:
             InputError: the motion could not be executed as requested.
@@ -86,7 +86,7 @@ class Work:
         return result
 
     def then(self, listener: Callable[[Work], None]) -> Work:
-        """Register a listener that the driver's thread calls when a queued motion has ended.
+        """Register a listener that the driver's thread calls when a conductor's queued motion has ended.
 
         Call this method before the motion is queued.
         """
@@ -101,7 +101,7 @@ class Work:
 
 
 class Conductor(DriverProxy):
-    """Motion queue (conductor) that runs the motions of several clients on one driver in parallel.
+    """Conductor: a motion queue that runs the motions of several clients on one driver in parallel.
 
     It forwards the driver's own methods, for jobs and in `call`. `advance` also steps the other motions and
     calls `after_step`.
@@ -119,7 +119,7 @@ class Conductor(DriverProxy):
 
     # --- from any thread ---
     def put(self, work: Work) -> Work:
-        """Add a motion to the driver's queue; it starts when earlier motions of its joints have ended.
+        """Add a motion to the conductor's queue; it starts when earlier motions of its joints have ended.
 
         Raises:
             InputError: too many motions wait, or the cell is closed.
@@ -135,13 +135,13 @@ class Conductor(DriverProxy):
         return work
 
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return the queue's waiting and running motions, optionally only motions of given joints."""
+        """Return the conductor's waiting and running motions, optionally only those of given joints."""
         with self._lock:
             every = [*self._running, *self._waiting]
         return every if joints is None else [w for w in every if w.joints & frozenset(joints)]
 
     def stop(self, for_good: bool = False) -> None:
-        """Stop all waiting and running motions of the motion queue.
+        """Stop all waiting and running motions in the conductor's queue.
 
         Args:
             for_good: if True, also reject later motions, for example of goals that are still being planned.
@@ -152,7 +152,7 @@ class Conductor(DriverProxy):
             work.cancel.set()
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a function in the thread of the motion queue's driver between two steps; return its result."""
+        """Run a function in the conductor's driver thread between two steps; return its result."""
         if threading.current_thread() is self._thread:
             return function()
         answer: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
@@ -172,7 +172,7 @@ class Conductor(DriverProxy):
         return value
 
     def soon(self, function: Callable[[], None]) -> None:
-        """Schedule a function in the thread of the motion queue's driver between two steps, without waiting.
+        """Schedule a function in the conductor's driver thread between two steps, without waiting.
 
         Exceptions of the function are only logged.
         """
@@ -189,7 +189,7 @@ class Conductor(DriverProxy):
 
     # --- the driver's thread ---
     def turn(self) -> None:
-        """Run the driver of the motion queue for one period, or run one complete blocking job."""
+        """Run the conductor's driver for one period, or run one complete blocking job."""
         self._thread = threading.current_thread()
         with self._lock:
             job = next((w for w in self._ready() if w.job is not None), None)
@@ -209,7 +209,7 @@ class Conductor(DriverProxy):
         self._finish(job, result, error)
 
     def advance(self, duration: float) -> None:
-        """Advance the driver and all motions of its queue by `duration` [s]."""
+        """Advance the conductor's driver and all motions of its queue by `duration` [s]."""
         driver, end = self._driver, self._driver.now + duration
         while driver.now < end - 1e-9:
             while not self._calls.empty():
@@ -219,7 +219,7 @@ class Conductor(DriverProxy):
             self._after_step()
 
     def settle(self) -> None:
-        """Stop all motions of the queue and step the driver until they have ended; reject new motions."""
+        """Stop all motions of the conductor, step the driver until they have ended; reject new motions."""
         with self._lock:
             self._closed = True
         self.stop()
@@ -228,7 +228,7 @@ class Conductor(DriverProxy):
             self.turn()
 
     def close(self) -> None:
-        """Close the motion queue: end all motions, answer all waiting callers, and reject new motions."""
+        """Close the conductor: end all motions, answer all waiting callers, and reject new motions."""
         with self._lock:
             self._closed = True
             works = [*self._running, *self._waiting]
@@ -239,7 +239,7 @@ class Conductor(DriverProxy):
             self._calls.get()()
 
     def _ready(self) -> list[Work]:
-        """Return the queue's waiting motions that share no joint with an earlier motion."""
+        """Return the conductor's waiting motions that share no joint with an earlier motion."""
         taken = {joint for w in self._running for joint in w.joints}
         ready = []
         for work in self._waiting:
@@ -267,7 +267,7 @@ class Conductor(DriverProxy):
                 self._finish(work, None, error)
 
     def _step_all(self) -> None:
-        """Advance every running motion of the queue by one step; successors start in the same period.
+        """Advance every running motion of the conductor by one step; successors start in the same period.
 
         A motion that waits for another one starts in the driver period in which the other one ends.
         """
@@ -299,7 +299,7 @@ class Conductor(DriverProxy):
 
 
 class _Some(DriverProxy):
-    """View of the queue's driver for one motion: `stop` holds only the joints of this motion.
+    """View of the conductor's driver for one motion: `stop` holds only the joints of this motion.
 
     The other joints continue their motions.
     """

@@ -161,8 +161,7 @@ class Controllers:
         self, using: Sequence[str], running: dict[str, Any], results: dict[str, ExecutionResult],
         cancel: threading.Event,
     ) -> ExecutionResult:  # fmt: skip
-        """Cancel the remaining motions of the external controllers, wait until they end, and return the cause
-        of the stop.
+        """Cancel the external controllers' remaining motions, await their end, and return the cause.
 
         Returns:
             The first failure of a controller, or PREEMPTED if the caller canceled the motion.
@@ -282,9 +281,7 @@ class _Action:
 
 
 class _Topic:
-    """External controller with a trajectory topic instead of an action; joint states show the end of a
-    motion.
-    """
+    """External controller with a trajectory topic; joint states show the end of a motion."""
 
     def __init__(self, bus: Bus, controller: Controller, joints: Callable[[], JointState]):
         self._bus, self._controller, self._measured = bus, controller, joints

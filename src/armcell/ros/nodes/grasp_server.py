@@ -128,8 +128,7 @@ class GraspServer:
         return next(iter(movable.values()))
 
     def _grasps(self, scene: PlanningScene, item: CollisionObject, group: str, tcp: str) -> list[Any]:
-        """Return the grasp server's grasp messages, best first: from above in four yaws, then from four
-        sides.
+        """Return the grasp server's grasps, best first: from above in four yaws, then from four sides.
 
         Grasps from the sides are included only if `side_grasps` is set.
         """

@@ -75,7 +75,7 @@ def gripping(
 
 
 def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[CollisionObject]:
-    """Return the objects near a closing gripper: their bounding box, grown by `margin` [m], contains its tcp."""
+    """Return the objects near a closing gripper: their box, grown by `margin` [m], contains its tcp."""
     tcp = scene.frame_pose(gripper.tcp_link).translation
     found = []
     for item in scene.objects.values():
@@ -223,7 +223,7 @@ class GripperNode:
 
     # --- automatic closing, in the driver's thread ---
     def look(self) -> None:
-        """Close automatically the grippers whose arms have come to rest with an object between the fingers."""
+        """Close automatically the grippers of resting arms with an object between the fingers."""
         driver = self._live.driver
         if not self._auto or driver.now < self._next:
             return
@@ -267,7 +267,7 @@ class GripperNode:
             self._expected[gripper.name].add(item.name)
 
     def moved(self, joints: Iterable[str]) -> None:
-        """Revoke expected finger contacts with objects that an arm has left at the end of a motion."""
+        """Revoke a gripper's expected finger contacts with objects that the arm has left."""
         driver = self._live.driver
         for gripper in self._live.model.grippers.values():
             expected = self._expected[gripper.name]

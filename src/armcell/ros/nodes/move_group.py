@@ -526,8 +526,7 @@ def _request_code(request: Any, error: InputError) -> ErrorCode:
 
 
 def code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
-    """Return MoveIt's error code in a move_group request for an unknown name, by its kind, e.g. frame, link
-    or object.
+    """Return move_group's error code for an unknown name by its kind, e.g. frame, link or object.
 
     Args:
         error: the error.

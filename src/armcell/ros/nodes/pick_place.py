@@ -122,7 +122,7 @@ class PickPlaceNode:
         return model.gripper(arm_group=group or None)
 
     def _grasps(self, scene: PlanningScene, asked: Any, gripper: Gripper) -> list[ExplicitGrasp]:
-        """Return the grasps of a pickup goal, best first, or computed grasps if the goal contains none.
+        """Return the grasps of a pickup goal (pick), best first, or computed ones if it has none.
 
         Raises:
             InputError: the grasp poses refer to another link than the group's tip.
@@ -409,7 +409,7 @@ def _pose(scene: PlanningScene, stamped: Any) -> SE3:
 
 
 def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, item: CollisionObject) -> None:
-    """Reject a pickup goal's grasp poses that clearly refer to another link than the group's tip.
+    """Reject grasp poses of a pickup goal (pick) that refer to another link than the group's tip.
 
     MoveIt's grasp poses refer to the parent link of the end effector, which in many packages is also the tip
     of the group. Poses are rejected if no grasp puts the tcp into the object as a pose of the tip, but at
@@ -424,7 +424,7 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
     low, high = item.bounds()
 
     def fit(link: str) -> int:
-        """Count a pickup goal's grasps that put the tcp into the object if they are poses of `link`."""
+        """Count the grasps of a pickup goal (pick) with the tcp in the object if they are poses of `link`."""
         points = [(T @ scene.transform(link, gripper.tcp_link)).translation for T in Ts]
         return sum(bool(np.all(p >= low - NEAR) and np.all(p <= high + NEAR)) for p in points)
 

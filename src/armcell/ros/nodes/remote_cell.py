@@ -461,7 +461,7 @@ class RemoteCell:
     def _follow_fingers(
         self, work: Work, gripper: Gripper, wanted: float, ended: Callable[[], ExecutionResult | None]
     ) -> ExecutionResult:
-        """Wait until a remote cell's fingers reach their target or stop, or their controller reports failure."""
+        """Wait until a remote cell's fingers reach their target or stop, or their controller fails."""
         began = still = time.monotonic()
         last = np.inf
         while time.monotonic() - began < GRIP_TIMEOUT and not self._closed.is_set():

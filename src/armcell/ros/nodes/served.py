@@ -47,8 +47,7 @@ def _serve_planner(
 
 
 class ServedCell:
-    """A live cell with all of its ROS nodes (states, grippers, move_group), served from `start` (or `with`)
-    to `close`.
+    """A live cell with all its ROS nodes (states, grippers, move_group), served until `close`.
 
     The service /resume (std_srvs/Trigger) makes the cell ready after a stop, or responds with the action that
     the operator must take first (`LiveCell.resume`). It runs in the caller's thread, because reconnecting to
@@ -136,7 +135,7 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop all motions of a served cell for good, wait until the arms rest, and update the held objects."""
+        """Stop all motions of a served cell for good, await the arms' rest, and update held objects."""
         self.node.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)

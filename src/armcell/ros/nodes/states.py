@@ -174,7 +174,7 @@ class _Mimics:
 
 
 def _arms(model: RobotModel) -> dict[str, tuple[str, ...]]:
-    """Return the joints of each arm with its grippers, for one joint state topic per arm; empty for one arm."""
+    """Return each arm's joints with its grippers, for one joint state topic per arm; empty for one arm."""
     found: dict[str, tuple[str, ...]] = {}
     for gripper in model.grippers.values():
         own = found.get(gripper.arm_group, model.group(gripper.arm_group).joint_names)

@@ -143,7 +143,7 @@ class BusBridge:
 
 
 class _ToBus:
-    """Forwarder of the messages of one ROS 1 publisher to the armcell bus.
+    """Forwarder of a ROS 1 publisher's messages to the bridged armcell bus.
 
     Each ROS 1 publisher has its own instance, so that the bus keeps the latched message of every publisher.
     """

@@ -23,8 +23,7 @@ Handle = Callable[[socket.socket, str], bool]
 
 
 class Listener:
-    """Listener for ROS 1 peers: a TCP socket that passes each connection to a handler, from `start` to
-    `close`.
+    """Listener for ROS 1 peers: a TCP socket that passes each connection to a handler.
 
     Args:
         port: port to listen on; 0 selects a free port.

@@ -137,9 +137,7 @@ class Ros1Master:
 
     @staticmethod
     def _key(value: Any, caller: str) -> str:
-        """Return a parameter's full name on the ROS 1 master; unlike topic names, its parts may contain any
-        character.
-        """
+        """Return a parameter's full name on the ROS 1 master; its parts may contain any character."""
         if not isinstance(value, str) or not value:
             raise rpc.Rejected("ERROR: parameter [key] must be a non-empty string")
         if value.startswith("~"):

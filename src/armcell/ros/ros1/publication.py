@@ -116,7 +116,7 @@ class Publication:
             self._reactor.flush(link)
 
     def _frame(self, message: Any) -> bytes:
-        """Encode a published ROS 1 message with its length prefix, once for all subscriber connections.
+        """Encode a message of a ROS 1 publication with its length prefix, once for all subscribers.
 
         If the message starts with a std_msgs/Header, its `seq` counts up.
         """
@@ -175,7 +175,7 @@ class SubscriberLink:
             return bool(self._rest or self._waiting)
 
     def put(self, frame: bytes) -> bool:
-        """Send or queue a published message to a subscriber; return True if the reactor must send the rest.
+        """Send or queue a ROS 1 publication's message; return True if the reactor must send the rest.
 
         Any thread may call this method.
         """
@@ -197,7 +197,7 @@ class SubscriberLink:
             return False
 
     def _send(self) -> bool:
-        """Send a subscriber as many queued bytes as the kernel accepts; return True if bytes remain."""
+        """Send queued bytes of a ROS 1 publication to a subscriber; return True if bytes remain."""
         while self._rest or self._waiting:
             if not self._rest:
                 frame = self._waiting.popleft()
@@ -214,7 +214,7 @@ class SubscriberLink:
         return False
 
     def readable(self) -> None:
-        """Detect the end of a ROS 1 subscriber's connection; subscribers send no data after their header."""
+        """Detect the end of a subscriber's connection to a ROS 1 publication."""
         with contextlib.suppress(BlockingIOError):
             if not self.sock.recv(4096):
                 raise ConnectionError("the subscriber closed the connection")

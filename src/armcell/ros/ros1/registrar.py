@@ -73,14 +73,14 @@ class Registrar:
             self._changed.notify_all()
 
     def publishers_are(self, topic: str, uris: list[str]) -> None:
-        """Handle the ROS 1 master's publisherUpdate to a node: the new list of a topic's publishers."""
+        """Let the registrar handle the ROS 1 master's publisherUpdate: a topic's new publishers."""
         with self._telling:
             if topic == self._asking:
                 self._overtaken = True
             self._on_publishers(topic, uris)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the ROS 1 master knows all of a node's registrations; return False on timeout.
+        """Wait until the registrar has registered a ROS 1 node at the master; return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -159,7 +159,7 @@ class Registrar:
             self._changed.notify_all()
 
     def _subscribe(self, entry: Entry, what: str) -> None:
-        """Register a subscriber at the ROS 1 master and pass on the publishers in the answer.
+        """Let the registrar register a subscriber at the ROS 1 master and pass on the publishers.
 
         If a publisherUpdate arrives during the call, the order of the answer and the update is unknown. The
         method then repeats the call, up to `OVERTAKEN` times; after that, the update counts.
@@ -183,7 +183,7 @@ class Registrar:
         return ask(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
 
     def _check(self) -> None:
-        """Ask the ROS 1 master for a registered node's address; a restarted master does not know it."""
+        """Let the registrar ask the ROS 1 master for the node; a restarted master does not know it."""
         try:
             known = ask(self.master, "lookupNode", self._caller, self._caller, timeout=self._timeout)
         except RpcError as error:

@@ -25,7 +25,7 @@ _NODE = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
 
 @dataclass(frozen=True)
 class Ros1Settings:
-    """Name and addresses of a ROS 1 node; `from_environment` fills in empty values."""
+    """Settings of a ROS 1 node: name and addresses; `from_environment` fills in empty values."""
 
     name: str = "armcell"  # node name without namespace
     namespace: str = "/"
@@ -96,7 +96,7 @@ def from_environment(
 
 
 def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Split a ROS 1 node's arguments into name remappings and special arguments (`__name:=...`).
+    """Split arguments for a ROS 1 node's settings into remappings and special ones (`__name:=...`).
 
     Raises:
         InputError: an argument is not of the form from:=to.
@@ -112,7 +112,7 @@ def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str,
 
 
 def _value(text: str) -> Any:
-    """Parse a private parameter's value in a ROS 1 node's arguments as YAML, like rosrun."""
+    """Parse a private parameter's value in a ROS 1 node's settings as YAML, like rosrun."""
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError:
@@ -152,7 +152,7 @@ def is_this_machine(host: str) -> bool:
 
 
 def own_address() -> str:
-    """Return this machine's address on its default route, by which other ROS 1 machines reach it."""
+    """Return this machine's address on its default route, for a ROS 1 node's settings."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # documentation address (RFC 5737); UDP sends nothing here

@@ -25,10 +25,10 @@ FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] first and longest delay between attemp
 
 
 class Sink(Protocol):
-    """Receiver for the messages of one publisher of a subscribed ROS 1 topic."""
+    """Receiver for the messages of one publisher in a ROS 1 subscription."""
 
     def take(self, body: bytes) -> None:
-        """Handle one serialized message from a publisher of a subscribed ROS 1 topic.
+        """Handle one serialized message from a publisher in a ROS 1 subscription.
 
         Raises:
             WireError: the bytes are not a message of the topic's type.

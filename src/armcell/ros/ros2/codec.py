@@ -71,14 +71,14 @@ class Ros2Codec:
         return self._wire[name]
 
     def has_more(self, name: str) -> bool:
-        """Return whether the ROS 2 definition of a message has fields that ROS 1 lacks.
+        """Return whether a message has fields in the ROS 2 codec that ROS 1 lacks.
 
         Messages that a script creates lack those fields.
         """
         return name in self.schema.definitions and self.schema.whole(name) != self.schema.definition(name)
 
     def prepare(self, name: str) -> None:
-        """Generate the ROS 2 serialization functions of a message type now, not at its first message.
+        """Generate the ROS 2 codec's serialization functions of a message type now, not at first use.
 
         Generation takes up to 0.1 s.
         """
@@ -94,7 +94,7 @@ class Ros2Codec:
 
     # --- bytes ---
     def encode(self, message: Any) -> memoryview:
-        """Serialize a message to ROS 2's CDR bytes, including the 4-byte encapsulation header.
+        """Encode a message with the ROS 2 codec as CDR bytes, including the encapsulation header.
 
         Raises:
             InputError: a field's value does not fit its type.
@@ -109,7 +109,7 @@ class Ros2Codec:
             raise InputError(f"{name} cannot be encoded: {error}") from None
 
     def decode(self, name: str, data: bytes | memoryview) -> Any:
-        """Deserialize a message from ROS 2's CDR bytes, which must contain nothing else.
+        """Decode a message with the ROS 2 codec from CDR bytes, which must contain nothing else.
 
         Raises:
             WireError: the bytes are not a message of this type.

@@ -52,7 +52,7 @@ class Context:
         return self.participant.closed
 
     def complain(self, kind: str, text: str) -> None:
-        """Log the first error of each kind, and count all errors of the ROS 2 bridge."""
+        """Log each kind's first error in the ROS 2 bridge's context, and count all errors."""
         if self.complaints.is_new(kind):
             logger.warning("%s", text[:400])
 
@@ -79,8 +79,7 @@ class Context:
             endpoint.close()
 
     def service_id(self) -> str:
-        """Return a new id in the ROS 2 bridge for a service client or server, in the format of
-        rmw_cyclonedds_cpp.
+        """Return a new service client or server id from the ROS 2 bridge's context.
 
         Both endpoints (reader and writer) of the client or server carry the id.
         """
@@ -92,7 +91,7 @@ class Context:
 
     # --- work that may take long ---
     def work(self, run: Callable[..., Any], *arguments: Any) -> bool:
-        """Run a function in the ROS 2 bridge's worker pool; return False if too many calls wait already."""
+        """Run a function in the worker pool of the ROS 2 bridge's context; False if too many calls wait."""
         with self._lock:
             if self._calls >= MAX_CALLS:
                 return False

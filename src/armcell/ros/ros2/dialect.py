@@ -29,7 +29,7 @@ def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
 
 
 def _action_messages(action: str) -> dict[str, Definition]:
-    """Return the messages that rosidl derives from an action definition of a ROS 2 distribution.
+    """Return the messages that rosidl derives from an action in a ROS 2 distribution's dialect.
 
     Source: design.ros2.org/articles/actions.html.
     """

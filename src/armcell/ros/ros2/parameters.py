@@ -26,7 +26,7 @@ USE_SIM_TIME = "use_sim_time"
 
 
 def kind_of(value: Any) -> int:
-    """Return the rcl_interfaces ParameterType of a value; NOT_SET if ROS 2 has no such type."""
+    """Return the rcl_interfaces ParameterType of a parameter's value; NOT_SET if ROS 2 has none."""
     if isinstance(value, (bytes, bytearray)):
         return 5
     if isinstance(value, np.generic):

@@ -33,7 +33,7 @@ LOCALHOST."""
 
 
 def _has_network() -> bool:
-    """Return whether ROS 2 discovery packets for other machines would leave by a network interface.
+    """Return whether ROS 2 discovery can range beyond this machine by a network interface.
 
     The test sends no packets.
     """

@@ -124,7 +124,7 @@ class Server:
                 self._context.complain(f"reply {self.name}", f"service {self.name}: {error}")
 
     def _is_there(self, writer: int) -> bool:
-        """Return whether a ROS 2 service's client still exists; wait up to `WAIT_FOR_CLIENT` for its reader."""
+        """Return whether a ROS 2 service's client exists; wait up to `WAIT_FOR_CLIENT` for its reader."""
         give_up = time.monotonic() + WAIT_FOR_CLIENT
         while writer not in self._ready and not self._context.closed:
             qos = self._reader.writer_qos(writer)

@@ -55,7 +55,7 @@ class Outgoing:
         self._context.drop(self._writer)
 
     def _put(self, message: Any) -> None:
-        """Send an outgoing message to the ROS 2 domain without blocking; a full writer drops it.
+        """Send an outgoing topic's message to the ROS 2 domain without blocking; a full writer drops it.
 
         The method runs in the publisher's thread.
         """

@@ -32,7 +32,7 @@ ACTION_SERVICES = ("_SendGoal", "_GetResult")
 
 
 class TypeNames:
-    """Full type names in ROS 2's type hashes: `pkg/msg/Name`, `pkg/srv/Name_Request`, `pkg/action/Name_Goal`."""
+    """Full names in ROS 2's type hashes: `pkg/msg/Name`, `pkg/srv/Name_Request`, `pkg/action/Name_Goal`."""
 
     def __init__(self, services: Iterable[str], actions: Iterable[str]):
         self._parts: dict[str, str] = {}

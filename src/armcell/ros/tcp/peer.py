@@ -240,7 +240,7 @@ class Peer:
             answer.give(frame.body)
 
     def _on_request(self, number: int, frame: Frame) -> None:
-        """Answer a ROS-TCP peer's service request in a worker thread, so that a slow service blocks nothing."""
+        """Answer a ROS-TCP peer's service request in a worker thread, so that it blocks nothing else."""
         with self._lock:
             full = self._calls >= MAX_CALLS
             if not full:

@@ -202,7 +202,7 @@ class RosTcpServer:
 
 
 class _Session(Peer):
-    """The ROS-TCP server's session with one Unity client: its registrations and the commands that it sends."""
+    """The ROS-TCP server's session with one Unity client: its registrations and commands."""
 
     def __init__(self, server: RosTcpServer, sock: socket.socket, address: str):
         settings = server.settings

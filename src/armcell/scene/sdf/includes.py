@@ -21,7 +21,7 @@ ABOVE = 4  # number of folders above a file that are searched for sibling models
 
 
 class Library:
-    """Library (finder) of the files of SDF models and meshes, given by URI.
+    """Finder (library) of files that SDF includes by URI: models and meshes.
 
     The search covers the given folders, Gazebo's search path and the folders around the file.
     """
@@ -36,7 +36,7 @@ class Library:
         self.folders = [*folders, *named]
 
     def _candidates(self, rest: str, base: Path) -> Iterator[Path]:
-        """Yield the paths to which the URI model://NAME/... may refer, nearest first."""
+        """Yield the paths to which an SDF include's URI model://NAME/... may refer, nearest first."""
         above = [base, *base.parents][: ABOVE + 1]
         for folder in (*self.folders, *above):
             yield folder / rest

@@ -57,7 +57,7 @@ class Solid:
 
 
 def geometry_of(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
-    """Return the shape of an SDF <collision> or <visual> and its pose in the element's frame.
+    """Convert the solid shape of an SDF <collision> or <visual>, with its pose in the element.
 
     Returns:
         (shape, T_element_shape), or a `Skipped` note if the shape is not converted.

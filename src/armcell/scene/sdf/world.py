@@ -175,9 +175,7 @@ class _Flat:
         self._group[self._root(b)] = self._root(a)
 
     def _groups(self) -> Iterator[tuple[list[_Body], bool]]:
-        """Yield the links of each object that a model of an SDF world becomes, and whether the object is
-        fixed.
-        """
+        """Yield the links of each object from a model in an SDF world, and whether the object is fixed."""
         for path, body in self.bodies.items():
             if body.static:
                 self._join("world", path)

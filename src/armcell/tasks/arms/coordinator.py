@@ -65,9 +65,7 @@ class MotionCoordinator:
 
     # --- motions ---
     def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
-        """Coordinate two arms: wait until a motion, or a detour to the same goal, may start, and return the
-        motion.
-        """
+        """Wait in the coordinator until an arm's motion, or a detour to its goal, may start; return it."""
         me, straight = ctx.group, motion.planner == "cartesian"
         began = ctx.driver.now
         while not ctx.cancel.is_set():
@@ -190,7 +188,7 @@ class MotionCoordinator:
             self.asked.add(other)
 
     def yield_to_other(self, ctx: ArmContext) -> None:
-        """Let a coordinated arm yield to the other by moving to the home state, if possible.
+        """Let the coordinator move an arm to the home state to yield to the other, if possible.
 
         An arm that is already there does not move.
         """
@@ -220,8 +218,7 @@ class MotionCoordinator:
 
     # --- zones and rendezvous ---
     def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Choose for a coordinated arm the first item whose zone the other arm neither holds, requests nor
-        approaches.
+        """Choose for a coordinated arm the first item whose zone the other arm does not use or approach.
 
         If there is none, return the first item.
 
@@ -261,7 +258,7 @@ class MotionCoordinator:
             self._heading.pop(ctx.group, None)
 
     def rendezvous(self, ctx: ArmContext, name: str) -> None:
-        """Wait in a coordinated arm's program until the other one reaches the same rendezvous point or ends."""
+        """Wait in a coordinated arm's program until the other one reaches the same rendezvous or ends."""
         here = self._arrived.setdefault(name, set())
         here.add(ctx.group)
         other = self.other(ctx.group)

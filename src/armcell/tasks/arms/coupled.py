@@ -18,7 +18,7 @@ from armcell.tasks.steps import staged
 def move_together(
     ctx: TaskContext, both: str, goals: Mapping[str, Goal], name: str = "move together"
 ) -> Outcome:
-    """Move two arms synchronously to one goal each: both start and arrive at the same time."""
+    """Move two coupled arms to one goal each: both start and arrive at the same time."""
     s, scene = ctx.settings, ctx.scene()
     template = PlanRequest(
         next(iter(goals)), (), planner_id=s.planner_id, planning_time=s.planning_time,

@@ -165,17 +165,14 @@ DECIMALS = 3  # [rad] positions that agree to these decimals share a cache entry
 
 
 class ConflictCache:
-    """Cache, for the search of object orders, of conflicts between a motion of one arm and a working pose of
-    the other arm.
-    """
+    """Cache of conflicts between one arm's motion and another's working pose, to search object orders."""
 
     def __init__(self, scene: PlanningScene, groups: tuple[str, str]):
         self._arms = Arms(scene, groups)
         self._known: dict[tuple[int, bytes], tuple[float, float] | None] = {}
 
     def share(self, arm: int, segment: TourSegment, other: TourSegment) -> tuple[float, float] | None:
-        """Return the part (from, to in 0..1) of an arm's motion in an object order that is close to the other
-        arm.
+        """Return the part (from, to in 0..1) of an arm's motion close to the other arm, for an object order.
 
         The other arm is at its working pose.
 

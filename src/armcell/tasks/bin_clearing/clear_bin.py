@@ -279,7 +279,7 @@ class _PickFromHeap(Pick):
 
 
 def _closer(settings: AboveSettings, times: int) -> AboveSettings:
-    """Return bin clearing's grasp settings for pieces near a wall: less margin, more orientations, corners."""
+    """Return bin clearing's grasp settings near a wall: less margin, more orientations, corners."""
     return replace(
         settings,
         room=settings.room / times,

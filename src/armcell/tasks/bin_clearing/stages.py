@@ -59,7 +59,7 @@ class ChooseFromHeap:
 @stage_types.register("close_on_heap")
 @dataclass(frozen=True, eq=False)
 class CloseOnHeap:
-    """Bin clearing stage that closes the hand on a heap and attaches the assumed object between the fingers."""
+    """Bin clearing stage that closes the hand on a heap and attaches the object in the fingers."""
 
     gripper: Gripper
     floor: float  # [m, world z] of the bin, lower bound of the object

@@ -22,7 +22,7 @@ from armcell.timing.chords import chords
 @dataclass(frozen=True, eq=False)
 @checked()
 class MoveGripper:
-    """Stage that moves a gripper to a width [m] while the arm rests.
+    """Stage that moves a gripper's fingers to a width [m] while the arm rests.
 
     In a `Merger`, the arm may move meanwhile.
     """

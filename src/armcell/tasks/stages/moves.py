@@ -65,7 +65,7 @@ class Upright:
 @stage_types.register("connect")
 @dataclass(frozen=True, eq=False)
 class Connect:
-    """Stage that plans a collision-free arm motion to a goal or to joint positions `data[target]`."""
+    """Stage that moves the arm collision-free to a goal or to joint positions `data[target]`."""
 
     name: str
     group: str

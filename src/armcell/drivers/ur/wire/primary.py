@@ -22,7 +22,7 @@ MAX_SIZE = 65536
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Denavit-Hartenberg parameters of one UR robot, usually with its factory calibration."""
+    """Kinematics of one UR robot in primary messages: its calibrated Denavit-Hartenberg parameters."""
 
     theta: tuple[float, ...]  # (6,) [rad]
     a: tuple[float, ...]  # (6,) [m]
@@ -45,7 +45,7 @@ class Kinematics:
         )  # fmt: skip
 
     def difference(self, other: Kinematics) -> tuple[float, float]:
-        """Return the largest difference of two UR arm geometries: a length [m] and an angle [rad]."""
+        """Return the largest difference of two UR geometries in primary messages: length [m], angle [rad]."""
         lengths = np.abs(np.subtract((self.a, self.d), (other.a, other.d)))
         angles = np.abs(np.subtract((self.theta, self.alpha), (other.theta, other.alpha)))
         return float(lengths.max()), float(angles.max())
@@ -68,7 +68,7 @@ def mode_package(
     timestamp_us: int, powered: bool, emergency: bool, protective: bool, running: bool, paused: bool,
     robot_mode: int, speed_fraction: float, speed_scaling: float, cb3_version: tuple[int, int] = (3, 15),
 ) -> bytes:  # fmt: skip
-    """Encode the UR primary interface's robot mode package : modes and speed.
+    """Encode the robot mode package of UR's primary interface: modes and speed.
 
     Software before 3.5 sends no reserved byte at the end.
     """
@@ -91,7 +91,7 @@ def configuration_package(q_limits, v_max, a_max, kinematics: Kinematics, robot_
 
 
 def joint_package(rows: Iterable[tuple[float, float, float, float, float, float, int]]) -> bytes:
-    """Encode the joint data package of UR's robot state message.
+    """Encode the joint data package of UR's primary robot state message.
 
     Args:
         rows: per joint the actual and target position [rad], speed [rad/s], current [A], voltage [V],
@@ -105,7 +105,7 @@ def joint_package(rows: Iterable[tuple[float, float, float, float, float, float,
 
 
 def tool_package(inputs: tuple[float, float], output_voltage: int, temperature: float, mode: int) -> bytes:
-    """Encode the tool data package of UR's robot state message.
+    """Encode the tool data package of UR's primary robot state message.
 
     Args:
         inputs: analog inputs [V].
@@ -121,7 +121,7 @@ def masterboard_package(
     inputs: int, outputs: int, output_domains: tuple[int, int], analog_outputs: tuple[float, float],
     safety_mode: int, reduced: bool,
 ) -> bytes:  # fmt: skip
-    """Encode the masterboard data package of UR's robot state message, without Euromap 67.
+    """Encode the masterboard data package of UR's primary robot state message, without Euromap 67.
 
     Args:
         inputs, outputs: digital pins as bits.
@@ -135,7 +135,7 @@ def masterboard_package(
 
 
 def cartesian_package(tcp_pose: Sequence[float], tcp_offset: Sequence[float]) -> bytes:
-    """Encode the Cartesian data package of UR's robot state message: TCP pose and TCP offset.
+    """Encode the Cartesian data package of UR's primary robot state message: TCP pose and offset.
 
     The pose is in the base frame, the offset in the flange frame. Both are UR poses: x, y, z [m] and rotation
     vector [rad].
@@ -148,9 +148,7 @@ def force_mode_package(wrench: Sequence[float], dexterity: float) -> bytes:
 
 
 def additional_package(teaching: bool) -> bytes:
-    """Encode the additional data package of UR's robot state message: teach button, and what enables
-    freedrive.
-    """
+    """Encode the additional data package of UR's primary robot state message: teach button, freedrive."""
     return package(ADDITIONAL, struct.pack(">B??B", teaching, True, False, 0))
 
 

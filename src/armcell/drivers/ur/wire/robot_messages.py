@@ -62,6 +62,6 @@ def runtime_exception(timestamp_us: int, line: int, column: int, value: str) -> 
 
 
 def error_code(timestamp_us: int, code: int, argument: int, level: int, value: str) -> bytes:
-    """Encode UR's robot message of an error from its error list, such as C210 (this connection is read-only)."""
+    """Encode UR's robot message of an error from its error list, such as C210 (connection is read-only)."""
     body = struct.pack(">iiiII", code, argument, level, 0, 0) + _text(value)
     return _message(timestamp_us, CONTROLLER, ERROR_CODE, body)

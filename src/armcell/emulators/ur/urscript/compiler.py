@@ -80,9 +80,7 @@ class _Compiler:
         self._lines.append("  " * depth + text)
 
     def _find(self, statements: list[Node], top: bool) -> None:
-        """Collect a URScript text's global names for the compiler: declared global, or assigned in the
-        program's body.
-        """
+        """Collect a URScript text's global names for the compiler: declared, or assigned in the body."""
         for node in statements:
             if node[0] == "assign" and node[1][0] == "name" and (node[3] == "global" or top):
                 self._globals.add(node[1][1])

@@ -75,7 +75,7 @@ class Machine:
         self._next, self.running = 2, True
 
     def step(self) -> None:
-        """Run every thread of the URScript program to its next control step.
+        """Let the URScript machine run every thread of the program to its next control step.
 
         Raises:
             ProgramError: a runtime error, with its line.

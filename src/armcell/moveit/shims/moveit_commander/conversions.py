@@ -29,9 +29,7 @@ def pose_to_list(pose_msg: Any) -> list[float]:
 
 
 def list_to_pose(pose_list: Any) -> Any:
-    """Shim of moveit_commander.conversions: return a Pose from x, y, z and a quaternion (7 values) or roll,
-    pitch, yaw (6 values).
-    """
+    """Return a Pose from x, y, z and quaternion (7) or roll, pitch, yaw (6), like moveit_commander's."""
     values = [float(v) for v in pose_list]
     if len(values) == 6:
         values = [*values[:3], *quaternion_from_euler(*values[3:]).tolist()]

@@ -25,9 +25,7 @@ PICK, PLACE = "moveit_msgs/Pickup", "moveit_msgs/Place"
 
 
 def kind_of(value: Any) -> str:
-    """Return the type name of a message for moveit_commander's group without its package; empty for other
-    objects.
-    """
+    """Return a message's type name without package, for moveit_commander's group; else empty."""
     return getattr(value, "_type", "").split("/")[-1]
 
 
@@ -82,9 +80,7 @@ class GroupInfo:
         return self._name
 
     def stop(self) -> None:
-        """Stop all motions in moveit_commander, also of other groups, like MoveIt's
-        trajectory_execution_event.
-        """
+        """Stop all motions in moveit_commander, also of other groups, like MoveIt's execution event."""
         bus = self._session.bus
         with bus.advertise("/trajectory_execution_event", "std_msgs/String") as publisher:
             publisher.publish(bus.schema.new("std_msgs/String", "stop"))
@@ -101,7 +97,7 @@ class GroupInfo:
         ]  # fmt: skip
 
     def _variables(self) -> list[str]:
-        """Return the names of the moving joints of moveit_commander's group, including mimic joints."""
+        """Return the names of the moving joints of a moveit_commander group, including mimic joints."""
         mine = set(self._group.joint_names)
         return [
             j.name for j in self._session.model.joints.values()
@@ -142,7 +138,7 @@ class GroupInfo:
         return self._every_value({})
 
     def _every_value(self, positions: dict[str, float]) -> list[float]:
-        """Return the values of moveit_commander group's moving joints, including mimic joints.
+        """Return the values of a moveit_commander group's moving joints, including mimic joints.
 
         Args:
             positions: joint name -> position; joints that it does not contain keep their current positions.
@@ -188,7 +184,7 @@ class GroupInfo:
         self._start = None
 
     def set_start_state(self, msg: Any) -> None:
-        """Set the start state of moveit_commander's plans from a RobotState.
+        """Set the start state of a moveit_commander group's plans from a RobotState.
 
         Joints that the message does not name keep their current positions.
         """

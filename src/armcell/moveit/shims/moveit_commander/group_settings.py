@@ -48,16 +48,14 @@ class GroupSettings(GroupTargets):
         self._replanning = bool(value)
 
     def get_known_constraints(self) -> list[str]:
-        """Return the names in moveit_commander's constraints database; always empty, because armcell has
-        none.
-        """
+        """Return the constraint database names of a moveit_commander group: none, as armcell has none."""
         return []
 
     def get_path_constraints(self) -> Any:
         return self._session.messages.local(self._path_constraints or self._new("Constraints"))
 
     def set_path_constraints(self, value: Any = None, *, constraints: Any = None) -> None:
-        """Set moveit_commander's path constraints from a Constraints message; None clears them.
+        """Set a moveit_commander group's path constraints from a Constraints message; None clears them.
 
         Tutorials also pass the argument as `constraints`.
         """
@@ -95,7 +93,7 @@ class GroupSettings(GroupTargets):
 
     # --- planner ---
     def set_planning_time(self, seconds: float) -> None:
-        """Set moveit_commander's planning time [s]; like MoveIt, ignore values that are not above 0."""
+        """Set a moveit_commander group's planning time [s]; like MoveIt, ignore values that are not > 0."""
         if seconds > 0:
             self._time = float(seconds)
 

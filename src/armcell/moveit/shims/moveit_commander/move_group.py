@@ -32,8 +32,7 @@ UNREACHED = {
 
 
 class MoveGroupCommander(GroupSettings):
-    """moveit_commander.MoveGroupCommander: a planning group with the defaults, exceptions and return values
-    of moveit_commander.
+    """moveit_commander.MoveGroupCommander: a planning group with its defaults, exceptions and results.
 
     Raises:
         RuntimeError: the group does not exist.
@@ -99,9 +98,7 @@ class MoveGroupCommander(GroupSettings):
         return bool(code == SUCCESS)
 
     def _hint_at_target(self, code: int) -> None:
-        """Log a hint in MoveGroupCommander if a pose is unreachable because of the tool's direction or the
-        tip link.
-        """
+        """Log a hint in MoveGroupCommander if the tool's direction or tip link makes a pose unreachable."""
         if code not in UNREACHED or self._active != POSE:
             return
         scene = measured_scene()
@@ -242,9 +239,7 @@ class MoveGroupCommander(GroupSettings):
         return bool(finished(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
-        """Return why a MoveGroupCommander's plan does not lead to its goal, or an empty string for a complete
-        plan.
-        """
+        """Return why a MoveGroupCommander's plan does not lead to its goal; empty if it is complete."""
         fraction = next((f for p, f in self._partial if p is plan), 1.0)
         if fraction <= 0:
             return "the straight line could not begin, its fraction is 0; the reason is in the line above"
@@ -323,8 +318,7 @@ class MoveGroupCommander(GroupSettings):
         return self._picked_or_placed("pickup", goal, plan_only)
 
     def place(self, object_name: str, location: Any = None, plan_only: bool = False) -> bool:
-        """MoveGroupCommander: place a held object; return True on success (unlike `pick`, which returns an
-        error code).
+        """MoveGroupCommander: place a held object; return True on success (`pick` returns a code).
 
         Args:
             location: pose of the placed object (Pose, PoseStamped or PlaceLocation), or a list of them; None
@@ -372,8 +366,7 @@ class MoveGroupCommander(GroupSettings):
         self, ref_state_in: Any, traj_in: Any, velocity_scaling_factor: float = 1.0,
         acceleration_scaling_factor: float = 1.0, algorithm: str = TIMING[0],
     ) -> Any:  # fmt: skip
-        """MoveGroupCommander: return a trajectory with the same path and new times, as fast as the scaled
-        limits allow.
+        """MoveGroupCommander: return a trajectory's path with new times, as fast as scaled limits allow.
 
         All algorithm names of MoveIt are accepted and give the same result.
         """
@@ -394,8 +387,7 @@ class MoveGroupCommander(GroupSettings):
         return self._session.messages.local(message)
 
     def get_jacobian_matrix(self, joint_values: Any, reference_point: Any = None) -> Any:
-        """MoveGroupCommander: return the (6, n) Jacobian in the group's base frame, linear rows above angular
-        rows.
+        """MoveGroupCommander: return the (6, n) Jacobian in the base frame, linear rows above angular.
 
         Args:
             joint_values: positions of the group's joints [rad or m].

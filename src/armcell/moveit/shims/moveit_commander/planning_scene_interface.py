@@ -149,9 +149,7 @@ class PlanningSceneInterface:
         maxz: float,
         with_type: bool = False,
     ) -> list[str]:
-        """PlanningSceneInterface: return the names of objects whose origin is inside a box of the planning
-        frame.
-        """
+        """PlanningSceneInterface: return the names of objects whose origin is in a planning frame box."""
         low, high = (minx, miny, minz), (maxx, maxy, maxz)
         found = []
         for item in self._world():
@@ -224,9 +222,7 @@ class PlanningSceneInterface:
 
     @staticmethod
     def make_mesh(name: str, pose: Any, filename: str, scale: Any = (1, 1, 1)) -> Any:
-        """PlanningSceneInterface: return a CollisionObject with the scaled mesh of a file (STL, DAE, OBJ,
-        ...).
-        """
+        """PlanningSceneInterface: return a CollisionObject with the scaled mesh of a file (STL, DAE, ...)."""
         session = current_session()
         try:
             mesh = load_mesh(Path(filename.removeprefix("file://")), tuple(float(s) for s in scale))

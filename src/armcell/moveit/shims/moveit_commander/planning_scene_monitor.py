@@ -29,8 +29,7 @@ class PlanningSceneMonitor:
         self._session.hint(NAME, f"MoveIt's Python has no {NAME}; {CLASSES[NAME]}")
 
     def startWorldGeometryMonitor(self, *topics: Any) -> None:
-        """PlanningSceneMonitor: update the octomap from the cell's cameras, 10 times a second; wait for the
-        first images.
+        """PlanningSceneMonitor: update the octomap from the cell's cameras, 10 times a second.
 
         The camera `overview`, which renders the report's pictures, is used only if it is the only camera.
         """
