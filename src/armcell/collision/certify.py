@@ -27,7 +27,7 @@ MIN_INTERVAL_RAD = 2e-4
 
 
 class Measures(Protocol):
-    """Interface of a checker for `certify_path`: places bodies, and measures pairs of them."""
+    """Interface of a checker for certification: places bodies, and measures pairs of them."""
 
     model: RobotModel
     tree: KinematicTree

@@ -30,7 +30,7 @@ SHORT = 1e-3
 
 @dataclass(frozen=True)
 class TimedCertificate:
-    """Result of certifying a timed motion against moving obstacles.
+    """Timed certificate: the result of certifying a timed motion against moving obstacles.
 
     Attributes:
         free: True if the motion is certified collision-free.

@@ -121,7 +121,7 @@ class StartAndGoals:
 
 
 def find_start_and_goals(validated: ValidatedRequest) -> StartAndGoals | Outcome:
-    """Find a request's start and goals as joint positions, or the reason why they are invalid."""
+    """Find the pipeline's start and goals as joint positions, or the reason why they are invalid."""
     scene = validated.scene
     try:
         scene.model.check_positions(scene.positions, margin=1e-3)
@@ -333,7 +333,7 @@ def _unsolved(
 
 
 def _direct(problem: Problem) -> Array | None:
-    """Return the direct path: the straight line to a goal, if free with padding, as no path is shorter."""
+    """Return the pipeline's direct path: the straight line to a goal, if free with padding."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])

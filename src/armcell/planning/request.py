@@ -120,7 +120,7 @@ class ValidatedRequest:
 def validate_request(
     scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None
 ) -> ValidatedRequest:
-    """Check a planning request for misuse before any computation.
+    """Validate a planning request: check it for misuse before any computation.
 
     Raises:
         InputError: unknown group, pipeline, planner, parameter, joint, link or frame; an impossible number.

@@ -26,7 +26,7 @@ class Change(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SceneDiff:
-    """An ordered list of scene changes; either all or none of them are applied."""
+    """Scene diff: an ordered list of scene changes; either all or none of them are applied."""
 
     changes: tuple[Change, ...] = ()
 
@@ -38,7 +38,7 @@ class SceneDiff:
         return SceneDiff((*self.changes, *other.changes))
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene with all changes of the diff applied; the argument never changes.
+        """Return the scene with all changes of a scene diff applied; the argument never changes.
 
         Raises:
             InputError: a change cannot be applied; the message names the first such change.
@@ -308,7 +308,7 @@ class SetFixedFrame:
 def with_octomap(
     scene: PlanningScene, octree: Octree | None, T_world_octomap: SE3 = SE3.identity()
 ) -> PlanningScene:
-    """Return the scene with its octomap replaced, or removed if `octree` is None.
+    """Return the scene with a scene diff's octomap, or without octomap if `octree` is None.
 
     The octomap is the object named `OCTOMAP`.
 

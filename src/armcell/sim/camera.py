@@ -14,7 +14,7 @@ from armcell.core.checks import checked, float_array
 @dataclass(frozen=True)
 @checked()
 class DepthNoise:
-    """A noise model of a depth camera; all zero means a perfect camera.
+    """Depth noise of a simulated camera; all zero means a perfect camera.
 
     Stereo and structured-light cameras measure disparity, so their noise and depth resolution grow with the
     square of the distance (Khoshelham and Elberink, Sensors 12(2), 2012). `for_stereo` approximates an Intel
@@ -49,7 +49,7 @@ class DepthNoise:
         return self == DepthNoise()
 
     def applied(self, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-        """Return a depth image (h, w) [m] with added noise; pixels without a measurement are 0."""
+        """Return a simulated camera's depth image (h, w) [m] with noise; 0 without measurement."""
         z = depth.astype(float)
         seen = (z > 0) & (z >= self.nearest) & (z <= self.farthest)
         noisy = z + rng.standard_normal(z.shape) * (self.floor + self.growth * z**2)

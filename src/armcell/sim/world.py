@@ -402,7 +402,7 @@ class SimWorld:
         return gripper_state(self.built, self.mj_data, gripper)
 
     def wrench(self, gripper: str) -> Array:
-        """Return a simulated world's wrench (6,) on a gripper: force [N], then torque [Nm] about the tcp.
+        """Return the wrench (6,) on a gripper from a simulated world: force [N], torque [Nm] about the tcp.
 
         The wrench has world axes and includes all contacts of the gripper's links.
         """

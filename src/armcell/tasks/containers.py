@@ -36,7 +36,7 @@ class Serial:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Alternatives:
-    """Container of alternatives that are all planned; the cheapest solution is proposed first."""
+    """Container of alternative stages that are all planned; the cheapest solution is proposed first."""
 
     name: str
     stages: tuple[Stage, ...]
@@ -62,7 +62,7 @@ class Alternatives:
 @stage_types.register("fallbacks")
 @dataclass(frozen=True, eq=False)
 class Fallbacks:
-    """Container of alternatives that are tried in order until one has a solution."""
+    """Container of fallback stages that are tried in order until one has a solution."""
 
     name: str
     stages: tuple[Stage, ...]

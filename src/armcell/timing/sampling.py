@@ -17,7 +17,7 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
-    """Return a motion's integral of position, position and velocity (m, n), for a moving average.
+    """Sample a motion's integral of position, position and velocity (m, n), for a moving average.
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.
@@ -71,7 +71,7 @@ def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
 
 @njit(cache=True)
 def _difference(now, then, shift, factor):
-    """Moving average step: replace each now[i] by the difference (now[i] - then[i - shift]) times `factor`.
+    """Replace each now[i] by the difference (now[i] - then[i - shift]) * `factor`, to sample an average.
 
     `then` is zero before its first row and may be the same array as `now`.
     """
@@ -83,7 +83,7 @@ def _difference(now, then, shift, factor):
 
 @njit(cache=True)
 def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, t0, step, window):
-    """Return samples of a motion averaged over `window` [s], with a point every `step` [s].
+    """Sample a motion that is averaged over `window` [s], with a point every `step` [s].
 
     The last interval is 0.5 to 1.5 steps long.
 
@@ -118,7 +118,7 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
 
 @njit(cache=True)
 def _largest_cubic(b0, b1, b2, b3):
-    """Return the largest absolute value of a Bernstein cubic over [0, 1], for a trajectory's peaks."""
+    """Return the largest absolute value of a Bernstein cubic over [0, 1], for the peaks of samples."""
     best = max(abs(b0), abs(b3))
     d0, d1, d2 = b1 - b0, b2 - b1, b3 - b2  # its derivative / 3
     p, r = d0 - 2.0 * d1 + d2, d1 - d0  # p t^2 + 2 r t + d0 = 0
@@ -138,7 +138,7 @@ def _largest_cubic(b0, b1, b2, b3):
 
 @njit(cache=True)
 def peaks(times, q, v, a, velocity, acceleration):
-    """Return a sampled trajectory's peaks: largest ratios |velocity| / limit and |acceleration| / limit.
+    """Return the peaks of a sampled trajectory: largest ratios |velocity| / limit, |acceleration| / limit.
 
     The ratios hold at any time of the quintic interpolation.
 

@@ -101,7 +101,7 @@ def _side(F, at, u, v, x, y, z):
 
 @inner_njit(forceinline=True)
 def _apart(F, kind, at, x, y, z):
-    """Return a point's distances to 16 cloud parts, and the vectors from the nearest points.
+    """Return a point's distances to 16 parts of a cloud, and the vectors from the nearest points.
 
     The parts are at F[at:]. All these distances are convex functions of the point. The length of a vector is
     the distance, except for balls, where the vector begins at the center.
@@ -209,7 +209,7 @@ def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
 
 @inner_njit
 def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
-    """Test a group of spheres in several SIMD lanes against 16 cloud parts.
+    """Test a group of spheres in several SIMD lanes against 16 cloud parts (spheres, cubes, triangles).
 
     Returns the undecided lanes, or DONE.
     """

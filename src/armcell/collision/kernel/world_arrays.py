@@ -33,7 +33,7 @@ KEPT = 8  # worlds
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Kernel arrays of a scene's world objects.
+    """World arrays of the kernel: rows of all world objects of a scene.
 
     Attributes:
         names: names of the objects.
@@ -49,7 +49,7 @@ class World:
 
     @cached_property
     def starts(self) -> I64:
-        """Return the first row (objects + 1, len(ROWS)) of each world object in the kernel arrays."""
+        """Return the first row (objects + 1, len(ROWS)) of each object in the kernel's world arrays."""
         return np.vstack([np.zeros((1, len(ROWS)), np.int64), np.cumsum(self.counts, axis=0)])
 
     @cached_property
@@ -58,7 +58,7 @@ class World:
 
     @cached_property
     def arrays(self) -> dict[str, NDArray]:
-        """Return the kernel arrays of a `Pack` that depend only on the world objects."""
+        """Return the world arrays of a `Pack`, which depend only on the world objects."""
         tables, starts = self.tables, self.starts
         boxes, child = box_tree(tables["low"], tables["high"])
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
@@ -119,7 +119,7 @@ def world_of(objects: Mapping[str, CollisionObject]) -> World:
 
 
 def _similar(items: tuple[CollisionObject, ...]) -> World:
-    """Return a cached world (kernel arrays) that shares many objects with the given ones.
+    """Return cached world arrays of the kernel that share many objects with the given ones.
 
     It is the first world with at least half of the objects, or else the one with the most of them.
     """
@@ -134,7 +134,7 @@ def _similar(items: tuple[CollisionObject, ...]) -> World:
 
 
 def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, ...]) -> World:
-    """Return the kernel arrays of a new world; rows of unchanged objects are copied."""
+    """Return the kernel's updated world arrays; rows of unchanged objects are copied."""
     known = np.fromiter((last.index.get(item, -1) for item in items), np.int64, len(items))
     begin, end = _runs(known)
     first, count = known[begin], end - begin

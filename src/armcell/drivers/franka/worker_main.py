@@ -9,7 +9,7 @@ from types import ModuleType
 
 
 def _bare(name: str, folder: Path) -> None:
-    """Register a package in the Franka worker without running its `__init__`, which imports all drivers."""
+    """Main worker entry: register a package without its `__init__`, which would import all drivers."""
     package = ModuleType(name)
     package.__path__ = [str(folder)]
     sys.modules[name] = package

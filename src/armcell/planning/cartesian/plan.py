@@ -163,7 +163,7 @@ def _refused(code: ErrorCode, text: str, evidence: dict[str, Any]) -> PlanResult
 
 
 class _CartesianProblem:
-    """A Cartesian planning problem: one request together with its solver, checker and constraints."""
+    """A Cartesian plan's problem: one request together with its solver, checker and constraints."""
 
     def __init__(
         self, scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: KernelChecker,
@@ -176,7 +176,7 @@ class _CartesianProblem:
         self.total = sum(len(leg) for leg in self.legs)
 
     def follow(self, start: Array) -> tuple[Array, StopReason | None]:
-        """Follow all line segments of the Cartesian path.
+        """Plan a Cartesian path: follow all its line segments.
 
         Return joint positions (k, n) of the feasible steps and the reason for a stop.
         """

@@ -348,7 +348,7 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Bound the distance (dof,) [m] of a constrained point from each joint's axis.
+    """Bound a manifold's constrained point: distance (dof,) [m] from each joint's axis.
 
     The bounds hold in all configurations.
     """

@@ -57,7 +57,7 @@ def time_on_manifold(
     checker: KernelChecker, manifold: ConstraintManifold, waypoints: Array, request: PlanRequest,
     torque: TorqueModel | None = None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Time a path (k, n) on the constraint manifold; None if the timed motion is not proven."""
+    """Time a constrained plan's path (k, n) on the manifold; None if the timed motion is not proven."""
     names, model = checker.joint_names, checker.model
     velocity = model.limits(names, "velocity") * request.velocity_scaling
     acceleration = model.limits(names, "acceleration") * request.acceleration_scaling
@@ -84,7 +84,7 @@ def time_on_manifold(
 
 
 def chords(trajectory: JointTrajectory) -> tuple[Array, Array]:
-    """Approximate a constrained trajectory by chords (m, n); bound its deviation (n,) [rad] from them.
+    """Approximate a constrained plan by chords (m, n); bound its deviation (n,) [rad] from them.
 
     A curve deviates from its chord over a time h by at most h^2 / 8 times its largest acceleration. The
     acceleration of a quintic is a cubic, bounded by the hull of its Bernstein coefficients.
@@ -116,7 +116,7 @@ PLANNER = "RRTConnect"
 
 
 def check_planner(validated: ValidatedRequest) -> None:
-    """Raise InputError if the requested planner cannot respect path constraints."""
+    """Check the planner of a constrained plan: raise InputError if it cannot respect path constraints."""
     pipeline_id = validated.request.pipeline_id or "native"
     if pipeline_id != "native" or validated.planner_id != PLANNER:
         raise InputError(
@@ -164,7 +164,7 @@ def plan_constrained(
 
 
 def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlanResult:
-    """Plan paths on the constraint manifold until one can be proven and timed."""
+    """Attempt a constrained plan: search paths on the manifold until one can be proven and timed."""
     request, checker = validated.request, problem.checker
     torque = torque_model(validated.scene, checker.joint_names) if request.torque_limits else None
     answer, why = None, "found paths, but none whose timed motion could be proven to keep to the constraints"
@@ -206,7 +206,7 @@ def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem:
 
 
 def _searched(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlannerResult:
-    """Search for a path to the goals on the constraint manifold, or report why none was found."""
+    """Search for a constrained plan's path to the goals, or report why none was found."""
     if isinstance(manifold, VisibilityManifold):  # visibility has no projection: OMPL rejects invalid samples
         return find_planner("ompl", PLANNER)(replace(problem, forbids=manifold.forbids))
     planner = constrained_planner(problem.checker, manifold)
@@ -249,7 +249,7 @@ def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcom
 
 
 def _direct(problem: Problem, manifold: ConstraintManifold) -> Array | None:
-    """Return the straight line to a goal if the line is free and satisfies the path constraints."""
+    """Return a constrained plan's straight line to a goal if it is free and satisfies the constraints."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])
@@ -266,7 +266,7 @@ def _goals(
     manifold: ConstraintManifold,
     found: tuple[Array, ...],
 ) -> tuple[tuple[Array, ...], list[Violation]]:
-    """Select the goals of a constrained request that satisfy its path constraints.
+    """Select the goals of a constrained plan that satisfy its path constraints.
 
     If there are none, project further goal samples onto the constraints; if this fails, return the
     violations.
@@ -283,7 +283,7 @@ def _goals(
 def _moved(
     validated: ValidatedRequest, checker: KernelChecker, manifold: ConstraintManifold
 ) -> Iterator[Array]:
-    """Yield free configurations that reach a goal and satisfy the path constraints."""
+    """Yield free goal configurations of a constrained plan that satisfy the path constraints."""
     scene, request = validated.scene, validated.request
     rng = np.random.default_rng([request.seed, 2])
     low = np.maximum(scene.model.lower[checker.columns], manifold.lower)

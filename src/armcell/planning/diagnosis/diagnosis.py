@@ -41,7 +41,7 @@ CLOSE_TO_LIMIT = np.deg2rad(5.0)
 
 @dataclass(eq=False)
 class Diagnosis:
-    """A failed planning request with its findings and suggestions.
+    """Diagnosis: a failed planning request with its findings and suggestions.
 
     Attributes:
         solvers: the planning function for each kind of request.
@@ -153,7 +153,7 @@ class Diagnosis:
         known: bool = False,
         anyway: bool = False,
     ) -> bool:  # fmt: skip
-        """Test a change of a failed request and keep it as a suggestion if the changed request succeeds.
+        """Test a diagnosis' change and keep it as a suggestion if the changed request succeeds.
 
         Args:
             known: a test has already shown that the change works.
@@ -176,7 +176,7 @@ class Diagnosis:
         return works is not False
 
     def explanation(self) -> Explanation:
-        """Build the explanation of the failure from findings and suggestions.
+        """Build a diagnosis' explanation of the failure from findings and suggestions.
 
         Working suggestions come first, otherwise in the order found.
         """

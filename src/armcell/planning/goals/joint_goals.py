@@ -74,7 +74,7 @@ class _GoalFilter:
         self.forbidden = ""
 
     def usable(self, q: Array) -> bool:
-        """Return whether goal positions q (n,) are free and allowed; record the reason if they are not."""
+        """Return whether joint goal positions q (n,) are free and allowed; record the reason if not."""
         if not self.checker.is_free(q):
             self.blocked.append(q)
             return False
@@ -83,7 +83,7 @@ class _GoalFilter:
         return not why
 
     def first(self, positions: Iterable[Array], count: int) -> list[Array]:
-        """Return the first `count` goal positions that are free and allowed."""
+        """Return the first `count` joint goal positions that are free and allowed."""
         return list(islice((q for q in positions if self.usable(q)), count))
 
     def refusal(self) -> Outcome | None:

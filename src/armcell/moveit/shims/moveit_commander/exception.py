@@ -2,4 +2,4 @@
 
 
 class MoveItCommanderException(Exception):
-    """Error: moveit_commander cannot carry out a request; the text contains the reason."""
+    """moveit_commander's exception: a request cannot be carried out; the text contains the reason."""

@@ -30,7 +30,7 @@ def kind_of(value: Any) -> str:
 
 
 class GroupInfo:
-    """moveit_commander's planning group with its joints, links and current state.
+    """moveit_commander group's info: its joints, links and current state.
 
     Raises:
         RuntimeError: the group does not exist.

@@ -11,7 +11,7 @@ from armcell.moveit.shims.moveit_commander.group_targets import GroupTargets
 
 
 class GroupSettings(GroupTargets):
-    """moveit_commander's planning group with planning settings: tolerances, planner, speed."""
+    """moveit_commander group's settings for planning: tolerances, planner, speed."""
 
     # --- tolerances ---
     def get_goal_tolerance(self) -> tuple[float, float, float]:

@@ -27,7 +27,7 @@ from armcell.scene import WORLD
 
 
 class GroupTargets(GroupInfo):
-    """moveit_commander's planning group with targets: joint values, poses, named states."""
+    """moveit_commander group's targets: joint values, poses, named states."""
 
     # --- targets ---
     def get_joint_value_target(self) -> list[float]:
