@@ -133,7 +133,7 @@ def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> Col
 
 
 def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
-    """Write objects to a YAML file, for `load_objects` or the block `objects` of a cell.
+    """Write objects to an objects file (YAML), for `load_objects` or the block `objects` of a cell.
 
     Meshes and clouds are written to files in the same folder, named after the file, the object and the
     shape's index. Of a material, only the static and dynamic friction are written, as cell files have no

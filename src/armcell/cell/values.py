@@ -129,7 +129,7 @@ def _write_out(data: dict[str, Any], path: str) -> None:
 
 
 def _table(data: Any, *keys: str) -> dict[str, Any]:
-    """Return the mapping under nested keys of a cell file; create missing mappings.
+    """Return the mapping on a cell value's path of nested keys; create missing mappings.
 
     If a key holds another type, return an empty mapping.
     """

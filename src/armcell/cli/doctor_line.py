@@ -9,7 +9,7 @@ OK, NO, NOTE = "ok", "no", "note"
 
 @dataclass(frozen=True)
 class Line:
-    """Result of one check of `armcell doctor`.
+    """Result line of one check of `armcell doctor`.
 
     Attributes:
         verdict: "ok", "no" (fault) or "note" (information).

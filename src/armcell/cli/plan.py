@@ -74,7 +74,7 @@ def plan(
 
 
 def numbers(result: Any) -> dict[str, Any]:
-    """Return the numbers of a plan as JSON-ready data."""
+    """Return the numbers of `armcell plan`'s result as JSON-ready data."""
     trajectory, path = result.trajectory, result.path
     return {
         "ok": result.ok,

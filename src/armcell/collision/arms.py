@@ -190,7 +190,7 @@ class Arms:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """Return the exact checker (coal) of the pairs between two arms; one slow configuration at a time."""
+        """Return the exact (slow) checker of the body pairs between two arms, for single configurations."""
         return ExactChecker(self._bare, self.joint_names)
 
     def find_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:

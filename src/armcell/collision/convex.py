@@ -28,7 +28,7 @@ _FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 @lru_cache(maxsize=256)
 def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Return convex meshes whose union contains `mesh`; a single mesh if it is nearly convex.
+    """Decompose a mesh by axis-aligned cuts into convex meshes; a single one if it is nearly convex.
 
     The result is deterministic and cached on disk.
 

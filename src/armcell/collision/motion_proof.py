@@ -213,7 +213,7 @@ def _pieces(
 
 
 def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) -> bool:
-    """Return whether two arms could touch if each runs its motion at any time and speed.
+    """Return whether two arms could touch in a motion proof, at any time and speed of their motions.
 
     A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
     result is also True if no certificate is possible, because the motions do not belong to two arms without

@@ -85,7 +85,7 @@ def is_number(value: Any, infinite: bool = False) -> bool:
 def float_array(
     values: ArrayLike, shape: tuple[int | None, ...] | None, what: str, finite: bool = True
 ) -> NDArray[np.float64]:
-    """Convert values to a float array after checking their shape, for compiled code.
+    """Check the shape of values and convert them to a float array for compiled code.
 
     Args:
         shape: the required shape. None in it accepts any length, a leading -1 any number of axes; None
@@ -120,7 +120,7 @@ def float_array(
 
 
 def unit_vector(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Normalize a direction (3,) to length 1.
+    """Check a direction (3,) and normalize it to length 1.
 
     Raises:
         InputError: not three finite numbers, or all are zero.

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def finite_points(points: ArrayLike) -> tuple[Array, int]:
-    """Return the finite points of an array (n, 3), and the number of dropped points.
+    """Return the finite points of a point cloud (n, 3), and the number of dropped points.
 
     Depth cameras mark pixels without depth by NaN.
     """

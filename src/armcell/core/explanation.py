@@ -56,7 +56,7 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """The causes of a failed request, and the changes that would help.
+    """Explanation: the causes of a failed request, and the changes that would help.
 
     Attributes:
         summary: one line.

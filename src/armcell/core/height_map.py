@@ -14,7 +14,7 @@ from armcell.core.errors import InputError
 @dataclass(frozen=True, eq=False)
 @checked()
 class HeightMap:
-    """A grid of heights [m] over a rectangle of the world, as seen from above.
+    """Height map: a grid of heights [m] over a rectangle of the world, as seen from above.
 
     Unseen cells have the height of the highest seen neighbor, because hidden objects may be there.
     """

@@ -29,7 +29,7 @@ class Following(Protocol):
 
 
 class SentClock:
-    """History of streamed setpoints that maps send times to trajectory times."""
+    """History of streamed setpoints for following: maps send times to trajectory times."""
 
     KEPT = 200  # points
 
@@ -47,7 +47,7 @@ class SentClock:
         self._points.append((when, clock, off))
 
     def at(self, when: float) -> tuple[float, NDArray[np.float64] | None]:
-        """Return the trajectory time [s] and offset (n,) of the point due at a monotonic time [s].
+        """Return the trajectory time [s] and offset (n,) of the followed point due at a monotonic time [s].
 
         Before the first and after the last recorded point, the nearest one applies.
         """

@@ -146,7 +146,7 @@ class SimDriver(SteppedSim):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Play a part of a trajectory in simulation, until a time or a tracking error."""
+        """Play a part of a trajectory with the sim driver, until a time or a tracking error."""
         if self._played is None or self._played[:2] != (playback, began):
             self._played = playback, began, self._targets_of(playback, began)
         found = self.world.follow(joint_names, self._played[2], began + until - 1e-9, tolerance)

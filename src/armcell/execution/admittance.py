@@ -48,7 +48,7 @@ class Admittance:
         self._first = True
 
     def update(self, force: ArrayLike, dt: float, wanted: ArrayLike = 0.0) -> Array:
-        """Return the setpoint offset (n,) [m] after one control period under the measured force.
+        """Return an admittance controller's setpoint offset (n,) [m] after one period under a force.
 
         Args:
             force: measured force (n,) [N]. A force above the target moves the setpoint in the positive

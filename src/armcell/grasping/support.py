@@ -21,7 +21,7 @@ Found = tuple[SE3, float, float]
 
 
 def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
-    """Return an object's largest flat, upward-facing surface; level surfaces are preferred.
+    """Return an object's support surface: the largest flat, upward-facing one; level ones first.
 
     Args:
         steepest: [rad] maximum tilt from the horizontal.

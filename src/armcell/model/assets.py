@@ -138,7 +138,7 @@ def find_file(uri: str) -> Path:
 
 
 def resolve_uri(uri: str, base: Path) -> Path:
-    """Resolve the mesh URI of a URDF to the path of an existing file.
+    """Resolve the `package://` URI of a mesh or other robot asset to an existing file.
 
     The function searches for `package://pkg/rest` in the packages above and beside `base`, in
     ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among the robot descriptions installed by pip. Other URIs are
@@ -186,7 +186,7 @@ def _checked(path: Path) -> Path:
 
 @lru_cache(maxsize=256)
 def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Mesh:
-    """Load a mesh file as one triangle mesh [m], with duplicate vertices merged.
+    """Load a robot asset's mesh file as one triangle mesh [m], with duplicate vertices merged.
 
     Args:
         path: mesh file (STL, OBJ, DAE, GLB, GLTF, PLY or OFF).
@@ -209,7 +209,7 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
 def _read_mesh(
     path: Path, scale: tuple[float, float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices (v, 3) [m] and faces (f, 3) of a mesh file."""
+    """Read the vertices (v, 3) [m] and faces (f, 3) of a robot asset's mesh file."""
     import trimesh  # imported late, here and below: the import takes 0.5 s, which only new meshes need
 
     try:
@@ -230,7 +230,7 @@ def _read_mesh(
 def _sound(
     vertices: ArrayLike, faces: ArrayLike, scale: tuple[float, float, float], path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mesh's scaled vertices (v, 3) [m] and faces (f, 3) after checking both arrays.
+    """Check a robot asset's mesh arrays; return scaled vertices (v, 3) [m] and faces (f, 3).
 
     The mesh libraries do not check the arrays that they read.
 
@@ -263,7 +263,7 @@ DEFAULT_COLOR: Color = (0.75, 0.75, 0.77, 1.0)
 def load_visual_parts(
     path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> tuple[tuple[Mesh, Color], ...]:
-    """Load a visual mesh file as one mesh [m] and RGBA color (0..1) per material, for rendering.
+    """Load a robot asset's visual mesh file as one mesh [m] and RGBA color (0..1) per material.
 
     Raises:
         InputError: the file is not readable as a mesh or has no triangles.
@@ -288,7 +288,7 @@ def load_visual_parts(
 
 
 def _own_color(part: trimesh.Trimesh) -> Color:
-    """Return a mesh's RGBA color from its material, or else the mean of its face colors."""
+    """Return a robot asset mesh's RGBA color from its material, or the mean of its face colors."""
     source = getattr(part.visual, "material", None) or part.visual
     rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)
     if rgba.shape != (4,):

@@ -86,7 +86,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class MjcfPart:
-    """The part of a robot that an MJCF file describes.
+    """Part of a robot model that an MJCF file describes.
 
     Physics attaches the file's bodies with their own inertias, contact parameters, springs and equalities.
 
@@ -105,7 +105,7 @@ class MjcfPart:
     states: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False, compare=False)
 
     def prefixed(self, prefix: str) -> MjcfPart:
-        """Return a copy of the robot's MJCF part with `prefix` before every name."""
+        """Return a copy of a robot model's MJCF part with `prefix` before every name."""
         return replace(
             self,
             root=prefix + self.root,

@@ -23,7 +23,7 @@ GOOD = 0.05  # kinds with at most this cost are always refined
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Footprint: the smallest rectangle around points seen from above, with the height of the points."""
+    """Footprint of a point cluster: the smallest rectangle around it from above, with its height."""
 
     x: float
     y: float

@@ -79,7 +79,7 @@ BETWEEN = 4  # speed samples between two points of a trajectory
 
 
 def check_cartesian_speed(speed: float | None) -> None:
-    """Raise an InputError unless a Cartesian speed limit [m/s] is positive or None."""
+    """Raise an InputError unless a moved frame's Cartesian speed limit [m/s] is positive or None."""
     if speed is not None and not (np.isfinite(speed) and speed > 0):
         raise InputError(f"max_cartesian_speed is {speed:g} m/s, it must be positive")
 

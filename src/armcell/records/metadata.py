@@ -67,7 +67,7 @@ def _printable(text: str) -> str:
 
 
 def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
-    """Return the cell as it was when the run was recorded, independent of its current file.
+    """Return the cell from a record's run metadata, independent of the cell's current file.
 
     Meshes, scripts and robots in separate files are read in their current version; see `changed_since`.
 

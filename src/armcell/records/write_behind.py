@@ -12,7 +12,7 @@ MOST_WAITING = 256 << 20  # [bytes] about one hour of recording; a disk this far
 
 
 class WriteBehindFile:
-    """Sequential binary file with background writes, usable as output of the `mcap` writer.
+    """Write-behind file: sequential binary file with background writes, e.g. for the `mcap` writer.
 
     `write` and `flush` never wait for the disk. The next call of either raises the error of a failed write.
 

@@ -213,7 +213,7 @@ class Schema:
 
 
 def _merged(known: Definition, other: Definition) -> Definition:
-    """Merge two layouts of a message: add the constants and fields that exist only in the second one.
+    """Merge two layouts of a message in the schema: add what exists only in the second one.
 
     Field names are compared without case, because CameraInfo's names differ only in case.
     """

@@ -34,7 +34,7 @@ class Frame:
 
     @property
     def parent(self) -> str:
-        """Return the parent frame in the last received transform of this frame."""
+        """Return the parent frame in a TF frame's last received transform."""
         return max(self.parents, key=lambda name: self.parents[name])
 
     @property

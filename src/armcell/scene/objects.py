@@ -113,7 +113,7 @@ class Thread:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CollisionObject:
-    """A named rigid object of a planning scene, made of one or more shapes.
+    """Collision object: a named rigid object of a planning scene, made of one or more shapes.
 
     Attributes:
         name: unique name in the scene.

@@ -82,7 +82,7 @@ class ArmBands:
     samples: int
 
     def current_of(self, effort: Array, velocity: Array) -> Array:
-        """Return the motor currents (n,) [A] that the twin predicts for efforts and velocities.
+        """Return the motor currents (n,) [A] that a twin's bands predict for efforts and velocities.
 
         Args:
             effort: simulated joint torques (n,) [Nm].
@@ -98,7 +98,7 @@ class ArmBands:
     def deviations(
         self, seen: Seen, twin: Rehearsal, columns: Sequence[int], currents: deque[Array]
     ) -> dict[str, Array]:
-        """Return a twin's residuals of an arm by kind (n,), in units of the bands; above 1 is outside a band.
+        """Return an arm's residuals by kind (n,), in units of a twin's bands; above 1 is outside a band.
 
         `timing` and `load` have shape (1,); a negative load means that the arm carries less than the model
         says.
@@ -138,7 +138,7 @@ class ArmBands:
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Return the twin's `current` and `load` residuals, as far as the number of samples permits.
+        """Return the `current` and `load` residuals for a twin's bands, as far as the samples permit.
 
         Args:
             looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].
@@ -170,7 +170,7 @@ class TwinBands:
     identity: Mapping[str, str]  # keys: robot, physics, real, calibration of each arm
 
     def save(self, file: Path) -> None:
-        """Write the twin's residual thresholds to a JSON file.
+        """Write the twin's bands (residual thresholds) to a JSON file.
 
         Raises:
             InputError: the file cannot be written.
@@ -187,7 +187,7 @@ class TwinBands:
 
     @staticmethod
     def load(file: Path) -> TwinBands:
-        """Read the twin's residual thresholds from a JSON file.
+        """Read the twin's bands (residual thresholds) from a JSON file.
 
         Raises:
             InputError: the file does not exist, or its format is not the current one.
@@ -215,7 +215,7 @@ def _arm_of(entry: dict[str, Any]) -> ArmBands:
 
 
 def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) -> ArmBands:
-    """Learn the twin's residual thresholds of one arm from recorded motions without faults.
+    """Learn the twin's bands (residual thresholds) of one arm from motions without faults.
 
     Args:
         motions: for each motion its dry run, the arm's columns in the dry run, and the measured samples.
@@ -274,7 +274,7 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
-    """Fit the twin's linear motor current model of each joint by least squares.
+    """Fit the linear motor current model in a twin's bands for each joint by least squares.
 
     Args:
         current, effort, speed: samples (k, n) in [A], [Nm], [rad/s].

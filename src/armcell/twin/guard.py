@@ -33,7 +33,7 @@ STEADY = 0.002  # largest change of the speed scaling between two samples of con
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A recorded motion with its dry run, from which a twin's residual thresholds are learned."""
+    """Recorded motion of the twin guard with its dry run, from which thresholds are learned."""
 
     arm: str
     twin: Rehearsal

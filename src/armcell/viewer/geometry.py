@@ -117,7 +117,7 @@ def _shaded(mesh: Any, color: Color) -> Part:
 
 
 def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Array, NDArray[Any]]:
-    """Reduce a mesh to about `max_faces` triangles by vertex clustering, for display only.
+    """Reduce viewer geometry to about `max_faces` triangles by vertex clustering.
 
     The clustering grid coarsens until the mesh has at most `max_faces` triangles. No vertex moves by more
     than the diagonal of a grid cell. Never use the result for collision checking.

@@ -34,7 +34,7 @@ TRIES = 2000  # random samples tested for a collision-free state
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Planning settings of a session that the user selects in the panel."""
+    """Settings of a planning session and its goal, which the user selects in the panel."""
 
     pipeline: str = "native"
     planner: str = "RRTConnect"

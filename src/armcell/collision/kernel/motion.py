@@ -217,7 +217,7 @@ def prove_points(handle, points, room, distance, mode):
 
 @njit(cache=True, nogil=True)
 def proven_clearance(handle, points, most, tolerance):
-    """Return the largest provable clearance [m] of a motion (k, dof), by bisection.
+    """Return the largest clearance [m] that the kernel proves for a motion (k, dof), by bisection.
 
     The result is at most `most`, never above the true minimum distance, and below it by about `tolerance` or
     less.

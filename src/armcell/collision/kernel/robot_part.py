@@ -401,7 +401,7 @@ class _Builder:
         return reach * (1 + 1e-6)
 
     def _span(self, frame: int) -> float:
-        """Return the largest absolute joint position of a robot frame's joint within its limits."""
+        """Return the largest absolute position of a kernel robot frame's joint within its limits."""
         limits = self.model.joints[self.joint_names[self.column[frame]]].limits
         return max(abs(limits.lower), abs(limits.upper))
 

@@ -76,7 +76,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_ready(self, name: str, found: I) -> None:
-        """Check that a robot of this kind can be driven now.
+        """Check that a robot can be driven now, in the way of its robot kind.
 
         Raises:
             InputError: it cannot; the message states the remedy.
@@ -95,7 +95,7 @@ class RobotKind(ABC, Generic[A, I]):
         self, name: str, joint_names: tuple[str, ...], arm: A, limits: RealSettings, found: I,
         on_state: Callable[[], None],
     ) -> RealArm:  # fmt: skip
-        """Return an unconnected arm of this robot kind.
+        """Return an unconnected arm of a robot kind.
 
         Args:
             name: planning group of the arm.
@@ -110,7 +110,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def power_on(self, name: str, arm: A) -> str:
-        """Power on an arm of this robot kind and release its brakes, or ask the operator to do so.
+        """Power on an arm of a robot kind and release its brakes, or ask the operator to do so.
 
         Returns the result in words.
 

@@ -43,7 +43,7 @@ def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedan
 def cartesian_impedance(
     plant: FrankaPlant, frames: Frames, reference: Reference, impedance: Impedance
 ) -> Array:
-    """Return the emulated Franka arm's Cartesian impedance torques (7,) [Nm] toward its reference."""
+    """Return the emulated Franka arm's Cartesian impedance torques (7,) [Nm] toward the tip's reference."""
     q, dq = plant.read()
     wanted = frames.pose(reference.q)
     T, J = frames.pose_and_jacobian(q)

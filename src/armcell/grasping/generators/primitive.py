@@ -85,7 +85,7 @@ def _box(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
 
 
 def _round(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
-    """Propose grasps of a body of revolution about z, such as a cylinder.
+    """Propose grasps of a primitive with a body of revolution about z, such as a cylinder.
 
     Args:
         half: half extents (radius, radius, half length) [m].

@@ -28,7 +28,7 @@ class Chain:
 
 
 def find_chains(model: RobotModel) -> list[Chain]:
-    """Return a robot's arms: serial chains of joints that end at a leaf link or at the fingers.
+    """Return a robot's arm chains: serial joints that end at a leaf link or at the fingers.
 
     Joints before a branch that leads to longer chains belong to a torso, not to an arm. Chains with fewer
     than half as many joints as the longest chain (a head, a wheel) are left out.

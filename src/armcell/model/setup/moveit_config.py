@@ -244,7 +244,7 @@ def _controllers(data: Data) -> dict[str, dict[str, Any]]:
 
 
 def load_ompl_planning(file: Path, model: RobotModel) -> Data:
-    """Read an ompl_planning.yaml of ROS 1 or ROS 2 for `PlanRequest.planner_configs`.
+    """Read a MoveIt configuration's ompl_planning.yaml (ROS 1 or 2) for `PlanRequest.planner_configs`.
 
     Raises:
         InputError: a group's planner configuration does not exist or a value has the wrong type; the message

@@ -115,7 +115,7 @@ class RobotFiles:
         raise MissingFile(f"file {path} not found", f"{folder} has {', '.join(entries[:SHOWN])}{more}")
 
     def xml(self, path: Path) -> etree._Element:
-        """Return the root element of an XML file that a xacro file includes.
+        """Return the root element of an XML file that a robot's xacro file includes.
 
         Raises:
             XacroError: the file is outside the robot's packages.
@@ -127,7 +127,7 @@ class RobotFiles:
         return parse_xml(text, path)
 
     def yaml(self, path: Path, evaluate: Any) -> Any:
-        """Return the content of a YAML file that a xacro file loads, with keys as attributes.
+        """Return the content of a YAML file that a robot's xacro file loads, with keys as attributes.
 
         Args:
             path: the file.

@@ -122,7 +122,7 @@ class _Topics:
             self._points.publish(cloud_message(schema, header, points, image.rgb))
 
     def _frames(self) -> list[Any]:
-        """Return the transforms from the camera's parent link to its link and optical frames."""
+        """Return a camera topic's transforms from the parent link to the camera's link and optical frames."""
         camera, bus = self._camera.camera, self._bus
         parent = WORLD if camera.link is None else camera.link
         T = camera.T_world_camera if camera.T_link_camera is None else camera.T_link_camera

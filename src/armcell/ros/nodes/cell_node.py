@@ -378,7 +378,7 @@ class _Feedback:
 
 
 def _tolerances(goal: Any) -> ExecutionSettings:
-    """Return the tolerances of a FollowJointTrajectory goal as execution settings.
+    """Return the tolerances of a cell node's FollowJointTrajectory goal as execution settings.
 
     The smallest tolerance of any joint applies to all joints; missing tolerances keep armcell's defaults.
     """

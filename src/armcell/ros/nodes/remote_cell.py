@@ -181,7 +181,7 @@ class RemoteCell:
 
     @property
     def silence(self) -> float:
-        """Return the age of the last joint states [s, wall clock]; 0 before the first joint states."""
+        """Return the age of the remote cell's last joint states [s, wall clock]; 0 before the first."""
         with self._lock:
             return time.monotonic() - self._at if self._joints is not None else 0.0
 

@@ -374,7 +374,7 @@ class _Tellers:
 
 
 def _newest(todo: list[tuple[str, tuple[Any, ...]]]) -> list[tuple[str, tuple[Any, ...]]]:
-    """Keep only the ROS 1 master's last notification for each topic or parameter; it replaces the others."""
+    """Keep only the ROS 1 master's last notification for each topic or parameter."""
     last: dict[tuple[str, Any], tuple[str, tuple[Any, ...]]] = {}
     for method, arguments in todo:
         key = (method, arguments[0])

@@ -101,7 +101,7 @@ def call(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
 
 
 def parsed(data: bytes) -> tuple[tuple[Any, ...], str | None]:
-    """Parse an XML-RPC document; return its values, and the method name if it is a call.
+    """Parse a ROS 1 XML-RPC document; return its values, and the method name if it is a call.
 
     Raises:
         ValueError: the data is not valid XML-RPC.
@@ -261,7 +261,7 @@ class RpcServer:
         return False
 
     def answer(self, body: bytes) -> bytes:
-        """Return the XML-RPC answer to the body of one HTTP request."""
+        """Return the answer of the ROS 1 XML-RPC server to the body of one HTTP request."""
         try:
             arguments, method = parsed(body)
             if method is None:
@@ -307,7 +307,7 @@ def _calls(arguments: Sequence[Any]) -> list[Any]:
 
 
 class _Connection(BaseHTTPRequestHandler):
-    """HTTP/1.1 connection of the XML-RPC server; supports only POST."""
+    """HTTP/1.1 connection of the ROS 1 XML-RPC server; supports only POST."""
 
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "armcell", ""

@@ -258,7 +258,7 @@ class Participant:
         return Reader(self, DdsName("", "", ""), handle, self._watch(handle, take))
 
     def _type_hash(self, name: DdsName) -> bytes:
-        """Return the user data that carries the REP 2016 hash of a topic's type.
+        """Return the DDS user data that carries the REP 2016 hash of a topic's type.
 
         rmw warns about every endpoint without a type hash.
         """

@@ -74,7 +74,7 @@ def offered(topic: str, type_name: str, latched: bool) -> Profile:
 
 
 def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Profile:
-    """Return a subscription's QoS profile: the strongest that every known publisher offers.
+    """Return a ROS 2 subscription's QoS profile: the strongest that every known publisher offers.
 
     Without known publishers, the profile is ROS 2's default.
     """

@@ -31,7 +31,7 @@ class Scope:
         self, element: Element, name: str, default: str = "", pose: Element | None = None,
         T_pose_frame: SE3 | None = None,
     ) -> None:  # fmt: skip
-        """Add the frame of an SDF link, <frame>, joint or model to this scope.
+        """Add the frame of an SDF link, <frame>, joint or model to the frames of its world or model.
 
         Args:
             element: the element, for error messages.

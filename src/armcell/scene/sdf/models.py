@@ -88,7 +88,7 @@ class Tree:
                 self.notes.append(skipped(entry, "is not converted"))
 
     def models_in(self, parent: Element, scope: Scope, depth: int = 0) -> Iterator[Model]:
-        """Yield the models of an SDF world or model, including <include>s, and add their frames.
+        """Yield an SDF world's or model's models with their <include>s, and add their frames.
 
         Raises:
             InputError: the content is not valid, see `load_sdf`.

@@ -35,7 +35,7 @@ def orders(
     settings: TaskSettings = TaskSettings(),
     cycle_times: CycleTimes = CycleTimes(),
 ) -> dict[str, list[str]]:
-    """Estimate the object orders per arm with which two arms finish, and return the earliest.
+    """Estimate the order of objects for each of two arms with which both finish and return earliest.
 
     With up to four objects per arm, all orders are compared; otherwise a local search exchanges two objects
     or reverses an order. The given order wins ties.

@@ -33,7 +33,7 @@ SECONDS_BESIDES = 3.0  # [s] of a pick that do not depend on the grasp (approach
 @stage_types.register("choose_grasp")
 @dataclass(frozen=True, eq=False)
 class ChooseGrasp:
-    """Stage that proposes grasps with a free straight approach, planned backward."""
+    """Stage of a pick that proposes grasps with a free straight approach, planned backward."""
 
     object: str
     gripper: Gripper

@@ -32,7 +32,7 @@ Vector = tuple[float, float, float]
 @stage_types.register("choose_placement")
 @dataclass(frozen=True, eq=False)
 class ChoosePlacement:
-    """Stage that proposes placements that the arm reaches by a free straight descent.
+    """Place stage that proposes placements that the arm reaches by a free straight descent.
 
     The descent follows the surface normal, or the vertical if that is impossible.
     """
@@ -148,7 +148,7 @@ def descents(
     solution: PartialSolution, planning: Planning, scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3,
     stage: str, candidate: str, up: Callable[[PlanningScene], PlanResult], *steps: Step, **data: Any,
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield solutions with a straight descent to a placement, one per arm state.
+    """Yield placing solutions with a straight descent to a placement, one per arm state.
 
     Arm states without a descent are rejected with a reason.
 

@@ -57,7 +57,7 @@ def _apart(a, i, b, k, dof):
 
 @inner_njit
 def _to_go(roots, dof, first, last, q, at):
-    """Compute AORRTC's lower cost bound: distance of configuration q[at:] from the nearest root."""
+    """Compute AORRTC's cost to go: the distance of configuration q[at:] from the nearest root."""
     least = 1e300
     for r in range(first, last):
         least = min(least, _apart(roots, r * dof, q, at, dof))

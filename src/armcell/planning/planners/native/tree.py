@@ -88,7 +88,7 @@ def nearest(nodes, dof, first, count, q, at, room):
 
 @inner_njit
 def trace(nodes, parents, dims, capacity, i, k, dof, row, path, most):
-    """Write a path through two connected trees: tree 0's root, node i, node k, tree 1's root.
+    """Write a path through two native search trees: tree 0's root, node i, node k, tree 1's root.
 
     Args:
         row: scratch, dims numbers. path: rows of the first dof coordinates, at most `most`.
