@@ -21,7 +21,7 @@ LABEL = 44  # characters of a suggestion on its button; the tooltip has the full
 
 
 class PlanTab:
-    """ "Plan" tab: widgets for the planning settings and result of one session; `refresh` updates them.
+    """Widgets of the "Plan" tab for the settings and result of one session; `refresh` updates them.
 
     Args:
         play: starts the preview from the beginning.

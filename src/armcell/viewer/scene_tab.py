@@ -19,7 +19,7 @@ NEW_AT = (0.5, 0.0, 0.6)  # [m] in the world
 
 
 class SceneTab:
-    """ "Scene" tab: widgets that show and edit the objects of the session's scene.
+    """Widgets of the "Scene" tab that show and edit the objects of the session's scene.
 
     Args:
         folder: folder for saving and loading scene files.

@@ -21,7 +21,7 @@ STEP = 0.1  # [deg or mm]
 
 
 class StatesTab:
-    """ "States" tab: joint sliders in degrees and millimeters for the goal or the start state."""
+    """Joint sliders of the "States" tab, in degrees and millimeters, for the goal or the start state."""
 
     def __init__(self, gui: GuiApi, session: PlanningSession, callbacks: Callbacks):
         self._gui, self._session, self._on = gui, session, callbacks.of
