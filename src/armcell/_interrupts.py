@@ -40,7 +40,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class _Will:
-    """Last will: action that must run if the orderly shutdown does not finish."""
+    """Last will: action that must run if an interrupted program's orderly shutdown does not finish."""
 
     def __init__(self, act: Callable[[], object], urgent: bool):
         self.act, self.urgent = act, urgent
@@ -85,7 +85,7 @@ def uninstall() -> None:
 
 # --- queries of the program ---
 def asked() -> int:
-    """Return the number of the signal that asked the program to shut down, or 0."""
+    """Return the number of the signal that interrupted the program, or 0."""
     return _state.signal
 
 
@@ -150,7 +150,7 @@ def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bo
 
 # --- requests and declarations of the program ---
 def ask(number: int) -> None:
-    """Ask the program to shut down as if by a signal, from any thread.
+    """Interrupt the program as if by a signal, from any thread, so that it shuts down in order.
 
     Without a command line, the function has no effect.
     """
@@ -170,7 +170,7 @@ def take_time(seconds: float = WITH_ARMS) -> None:
 
 @contextlib.contextmanager
 def owned(on_signal: Callable[[], object]) -> Iterator[None]:
-    """Run a user's script in the `with` block; after a signal it gets `SCRIPT` seconds to end.
+    """Run a user's script interruptibly in a `with` block: after a signal it gets `SCRIPT` seconds.
 
     The script may catch `Interrupted`.
 
@@ -202,7 +202,7 @@ def deferred() -> Iterator[None]:
 
 @contextlib.contextmanager
 def unsignaled() -> Iterator[None]:
-    """Shield processes that are started inside the `with` block from SIGINT and SIGTERM.
+    """Shield processes that are started inside the `with` block from interrupts (SIGINT, SIGTERM).
 
     Ctrl-C sends SIGINT to the whole process group, but this program decides when its helper processes end.
     """
@@ -215,7 +215,7 @@ def unsignaled() -> Iterator[None]:
 
 @contextlib.contextmanager
 def silent_helpers() -> Iterator[None]:
-    """Shield processes that are started inside the block from signals, and discard their errors.
+    """Shield processes that are started inside the block from interrupts, and discard their errors.
 
     The import of glfw starts a process that prints a traceback if this process ends first.
     """
@@ -254,7 +254,7 @@ class SteadyLock:
 
 
 def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], None]:
-    """Register a last will: an action that runs if the orderly shutdown takes too long.
+    """Register a last will: an action that runs if an interrupted program's shutdown takes too long.
 
     Without a command line, nothing is registered.
 
@@ -344,7 +344,7 @@ def _unraisable(report: Any) -> None:
 
 # --- the watcher ---
 def _watch(wakes: int) -> None:
-    """Wait for the first signal, then make sure that the program ends (watcher thread)."""
+    """Wait for the first interrupt, then make sure that the program ends (watcher thread)."""
     while not _state.signal:
         for number in os.read(wakes, 64):
             if _ours(number):
@@ -373,7 +373,7 @@ def _ours(number: int) -> bool:
 
 
 def _count(wakes: int) -> None:
-    """Shutdown: end the process when a second signal arrives; signals of `_raise_again` do not count."""
+    """End the process at the second interrupt; signals of `_raise_again` do not count."""
     while True:
         for number in os.read(wakes, 64):
             if _ours(number):
@@ -411,7 +411,7 @@ def _raise_again() -> None:
 
 
 def _do(which: Callable[[_Will], bool], seconds: float) -> None:
-    """Run the selected last-will actions, each in its own thread, because any may hang."""
+    """Run the selected last-will actions of an interrupted program, each in its own thread."""
 
     def run(act: Callable[[], object]) -> threading.Thread:
         def quietly() -> None:

@@ -20,7 +20,7 @@ from armcell import _interrupts
 
 
 class _Raw(io.FileIO):
-    """Standard output's file descriptor that stores the first write error and discards all later output."""
+    """Standard output stream's file that stores the first write error and discards all later output."""
 
     error: OSError | None = None
 
@@ -56,7 +56,7 @@ def install() -> None:
 
 
 def close() -> int:
-    """Flush standard output and standard error; return the exit status for a failed output, or 0."""
+    """Flush the standard output streams; return the exit status for a failed output, or 0."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(Exception):
             stream.flush()

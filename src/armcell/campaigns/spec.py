@@ -74,7 +74,7 @@ class CampaignSpec:
         distributions(self)  # raises errors of the distributions early
 
     def _check_places(self) -> None:
-        """Reject campaign parameter paths that set the same value twice, or a value and a part of it.
+        """Reject a campaign specification's paths that set the same value twice, or a value and its part.
 
         A parameter may vary a part of a fixed value, e.g. the force of a push.
         """

@@ -32,7 +32,7 @@ class Share:
 
     @property
     def wilson(self) -> tuple[float, float]:
-        """Return a success rate's Wilson score interval, whose coverage is 95 % on average.
+        """Return the Wilson score interval of a success rate, a statistic that covers 95 % on average.
 
         Wilson (1927), J. Am. Stat. Assoc. 22.
         """
@@ -40,7 +40,7 @@ class Share:
 
     @property
     def clopper_pearson(self) -> tuple[float, float]:
-        """Return a success rate's exact confidence interval, whose coverage is never below 95 %.
+        """Return the exact confidence interval of a success rate, a statistic that covers at least 95 %.
 
         Clopper and Pearson (1934), Biometrika 26.
         """
@@ -63,12 +63,12 @@ class Share:
 
 
 def fairly_drawn(rows: Sequence[Row]) -> list[Row]:
-    """Return a campaign's result rows without the trials that adaptive sampling placed near failures."""
+    """Return a campaign's rows for statistics, without trials that adaptive sampling placed at failures."""
     return [row for row in rows if not row["near_failure"]]
 
 
 def success(rows: Sequence[Row]) -> Share:
-    """Return a campaign's success rate over trials drawn as specified.
+    """Return the success rate statistic of a campaign over trials drawn as specified.
 
     Trials placed near failures by adaptive sampling are excluded, because they would bias the rate.
     """
@@ -99,7 +99,7 @@ def causes(rows: Sequence[Row]) -> list[Cause]:
 
 @dataclass(frozen=True)
 class Effect:
-    """Effect of one campaign parameter on success.
+    """Effect of one campaign parameter on success, in the statistics.
 
     Attributes:
         auc: for numeric parameters, the probability that a successful trial has a higher value than a failed
@@ -133,7 +133,7 @@ def drawn(row: Row) -> dict[str, Any]:
 
 
 def effects(rows: Sequence[Row]) -> list[Effect]:
-    """Return the effect of every varied campaign parameter on success, most significant first.
+    """Return the effect statistics of every varied campaign parameter on success, largest first.
 
     The result is empty if all trials succeeded or all failed. Tests: for numbers Mann-Whitney (is one side of
     the range better?) and Kolmogorov-Smirnov (is any part of the range better?), for choices chi-squared. The
@@ -172,7 +172,7 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Success rates of two campaigns and their difference (second minus first).
+    """Statistics of two campaigns: success rates and their difference (second minus first).
 
     `interval` is Newcombe's 95 % interval from two Wilson intervals (1998), `p_value` is Fisher's exact test.
     """
@@ -192,7 +192,7 @@ class Comparison:
 
 
 def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
-    """Compare the success rates of two campaigns.
+    """Compare the success rate statistics of two campaigns.
 
     Raises:
         InputError: a campaign has no finished trial that counts.
@@ -212,7 +212,7 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
 
 
 def summary(values: Sequence[float | None]) -> dict[str, float] | None:
-    """Return minimum, median, 95th percentile and maximum of campaign values; None without values."""
+    """Return the statistics minimum, median, 95th percentile, maximum of values; None without values."""
     numbers = np.array([v for v in values if v is not None], float)
     if not len(numbers):
         return None

@@ -75,7 +75,7 @@ class Store:
 
     @staticmethod
     def open(folder: str | Path) -> Store:
-        """Open the folder of an existing campaign.
+        """Open the store (folder) of an existing campaign.
 
         Raises:
             InputError: the folder contains no campaign, or one of another format version.

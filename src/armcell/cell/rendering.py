@@ -60,7 +60,7 @@ class CellRenderer:
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Request a cell's camera image of the present state from another process and return at once.
+        """Request a rendering of a cell's camera image in another process, and return at once.
 
         Call this method from the thread that steps the driver.
 

@@ -415,7 +415,7 @@ class CellSpec(Strict):
 
 
 def validated(data: dict[str, Any], file: Path) -> CellSpec:
-    """Return the validated cell of a parsed cell file.
+    """Validate a parsed cell file by the schema and return the cell's specification.
 
     Raises:
         InputError: the file is invalid; the error has the file, the key and the reason of the first fault.

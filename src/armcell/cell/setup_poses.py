@@ -98,7 +98,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
 
 
 def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
-    """Return whether a link moves with given joints, or their mimic joints, to generate its states."""
+    """Return whether a link moves with given joints or their mimic joints, to generate poses."""
     tree = kinematic_tree(model)
     columns = set(model.columns(names))
     return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
@@ -141,7 +141,7 @@ def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str,
 
 
 def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> Iterator[Array]:
-    """Yield candidate home states: the zero state with one or two joints turned by a quarter turn."""
+    """Yield candidate home poses: the zero state with one or two joints turned by a quarter turn."""
     for count in (1, 2):
         for some in combinations(columns, count):
             for turns in product((-np.pi / 2, np.pi / 2), repeat=count):
@@ -187,7 +187,7 @@ class _Judge:
 
 
 def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
-    """Return the smallest manipulability of groups at a candidate ready state: sqrt(det(J J^T))."""
+    """Return the smallest manipulability of groups at a candidate ready pose: sqrt(det(J J^T))."""
     tree = kinematic_tree(model)
     values = [1.0]
     for group in groups:

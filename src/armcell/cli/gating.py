@@ -84,7 +84,7 @@ def gate_words(passed: dict[str, Any]) -> str:
 
 
 def tell_unwatched(driver: Any, cell: str) -> None:
-    """Print a warning if a command moves real arms without a comparison with their simulated twin."""
+    """Print a warning next to the gate check if real arms move without a simulated twin."""
     if driver.guard is not None and not driver.guard.compares:
         from armcell.twin import UNWATCHED
 

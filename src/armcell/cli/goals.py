@@ -76,7 +76,7 @@ def arm_group(model: Any) -> str:
 
 
 def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
-    """Parse joint positions of a command line: numbers for all joints, or name=value for some joints.
+    """Parse a goal's joint positions of a command line: numbers for all joints, or name=value for some.
 
     Raises:
         InputError: a value is not a number, or the number of values is wrong.
@@ -105,7 +105,7 @@ def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
 
 
 def one_of(given: dict[str, Any]) -> str:
-    """Return the only option that was given of several exclusive command line options.
+    """Return the only goal option that was given of several exclusive command line options.
 
     Raises:
         typer.BadParameter: no option or several options were given.
@@ -173,7 +173,7 @@ def save(json_file: Path | None, data: Any) -> None:
 
 
 def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
-    """Format a command's joint positions (n,): degrees for revolute, millimeters for prismatic joints."""
+    """Format a goal's joint positions (n,): degrees for revolute, millimeters for prismatic joints."""
     return " ".join(
         f"{v * 1000:.1f}mm" if model.joint(n).type == "prismatic" else f"{np.rad2deg(v):.1f}"
         for n, v in zip(names, q, strict=True)

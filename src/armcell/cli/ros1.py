@@ -72,7 +72,7 @@ def join(
 
 
 def reserved(stack: ExitStack, transport: Transport) -> Join:
-    """Reserve a transport's port for a command's exit stack; return a function that opens it.
+    """Reserve a transport's port (ROS 1, Unity) for a command; return a function that opens it.
 
     Raises:
         InputError: the port is in use.

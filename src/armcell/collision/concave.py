@@ -33,7 +33,7 @@ _FLAT = np.deg2rad(1.0)  # a smaller reflex angle counts as flat
 
 @dataclass(frozen=True, eq=False)
 class _Reflex:
-    """Reflex edges of a mesh to decompose: ends (e, 2, 3), planes (e, 3, 4) and weights (e,).
+    """Reflex edges of a concave mesh: ends (e, 2, 3), planes (e, 3, 4) and weights (e,).
 
     A plane is a normal and an offset.
     """
@@ -43,7 +43,7 @@ class _Reflex:
     weights: Array
 
     def below(self, plane: Array) -> _Reflex:
-        """Return the parts of the reflex edges below a cutting plane, with n x + d < 0."""
+        """Return the parts of a concave mesh's reflex edges below a cutting plane, with n x + d < 0."""
         height = self.ends @ plane[:3] + plane[3]  # (e, 2)
         rows = height.min(1) < -1e-7
         ends, height = self.ends[rows], height[rows]
@@ -226,7 +226,7 @@ def _candidates(piece: _Piece) -> Array:
 
 
 def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
-    """Return the edges of a mesh at which the angle inside the solid exceeds 180 degrees (reflex edges)."""
+    """Return a concave mesh's reflex edges, at which the angle inside exceeds 180 degrees."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)

@@ -102,7 +102,7 @@ def convex_hull_mesh(triangles: Array) -> Mesh:
 
 
 def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
-    """Find the best axis-aligned cut of a mesh: return the volume saved [m^3] and the two halves.
+    """Find the best cut into convex pieces along an axis: return the volume saved [m^3], two halves.
 
     The halves are None if no cut saves volume.
     """
@@ -124,7 +124,7 @@ def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
 
 
 def _clip(triangles: Array, axis: int, at: float, side: float) -> Array:
-    """Clip triangles (n, 3, 3) of a mesh by an axis-aligned plane; return the part (k, 3, 3) on one side.
+    """Clip triangles (n, 3, 3) by an axis-aligned plane for convex pieces; return one side (k, 3, 3).
 
     The part has side * (x[axis] - at) <= 0.
     """

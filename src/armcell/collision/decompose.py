@@ -60,6 +60,6 @@ def _cut(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
 
 
 def _volume(piece: Mesh) -> float:
-    """Return the volume [m^3] of an object's closed mesh with outward normals."""
+    """Return the volume [m^3] of a closed mesh to decompose, with outward normals."""
     a, b, c = (piece.vertices[piece.faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a - piece.vertices[0], np.cross(b - a, c - a))) / 6

@@ -83,7 +83,7 @@ def disabled_collision_pairs(
 
 
 def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
-    """Return the adjacent links, joined by a joint; links without geometry are skipped."""
+    """Return adjacent link pairs for self-collision: joined by a joint; skip links without geometry."""
     adjacent, solid_parent = set(), {}
     for joint in model.joints.values():
         parent = joint.parent

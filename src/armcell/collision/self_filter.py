@@ -106,7 +106,7 @@ def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shap
 
 
 def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) -> NDArray[np.bool_]:
-    """Return a mask of a cloud's points (3, n) inside the padded world bounding box of a shape."""
+    """Filter a cloud: return a mask of its points (3, n) in the padded world bounding box of a shape."""
     center, half = local_bounds(shape)
     center = T.apply(center * scale)
     half = np.abs(T.rotation.matrix) @ (half * scale + padding)

@@ -78,7 +78,7 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
 
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
-    """Return whether a watertight mesh fills its convex hull up to `CONVEX_EXCESS`, to convert it for coal.
+    """Return whether a watertight mesh shape fills its convex hull up to `CONVEX_EXCESS`, for coal.
 
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """
@@ -98,7 +98,7 @@ def is_convex(mesh: Mesh) -> bool:
 
 @lru_cache(maxsize=1024)
 def is_closed(mesh: Mesh) -> bool:
-    """Return whether a mesh for coal is watertight, so that its interior is solid."""
+    """Return whether a mesh shape for coal is watertight, so that its interior is solid."""
     import trimesh
 
     return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)
@@ -112,7 +112,7 @@ def _points(vertices: Array) -> coal.StdVec_Vec3s:
 
 
 def convex_hull(vertices: Array) -> coal.CollisionGeometry:
-    """Return for coal the convex hull of points (v, 3), or their bounding box if the points are coplanar."""
+    """Return the hull shape of points (v, 3) for coal, or their bounding box if they are coplanar."""
     try:
         if np.linalg.matrix_rank(vertices - vertices[:1]) < 3:  # coal's qhull may abort the process on these
             raise ValueError("flat")
@@ -125,7 +125,7 @@ def convex_hull(vertices: Array) -> coal.CollisionGeometry:
 
 
 def triangle_model(vertices: Array, faces: NDArray[np.int32]) -> coal.CollisionGeometry:
-    """Return a triangle mesh for coal; coal treats it as a surface without interior."""
+    """Return a triangle mesh shape for coal; coal treats it as a surface without interior."""
     model = coal.BVHModelOBBRSS()
     model.beginModel(len(faces), len(vertices))
     triangles = coal.StdVec_Triangle()

@@ -83,7 +83,7 @@ class Octree:
 
     @staticmethod
     def from_grid(occupied: ArrayLike, size: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Octree:
-        """Create an octree shape from a boolean grid (i, j, k) of cells; merge eight full neighbors.
+        """Create an octree shape (cloud of cells) from a boolean grid (i, j, k); merge eight neighbors.
 
         Args:
             origin: the lowest corner of cell (0, 0, 0) [m].
@@ -110,7 +110,7 @@ class Octree:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Return the lowest and highest corner (3,), (3,) [m] of an octree's bounding box.
+        """Return the lowest and highest corner (3,), (3,) [m] of an octree shape's bounding box.
 
         Both corners are zero if the octree is empty.
         """

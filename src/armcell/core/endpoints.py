@@ -41,7 +41,7 @@ class Endpoint:
 
     @property
     def is_local(self) -> bool:
-        """Return whether only processes on this machine can reach the network address."""
+        """Return whether only processes on this machine can reach an endpoint's network address."""
         return ipaddress.ip_address(self.host.partition("%")[0]).is_loopback
 
     def __str__(self) -> str:
@@ -51,7 +51,7 @@ class Endpoint:
 
 
 def reserve(host: str, port: int) -> socket.socket:
-    """Reserve a TCP port without opening it: connections are refused until `listen`.
+    """Reserve a TCP endpoint without opening it: connections are refused until `listen`.
 
     A server reserves its port before it loads anything, so that a port in use is an early error, and listens
     when the service behind the port is ready.
@@ -73,7 +73,7 @@ def reserve(host: str, port: int) -> socket.socket:
 
 
 def listen(sock: socket.socket, backlog: int) -> None:
-    """Accept connections on a TCP port that `reserve` has reserved.
+    """Accept connections on a TCP endpoint that `reserve` has reserved.
 
     Args:
         backlog: number of connections that may wait to be accepted.
@@ -90,7 +90,7 @@ def listen(sock: socket.socket, backlog: int) -> None:
 
 
 def host_in_url(host: str) -> str:
-    """Format a host for a URL: put an IPv6 address into brackets."""
+    """Format an endpoint's host for a URL: put an IPv6 address into brackets."""
     return f"[{host}]" if ":" in host else host
 
 
@@ -116,7 +116,7 @@ def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
 
 
 def descendants(pid: int) -> list[int]:
-    """List the IDs of a process and its descendants, to list their listening sockets.
+    """List the IDs of a process and its descendants, to list their endpoints (sockets).
 
     Systems without /proc yield only the process itself.
     """
@@ -144,7 +144,7 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
-    """Return the sockets of a /proc/net table whose inode is in a set, to list listening sockets."""
+    """Return the sockets of a /proc/net table whose inode is in a set, to list endpoints."""
     try:
         lines = file.read_text().splitlines()[1:]
     except OSError:  # the process has ended, or the kernel has no IPv6
@@ -159,7 +159,7 @@ def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
 
 
 def _numeric(text: str) -> str:
-    """Decode a socket's IP address of /proc/net: hexadecimal 32-bit words in the machine's byte order."""
+    """Decode an endpoint's IP address of /proc/net: hexadecimal 32-bit words in machine byte order."""
     words = [int(text[i : i + 8], 16) for i in range(0, len(text), 8)]
     raw = b"".join(word.to_bytes(4, sys.byteorder) for word in words)
     return str(ipaddress.ip_address(raw))

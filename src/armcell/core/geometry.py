@@ -146,7 +146,7 @@ Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh | PointCloud | O
 
 
 def extent(shape: Shape, direction: Array) -> tuple[float, float]:
-    """Return a shape's lowest and highest coordinate [m] along a unit direction (3,).
+    """Return the lowest and highest coordinate [m] of a shape's geometry along a unit direction (3,).
 
     The direction is in the shape's frame.
     """
@@ -180,7 +180,7 @@ def extent(shape: Shape, direction: Array) -> tuple[float, float]:
 
 
 def local_bounds(shape: Shape) -> tuple[Array, Array]:
-    """Return center and half extents (3,), (3,) [m] of a shape's bounding box, in its frame.
+    """Return center and half extents (3,), (3,) [m] of a shape geometry's bounding box, in its frame.
 
     The box is aligned with the axes of the shape's frame.
     """

@@ -59,7 +59,7 @@ class Pinhole:
 
     @property
     def matrix(self) -> Array:
-        """Return a pinhole camera's matrix K (3, 3) [px]."""
+        """Return the camera matrix K (3, 3) [px] of a pinhole image."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     @property

@@ -197,7 +197,7 @@ class JointTrajectory:
         )
 
     def sample(self, t: float) -> tuple[Array, Array, Array]:
-        """Return a trajectory's position, velocity and acceleration (n,) at time t [s].
+        """Return a joint trajectory's position, velocity and acceleration (n,) at time t [s].
 
         Before the start and after the end, the position is constant.
 
@@ -219,7 +219,7 @@ class JointTrajectory:
         return self._between(i, t - times[i], [h**k for k in range(6)])
 
     def samples(self, times: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return a trajectory's positions, velocities and accelerations (k, n) at times (k,) [s].
+        """Return a joint trajectory's positions, velocities and accelerations (k, n) at times (k,) [s].
 
         The values equal the results of `sample`, but take less time than single calls.
         """
@@ -238,7 +238,7 @@ class JointTrajectory:
         return q, v, a
 
     def _between(self, i: Any, s: Any, h: Sequence[Any]) -> tuple[Array, Array, Array]:
-        """Evaluate a trajectory's position, velocity and acceleration s [s] after its point i.
+        """Evaluate a joint trajectory's position, velocity and acceleration s [s] after its point i.
 
         Args:
             h: powers 0 to 5 of the interval's length. For k times, s and the powers have shape (k, 1).

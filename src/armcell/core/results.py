@@ -34,7 +34,7 @@ class Outcome:
         return self.code is ErrorCode.SUCCESS
 
     def explain(self, seconds: float = 10.0) -> Explanation:
-        """Explain a failed request and suggest changes, within about the given number of seconds.
+        """Explain a failed result and suggest changes, within about the given number of seconds.
 
         Without a diagnosis for the kind of request, the explanation contains the code, the message and the
         contacts.

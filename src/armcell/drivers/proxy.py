@@ -17,7 +17,7 @@ from armcell.sim import SimWorld
 
 
 class DriverProxy(Driver):
-    """Driver that forwards every member of `Driver` to another driver; base of wrappers.
+    """Proxy driver that forwards every member of `Driver` to another driver; base of wrappers.
 
     A proxy has its driver's capabilities except `PLAY_PARTS`: the driver would play without the proxy's
     `command` and `advance`. A subclass that leaves both alone may add it again.

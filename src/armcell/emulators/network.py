@@ -39,7 +39,7 @@ class Faults:
 
 
 class Link:
-    """TCP connection of an emulated controller, with buffers for received and unsent data."""
+    """TCP network connection of an emulated controller, with buffers for received and unsent data."""
 
     def __init__(self, sock: socket.socket, network: Network):
         sock.setblocking(False)
@@ -85,7 +85,7 @@ class Link:
             self._out.pop(0)
 
     def read(self) -> None:
-        """Read data into an emulated controller's connection; close it if the other side has closed."""
+        """Read data of an emulated controller's network connection; close it if the client has closed."""
         try:
             data = self.socket.recv(65536)
         except BlockingIOError:
@@ -141,7 +141,7 @@ class Datagrams:
         return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
 
     def receive(self, size: int) -> list[bytes]:
-        """Return an emulated controller's UDP datagrams of at most `size` bytes since the last call."""
+        """Return the datagrams (at most `size` bytes) that an emulated controller's UDP network received."""
         found = []
         while True:
             try:
@@ -156,7 +156,7 @@ class Datagrams:
 
 
 class Network:
-    """Listening ports and connections of one emulated controller.
+    """Network of one emulated controller: its listening ports and connections.
 
     Attributes:
         endpoints: endpoints of the listening ports.
@@ -174,7 +174,7 @@ class Network:
         self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
         service: str,
     ) -> int:  # fmt: skip
-        """Reserve an emulated controller's port that will be served after `open`, and return its number.
+        """Reserve a network port of an emulated controller, served after `open`; return its number.
 
         Args:
             begin: called with each new connection.
@@ -215,7 +215,7 @@ class Network:
         return self._datagrams[-1]
 
     def open(self) -> None:
-        """Start accepting connections on all reserved ports of the emulated controller."""
+        """Start accepting network connections on all reserved ports of the emulated controller."""
         for sock, accept in self._ports.items():
             listen(sock, BACKLOG)
             self._selector.register(sock, selectors.EVENT_READ, accept)

@@ -256,7 +256,7 @@ class GuardedMotion(Executable):
 
     # --- collision check ---
     def moving(self, scene: PlanningScene) -> Moving:
-        """Return the part of a guarded motion that the arm has not executed yet.
+        """Return the part of a gated motion that the arm has not executed yet.
 
         Args:
             scene: measured scene; its joint state gives the progress if motions do not follow the clock.

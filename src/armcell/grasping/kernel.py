@@ -20,7 +20,7 @@ WIDER, MARGIN = 1.125, 0.010  # opening before the approach: factor on the width
 
 @njit(cache=True)
 def cast(origins, directions, triangles):
-    """Cast rays through a mesh for grasps: find where rays from its surface inwards leave it.
+    """Compiled kernel for grasps: find where rays from a mesh's surface inwards leave the mesh.
 
     Several solids may touch or overlap: a ray has left the solids when it is in none of them.
 

@@ -71,7 +71,7 @@ class Noise:
 def contact_wrenches(
     contacts: tuple[PadContact, ...], about: Array, size: float, material: Material, edges: int = EDGES
 ) -> Array:
-    """Return wrenches (n, 6) along the friction cones of a grasp, per newton of normal force.
+    """Return the wrenches (n, 6) of a grasp's friction cones per newton, for its quality.
 
     The contacts are soft fingers.
 
@@ -115,7 +115,7 @@ def hull_quality(wrenches: Array) -> Quality:
 
 
 def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
-    """Return force closure, epsilon and volume of a grasp about the object's center of mass."""
+    """Return the quality of a grasp about the center of mass: force closure, epsilon and volume."""
     surface = surface_of(item)
     about = grasp.T_object_tcp.inv().apply(surface.center_of_mass)
     low, high = surface.bounds

@@ -77,7 +77,7 @@ def _is(value: object, cls: type) -> bool:
 
 
 class Duration(_Stamp):
-    """Duration with genpy's arithmetic, like rospy.Duration; may be negative."""
+    """Duration (ROS time) with genpy's arithmetic, like rospy.Duration; may be negative."""
 
     __slots__ = ()
     _type = "builtin_interfaces/Duration"

@@ -92,7 +92,7 @@ def load_rgb(path: str | Path) -> NDArray[np.uint8]:
 
 
 def load_depth(path: str | Path) -> NDArray[np.float32]:
-    """Load a camera's depth image (h, w) [m] from a 16-bit PNG in millimeters or a .npy array in meters."""
+    """Load a depth image (h, w) [m] from a file: 16-bit PNG in millimeters or .npy in meters."""
     file = Path(path)
     if file.suffix.lower() == ".npy":
         try:
@@ -132,7 +132,7 @@ def _opened(path: str | Path):
 
 
 def cloud_image(points: F64, T_world_camera: SE3, name: str = "cloud") -> CameraImage:
-    """Render points (n, 3) [m, world] as the depth image of a camera that sees all of them.
+    """Render a cloud file's points (n, 3) [m, world] as depth image of a camera that sees all of them.
 
     Raises:
         InputError: no points are in front of the camera.

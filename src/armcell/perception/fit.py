@@ -30,7 +30,7 @@ _LEAST = 0.002  # [m] smallest size of a fitted solid
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A camera's evidence of one object: points (n, 3) on it, and rays that pass beside it.
+    """Camera evidence for a fit of one object: points (n, 3) on it, and rays that pass beside it.
 
     The rays start at `eye`, have unit directions `rays` (m, 3), and are free up to `free_to` (m,) [m].
     """

@@ -55,7 +55,7 @@ class CertifiedMotion:
 
 
 class Certifier(Protocol):
-    """Protocol of a checker that proves planned motions free: the exact checker or the kernel."""
+    """Protocol of a checker that certifies planned motions: the exact checker or the kernel."""
 
     model: RobotModel
     joint_names: tuple[str, ...]

@@ -302,7 +302,7 @@ def _needs_new_plan(request: PlanRequest) -> bool:
 
 
 def _reaches(scene: PlanningScene, request: PlanRequest, names: tuple[str, ...], q: Array) -> bool:
-    """Return whether a stored motion's end q (n,) reaches one of the request's goals."""
+    """Return whether a plan library's stored motion ends, at q (n,), in one of the request's goals."""
     there = replace(scene, positions=scene.state.updated(JointState(names, q)).positions)
     for goal in request.goals:
         match goal:
@@ -325,7 +325,7 @@ def _repaired(
     checker: KernelChecker, scene: PlanningScene, request: PlanRequest, waypoints: Array, began: float,
     cancel: threading.Event | None,
 ) -> Array | None:  # fmt: skip
-    """Replan the blocked parts of a stored motion and simplify the result; None on failure."""
+    """Replan the blocked parts of a plan library's motion and simplify it; None on failure."""
     free = [checker.is_free(q) for q in waypoints]
     if not free[-1]:
         return None

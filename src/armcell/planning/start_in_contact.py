@@ -231,7 +231,7 @@ def _push(
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
-    """Compute each touching pair's distance rate by each joint (pairs, n) [m/rad], by central differences.
+    """Compute the distance rate of each pair in contact at the start by each joint (pairs, n) [m/rad].
 
     Two flat faces in contact come nearer for either direction of rotation; the central difference cancels
     this effect and leaves the motion along the pair's normal.
@@ -255,7 +255,7 @@ def _rows(exact: ExactChecker, pair: Pair) -> list[tuple[int, int]]:
 
 
 def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
-    """Compute the relative angular velocity (3, n) of two touching bodies per joint velocity."""
+    """Compute the relative rotation rate (3, n) of two bodies in contact at the start, per joint."""
     a, b = _rows(exact, pair)[0]
     full, names = exact.full(q), exact.joint_names
     turn = np.zeros((3, len(q)))

@@ -48,7 +48,7 @@ def this_machine() -> str:
 
 
 def origin_of(metadata: Mapping[str, Any], file: Path) -> str:
-    """Describe the origin of another user's or computer's record; empty for the user's own.
+    """Describe the origin of another user's or computer's record from its metadata; empty if own.
 
     Args:
         metadata: run metadata of the record.

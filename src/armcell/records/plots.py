@@ -122,7 +122,7 @@ def _arms(model: RobotModel) -> dict[str, list[str]]:
 
 # --- common style ---
 def _figure(rows: int, row_in: float, entries: int) -> tuple[Figure, tuple[Axes, ...]]:
-    """Create a run report's figure of stacked axes, each `row_in` high [in], with space for the legend."""
+    """Create the figure of run report plots: stacked axes, each `row_in` high [in], and legend space."""
     legend = math.ceil(entries / _legend_columns(entries)) * LEGEND_ROW_IN if entries else 0.0
     bottom = BOTTOM_IN + legend
     height = TOP_IN + rows * row_in + (rows - 1) * GAP_IN + bottom

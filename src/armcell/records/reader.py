@@ -265,7 +265,7 @@ def _trajectory(message: Any) -> JointTrajectory:
 
 
 def scenes_of(record: Record, start: PlanningScene) -> list[tuple[float, PlanningScene]]:
-    """Return a recorded run's scene at its start and after each change, with times [s].
+    """Read from a record the run's scene at its start and after each change, with times [s].
 
     The robot and the movable objects keep their initial poses; the recorded states contain their motion.
     """
@@ -299,12 +299,12 @@ class StageSpan:
 
 
 def stage_name(event: Event) -> str:
-    """Return a recorded stage event's name: `data["name"]` or `data["stage"]`, else its text."""
+    """Read a recorded stage event's name: `data["name"]` or `data["stage"]`, else its text."""
     return str(event.data.get("name") or event.data.get("stage") or event.text)
 
 
 def ends_stage(event: Event) -> bool:
-    """Return True if a stage event in a record marks the end of the stage.
+    """Return True if a stage event that was read from a record marks the end of the stage.
 
     The phase is `data["phase"]`, by default "begin".
     """
@@ -312,7 +312,7 @@ def ends_stage(event: Event) -> bool:
 
 
 def stage_spans(events: Iterable[Event], until: float) -> list[StageSpan]:
-    """Return the time spans of a recorded run's stages, in time order.
+    """Read the time spans of a recorded run's stages, in time order.
 
     A stage ends with its end event, the start of the next stage or `until` [s], whichever comes first. Empty
     spans are omitted.

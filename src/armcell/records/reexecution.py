@@ -20,7 +20,7 @@ REPEATABLE = ("sim", "fake")
 def reexecute(
     record: Record, folder: Path, anyway: bool = False, observers: Sequence[Observer] = ()
 ) -> tuple[Comparison, dict[str, Any], RunRecorder]:
-    """Execute a recorded run's task again and record it into a folder.
+    """Re-execute a recorded run's task and record it into a folder.
 
     Args:
         anyway: execute even if files or versions have changed since the recording.
@@ -75,7 +75,7 @@ def checked_cell(record: Record, anyway: bool = False) -> Any:
 
 
 def command_of(record: Record) -> str:
-    """Return the shell command that started the recorded run."""
+    """Return the shell command that started the recorded run, for its re-execution."""
     result: Mapping[str, Any] = record.result or {}
     return str(
         result.get("command") or f"armcell run {record.metadata['cell']} --seed {record.metadata['seed']}"

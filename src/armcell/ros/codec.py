@@ -26,7 +26,7 @@ MAX_ITEMS = 1 << 26
 
 
 class WireError(ArmcellError):
-    """Received bytes that cannot be decoded as a ROS message of the expected type."""
+    """Error of a codec: received bytes are not a ROS message of the expected type."""
 
 
 class Codec:
@@ -64,7 +64,7 @@ class Codec:
             raise InputError(f"{name} cannot be encoded: {error}", hint=_culprit(message)) from None
 
     def prepare(self, name: str) -> None:
-        """Generate the encoding functions of a message type now instead of at its first message.
+        """Generate the codec's functions for a message type now instead of at its first message.
 
         Generation takes up to 0.1 s, for example for a planning scene.
 
@@ -119,7 +119,7 @@ def _is_empty(definition: Definition) -> bool:
 
 
 def _culprit(message: Any) -> str | None:
-    """Return a hint on the first field of an unencodable message: text for a number, or vice versa.
+    """Return the codec's hint on a message's first wrong field: text for a number, or vice versa.
 
     Returns None if no direct field of the message has this fault, that is, if the fault is nested deeper.
     """

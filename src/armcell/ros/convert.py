@@ -182,7 +182,7 @@ def _check_names(names: Sequence[str], model: RobotModel) -> None:
 
 
 def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
-    """Stack one field of all points of a trajectory_msgs/JointTrajectory into an array (points, n).
+    """Convert one field of all points of a trajectory_msgs/JointTrajectory to an array (points, n).
 
     Returns:
         The array, or None if no point sets the field.

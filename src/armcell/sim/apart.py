@@ -113,7 +113,7 @@ def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
-    """Return whether a body's geoms all allow skipping far pairs: default masks, types with known distances.
+    """Return whether a body's geoms allow skipping pairs far apart: default masks, known distances.
 
     A body without geoms yields False.
     """
@@ -123,7 +123,7 @@ def _plain(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
-    """Return motion bounds (p, nq) [m] of body pairs per unit of each qpos value.
+    """Return motion bounds (p, nq) [m] per qpos value of body pairs, to skip those far apart.
 
     Entry [i, j] bounds how far a point of one body of pair i can move against the other body when qpos[j]
     changes by one unit.
@@ -141,7 +141,7 @@ def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
 
 
 def _way_up(model: mujoco.MjModel, body: int) -> dict[int, list[tuple[int, tuple[float, ...]]]]:
-    """Return the joints of a body and its ancestors with motion bounds, to skip far body pairs.
+    """Return a body's joints and those of its ancestors with motion bounds, to skip pairs far apart.
 
     Returns:
         The joints by body id, from the given body up to the world. Each joint is a tuple: start index in

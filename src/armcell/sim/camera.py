@@ -65,7 +65,7 @@ class DepthNoise:
 
 
 def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of a simulated depth image's pixels next to a discontinuity (over 3 % and 1 cm)."""
+    """Return a mask of a simulated camera's depth pixels next to a discontinuity (3 % and 1 cm)."""
     jump = np.zeros(z.shape, bool)
     for axis in (0, 1):
         near, far = (slice(None), slice(1, None)), (slice(None), slice(None, -1))

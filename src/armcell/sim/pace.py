@@ -32,7 +32,7 @@ class Pacer:
         self._zero = None
 
     def wait_until(self, sim_time: float) -> float:
-        """Sleep until the wall clock reaches a simulation time [s]; return the time slept [s]."""
+        """Sleep to pace a simulation until the wall clock reaches its time [s]; return the time slept."""
         if self.time_scale is None:
             return 0.0
         now = self._clock()

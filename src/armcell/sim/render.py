@@ -228,7 +228,7 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _tiles(width: int, height: int) -> tuple[NDArray[np.int64], ...]:
-    """Return the pixel indices of each rectangular tile of an image to ray-cast.
+    """Return the pixel indices of each rectangular tile of an image to render by ray casting.
 
     Casting rays tile by tile takes half the time of one big cast, because most geoms are outside a tile's
     view.

@@ -246,7 +246,7 @@ def _nested(data: Any) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Convert a string to a float if possible: YAML 1.1 parses a gain like 10e-10 as a string."""
+    """Convert a ros_control gain from text to a float if possible: YAML 1.1 reads 10e-10 as text."""
     try:
         return float(value) if isinstance(value, str) else value
     except ValueError:

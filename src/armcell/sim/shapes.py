@@ -103,7 +103,7 @@ def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
 
 
 def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
-    """Return an inertia matrix's (3, 3) elements in MuJoCo's order.
+    """Return the inertia matrix (3, 3) of a shape in MuJoCo's order of elements.
 
     The order is xx, yy, zz, xy, xz, yz.
     """

@@ -58,7 +58,7 @@ class SlidingFriction:
         self._mj.geom_friction[self._geoms[k], 0] = self._dynamic[k] if slides else self._static[k]
 
     def update(self, data: mujoco.MjData) -> None:
-        """Choose the objects' static or dynamic friction for the next step from the last step's contacts.
+        """Choose static or dynamic friction of slipping objects for the next step from the last contacts.
 
         Call this after each step.
         """

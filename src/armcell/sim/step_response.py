@@ -35,7 +35,7 @@ class StepResponse:
 
 
 def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) -> dict[str, float]:
-    """Return the largest deviation [rad or m] of each joint that holds its position (gravity sag).
+    """Return the gravity sag of step responses: the largest deviation [rad or m] per holding joint.
 
     The joints hold the scene's positions under gravity for `duration` [s].
     """

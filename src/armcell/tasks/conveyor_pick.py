@@ -248,7 +248,7 @@ JUMP = 0.15  # [rad] maximum joint step between these points
 
 
 def _smooth(u: Array) -> Array:
-    """Blend the hand into belt motion by a quintic 0 to 1 with zero velocity and acceleration at its ends."""
+    """Blend the hand into a conveyor's motion by a quintic 0 to 1, at rest at both ends."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2)
 

@@ -63,7 +63,7 @@ def prove(
     seed: int = 0,
     threads: int | None = None,
 ) -> list[Proof]:
-    """Prove grasps: lift and shake an object with each grasp in noisy physics trials.
+    """Run grasp proofs: lift and shake an object with each grasp in noisy physics trials.
 
     The first of the `trials` trials has no noise. The object rests on its support: its pose is uncertain
     along the surface and about the vertical.

@@ -127,7 +127,7 @@ def _once(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None,
     up: Vector | None, look: Look | None, s: RecoverySettings, trouble: Trouble,
 ) -> Outcome:  # fmt: skip
-    """Attempt a transfer of an object to its goal once, with intermediate placements if needed."""
+    """Attempt a transfer with recovery once, with intermediate placements if needed."""
     for left in reversed(range(AGAIN * s.intermediate_placements + 1)):
         if item not in ctx.holding and look is not None:
             seen = look()
@@ -156,7 +156,7 @@ def _once(
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Return whether some grasp leads to a transfer's goal and only the motion to this grasp is missing."""
+    """Return whether recovery lacks only the motion to a grasp that leads to the transfer's goal."""
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 
 
@@ -187,7 +187,7 @@ def _goal(
 
 
 def _landed(ctx: TaskContext, item: str, outcome: Outcome, s: RecoverySettings) -> Outcome:
-    """Check that a transferred object is within tolerance of its target pose."""
+    """Check, for recovery, that a transferred object is within tolerance of its target pose."""
     wanted = outcome.evidence.get("placement")
     if not isinstance(wanted, Placement):
         return outcome

@@ -40,7 +40,7 @@ class PartialSolution:
         return replace(self, steps=self.steps + steps, scene=scene or self.scene, data={**self.data, **data})
 
     def since(self, start: PartialSolution) -> PartialSolution:
-        """Return a partial solution with only the steps added after an earlier solution."""
+        """Return a searched partial solution with only the steps added after an earlier solution."""
         return replace(self, steps=self.steps[len(start.steps) :])
 
 
@@ -131,7 +131,7 @@ class Planning:
 
 
 class Stage(Protocol):
-    """Interface of a task's stages: extend a partial solution by alternatives, best first.
+    """Interface of stages in a task's search: extend a partial solution by alternatives, best first.
 
     A stage rejects unusable candidates with a reason. `requires`, `provides` and `consumes` (optional tuples
     of names) declare which data of the solution it reads, adds and removes; `interfaces.py` checks them
@@ -270,7 +270,7 @@ def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) 
 @dataclass(frozen=True, eq=False)
 @checked()
 class Lookahead:
-    """Lookahead stage that passes only those solutions from which later stages can continue.
+    """Lookahead stage of a task's search: passes only solutions from which later stages continue.
 
     The continuation is discarded. Put this stage as early as possible, so that the search does not plan dead
     ends completely.

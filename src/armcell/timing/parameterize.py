@@ -65,7 +65,7 @@ class TorqueModel(Protocol):
         ...
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Return the timed motion's joint torques (m, n) of positions, velocities, accelerations (m, n)."""
+        """Return joint torques (m, n) of states (m, n) for the time parameterization's torque limits."""
         ...
 
 
@@ -141,7 +141,7 @@ def fastest_motion(
     settings: TimingSettings,
     torque: TorqueModel | None = None,
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Return the time-optimal motion along a path before it is smoothed and sampled.
+    """Parameterize a path time-optimally, without smoothing and sampling.
 
     Returns:
         The arrays that `topp.fastest` returns.
@@ -190,7 +190,7 @@ def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory
 
 
 def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -> Array:
-    """Return one kind of joint limits for the timing as an array (n,), after checking that they are finite.
+    """Return one kind of joint limits for time parameterization as a finite array (n,).
 
     Raises:
         InputError: a limit is missing, not positive or not finite.

@@ -38,7 +38,7 @@ def coefficients(kind, length, radius, s):
 
 @njit(cache=True)
 def distinct(points):
-    """Return a mask that drops path points (k, n) within `MIN_EDGE` of the previously kept point.
+    """Return a mask that keeps distinct points (k, n) of path pieces, more than `MIN_EDGE` apart.
 
     The last point is kept in any case.
     """

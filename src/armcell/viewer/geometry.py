@@ -41,7 +41,7 @@ _SECTIONS = 32
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Displayed triangle mesh of one color; vertices [m] in the frame of the owning link or object."""
+    """Viewer geometry: triangle mesh of one color; vertices [m] in the owning link's or object's frame."""
 
     vertices: Array  # (v, 3)
     faces: NDArray[np.int32]  # (f, 3)

@@ -116,7 +116,7 @@ def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 @inner_njit(forceinline=True)
 def check_block(k, lanes, mode):
-    """Check 16 configurations for collisions at once, given a kernel handle."""
+    """Check a block of 16 configurations for collisions at once, given a kernel handle."""
     return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
 
 

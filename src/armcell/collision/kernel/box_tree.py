@@ -83,7 +83,7 @@ def z_order(low: F64, high: F64) -> NDArray[np.int64]:
 
 
 def _spread() -> NDArray[np.int64]:
-    """Insert two zero bits after each bit of numbers from 0 to 1023, for Z-order codes."""
+    """Insert two zero bits after each bit of numbers from 0 to 1023, for a box tree's Z-order codes."""
     numbers = np.arange(1024)
     return sum(((numbers >> bit) & 1) << 3 * bit for bit in range(10))  # pyright: ignore
 

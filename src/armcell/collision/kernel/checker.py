@@ -174,7 +174,7 @@ class KernelChecker:
         distance: float = 0.0,
         evidence: bool = True,
     ) -> Certificate:
-        """Certify with the SIMD kernel that a piecewise linear motion (k, n) is collision-free.
+        """Certify by the kernel checker that a piecewise linear motion (k, n) is collision-free.
 
         Args:
             waypoints: (k, n) joint positions.

@@ -148,7 +148,7 @@ def ball_at(I):
 
 @inner_njit(forceinline=True)
 def _sincos(x):
-    """Compute sine and cosine of a SIMD vector of joint angles (Cephes; error below 1e-6 for |x| < 1000)."""
+    """Compute sine and cosine of SIMD joint angles for link frames (error below 1e-6 for |x| < 1000)."""
     n = vround(x * splat(np.float32(0.6366197723675814)))
     y = fma(n, splat(np.float32(-1.5703125)), x)
     y = fma(n, splat(np.float32(-4.837512969970703e-4)), y)
@@ -275,7 +275,7 @@ def center(I, F, w, state, i, f, sphere, mode):
 
 @inner_njit
 def bend(I, F, w, reach, slack):
-    """Return a motion proof's margin that covers slack and changes of velocity within an interval.
+    """Return the frame margin of a motion proof for slack and velocity changes within an interval.
 
     A proof needs this margin in addition to half width times speed. The accelerations of a body's points are
     at most the joints' summed rotation times `reach` (index in F: meters per unit of each joint), doubled for

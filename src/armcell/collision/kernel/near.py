@@ -68,7 +68,7 @@ _known: dict[str, NDArray[np.bool_]] = {}
 
 
 def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
-    """Return which sphere groups of two bodies may meet, from the disk cache or computed."""
+    """Return which sphere groups of two bodies may come near each other, from the disk or computed."""
     key = key_of(str(VERSION), *arguments)
     if key not in _known:
         stored = recall("near", key)

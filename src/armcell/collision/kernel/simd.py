@@ -26,7 +26,7 @@ _FASTMATH = ("nnan", "ninf", "nsz", "arcp", "contract", "afn", "reassoc")
 
 
 class VecType(types.Type):
-    """Numba type of a vector of `L` float32 numbers."""
+    """Numba type of a SIMD vector of `L` float32 numbers."""
 
     def __init__(self) -> None:
         super().__init__(name=f"Vec{L}f")

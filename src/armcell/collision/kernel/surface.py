@@ -122,7 +122,7 @@ def depths(points: Array, skin: Array) -> Array:
 
 
 def interior_points(vertices: Array, faces: NDArray[np.int64], spacing: float) -> Array:
-    """Return the interior points (m, 3), on a regular grid, of a solid that its sphere cover must contain."""
+    """Return the interior (not surface) points (m, 3) on a grid that a solid's sphere cover must contain."""
     low, high = vertices.min(0), vertices.max(0)
     axes = [np.arange(a + (b - a) % spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -175,7 +175,7 @@ def _world_piece(I, D, w, e, frame, lane, s, out):
 
 @inner_njit
 def _relative(s):
-    """Compute the transform from exact piece A's frame to piece B's frame, in the exact tier.
+    """Compute the transform from exact piece A's frame to B's, to decide an undecided pair.
 
     The result is written to s[AT_RELATIVE:].
     """

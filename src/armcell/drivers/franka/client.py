@@ -73,7 +73,7 @@ class FciClient:
         return self._identifier
 
     def answers(self) -> list[tuple[int, bytes]]:
-        """Read once from the Franka Control Interface; return the complete answers (identifier, payload).
+        """Read the Franka client's connection once; return the complete answers (identifier, payload).
 
         Raises:
             FciError: the robot closed the connection, or sends another protocol.
@@ -96,7 +96,7 @@ class FciClient:
         return found
 
     def ask(self, command: Command, payload: bytes = b"") -> bytes:
-        """Send a request to the Franka Control Interface and wait for its answer; only at standstill.
+        """Send a request from the Franka client and wait for the answer; only at standstill.
 
         Raises:
             FciError: no answer arrives.

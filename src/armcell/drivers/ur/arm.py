@@ -255,7 +255,7 @@ class UrArm(RealArm):
         return None
 
     def _link_is_broken(self) -> bool:
-        """Return whether the UR robot program's link has been broken for longer than a few states.
+        """Return whether the UR arm's link to its program has been broken for longer than a few states.
 
         A stop also ends the program, and its broken link may be noticed before the state with the cause
         arrives.
@@ -410,7 +410,7 @@ class UrArm(RealArm):
         check_ready(self.name, found)
 
     def set_slider(self, fraction: float) -> None:
-        """Set the speed slider of the UR pendant, 0 to 1; after a lost link, the next resume sets it."""
+        """Set the UR arm's speed slider, 0 to 1; after a lost link, the next resume sets it."""
         self._unsent_slider = value = float(np.clip(fraction, 0.0, 1.0))
         with contextlib.suppress(OSError):
             if self._rtde.error is None:

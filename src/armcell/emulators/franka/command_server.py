@@ -35,7 +35,7 @@ class CommandServer:
         return self._client is not None and self._client.open
 
     def set_active(self, active: bool) -> None:
-        """Activate or deactivate the emulated Franka Control Interface, as an operator does in Desk."""
+        """Activate or deactivate the emulated Franka command interface (FCI), as an operator does in Desk."""
         self.active = active
         if not active and self._client is not None:
             self._client.close()

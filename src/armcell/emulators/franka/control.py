@@ -34,7 +34,7 @@ class Impedance:
 
 
 def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedance) -> Array:
-    """Return the emulated Franka arm's joint impedance torques (7,) [Nm] toward the joint reference."""
+    """Return the emulated Franka joint impedance control's torques (7,) [Nm] toward the reference."""
     q, dq = plant.read()
     spring = impedance.joint * (reference.q - q) + impedance.damping * (reference.dq - dq)
     return spring + plant.inertial_torque(reference.ddq) + plant.coriolis() + plant.friction()
@@ -43,7 +43,7 @@ def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedan
 def cartesian_impedance(
     plant: FrankaPlant, frames: Frames, reference: Reference, impedance: Impedance
 ) -> Array:
-    """Return the emulated Franka arm's Cartesian impedance torques (7,) [Nm] toward the tip's reference."""
+    """Return the emulated Franka Cartesian impedance control's torques (7,) [Nm] toward the reference."""
     q, dq = plant.read()
     wanted = frames.pose(reference.q)
     T, J = frames.pose_and_jacobian(q)

@@ -26,7 +26,7 @@ ELBOW_START = 1e-2  # [rad]
 
 
 class Reflex(Exception):
-    """Reflex: error that ends an emulated Franka motion because a command or the arm violates a limit.
+    """Reflex: error that ends a Franka motion generator because of a command or a violated limit.
 
     Attributes:
         error: name in `wire.errors.ERRORS`.
@@ -54,7 +54,7 @@ class Reference:
     elbow: Array = field(default_factory=lambda: np.zeros(2))
 
     def rest(self, q: Array) -> None:
-        """Set the emulated Franka arm's reference to positions q (7,) at rest."""
+        """Set a Franka motion generator's reference to positions q (7,) at rest."""
         self.q, self.dq, self.ddq = np.array(q, dtype=float), np.zeros(JOINTS), np.zeros(JOINTS)
         self.twist, self.dtwist = np.zeros(6), np.zeros(6)
 
@@ -88,7 +88,7 @@ class Generator(Protocol):
     patient: bool
 
     def step(self, command: RobotCommand | None) -> None:
-        """Advance the emulated Franka arm's reference by one command; without a command (None), extrapolate.
+        """Advance a Franka motion generator's reference by one command; without one (None), extrapolate.
 
         Raises:
             Reflex: the command violates a limit.
@@ -100,7 +100,7 @@ def check_joints(
     limits: FrankaLimits, reference: Reference, q: Array, dq: Array, names: tuple[str, str, str, str],
     noise: float = QUANTUM,
 ) -> None:  # fmt: skip
-    """Check an emulated Franka arm's next joint reference against the limits, then set it.
+    """Check a Franka motion generator's next joint reference against the limits, then set it.
 
     Args:
         q, dq: next positions [rad] and velocities [rad/s] (7,).

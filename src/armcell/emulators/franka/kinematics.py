@@ -21,7 +21,7 @@ T_LINK7_FLANGE = SE3.from_xyz_rpy((0.0, 0.0, 0.107))  # Franka's DH parameters: 
 
 
 def arm_joints(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the seven joints of an emulated Franka arm.
+    """Return the seven joints of an emulated Franka arm, for its kinematics.
 
     Raises:
         InputError: the group does not have seven revolute joints in a chain.
@@ -61,13 +61,13 @@ class ArmKinematics:
         self._jacobian = np.zeros((6, JOINTS))
 
     def at(self, q: ArrayLike) -> None:
-        """Compute all frames of the emulated Franka arm at joint positions q (7,) [rad]."""
+        """Compute the kinematics of an emulated Franka arm: all frames at joint positions q (7,) [rad]."""
         self._data.qpos[:] = q
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
 
     def flange(self) -> Array:
-        """Return the emulated Franka arm's flange pose T_O_F (4, 4) at the last computed positions."""
+        """Return the flange pose T_O_F (4, 4) of a Franka arm's kinematics at the last positions."""
         T = np.zeros((4, 4))
         T[:3, :3] = self._data.site_xmat.reshape(3, 3)
         T[:3, 3] = self._data.site_xpos[0]
@@ -75,7 +75,7 @@ class ArmKinematics:
         return T
 
     def jacobian(self, point: Array) -> Array:
-        """Return the emulated Franka arm's Jacobian (6, 7), linear rows first, of a point of the last link.
+        """Return the Jacobian (6, 7) of a Franka arm's kinematics, linear rows first, at a last link's point.
 
         The point is given in the base frame O [m].
         """

@@ -57,7 +57,7 @@ GUIDING_DAMPING = 2.0  # [Nm s/rad]
 
 @dataclass(eq=False)
 class Motion:
-    """Running motion of the emulated Franka arm."""
+    """Running motion of the emulated Franka robot."""
 
     request: MoveRequest
     answer: Callable[[MoveStatus], None]
@@ -69,7 +69,7 @@ class Motion:
 
 
 class Robot:
-    """State and behavior of one emulated Franka arm, without network access.
+    """Emulated Franka robot: state and behavior of one arm, without network access.
 
     Attributes:
         time: [ms] since the start; the identifier of the state message.
@@ -131,7 +131,7 @@ class Robot:
 
     # --- one millisecond ---
     def step(self, commands: Sequence[RobotCommand]) -> None:
-        """Run one control cycle of the emulated Franka arm with the commands since the last cycle."""
+        """Run one control cycle of the emulated Franka robot with the commands since the last cycle."""
         command = next((c for c in reversed(commands) if c.time == self.time), None)
         self.time += 1
         self._end_recovery()
@@ -198,7 +198,7 @@ class Robot:
         self._commanded_torque = torque
 
     def _finish_command(self, motion: Motion) -> None:
-        """End an emulated Franka motion because the client declared it finished.
+        """End a motion of the emulated Franka robot because the client declared it finished.
 
         Position and velocity commands must be at rest by then.
         """
@@ -233,7 +233,7 @@ class Robot:
         return torque + self.load_torque()
 
     def _supervise(self) -> None:
-        """Check the emulated Franka arm's measured state against the limits; raise Reflex at a violation."""
+        """Check the emulated Franka robot's state against the limits; raise Reflex at a violation."""
         accelerating = bool(np.any(np.abs(self.reference.ddq) > MOVING))
         kind = "_acceleration" if accelerating else ""
         torque, force = np.abs(self.tau_ext), np.abs(self.K_F_K)
@@ -270,13 +270,13 @@ class Robot:
             raise Reflex("max_path_pose_deviation_violation", f"{off:.4f} m, {turned:.4f} rad")
 
     def outside_limits(self) -> bool:
-        """Return whether a joint of the emulated Franka arm is beyond its position limits."""
+        """Return whether a joint of the emulated Franka robot is beyond its position limits."""
         low, high = self.limits.lower - LIMIT_MARGIN, self.limits.upper + LIMIT_MARGIN
         return bool(np.any((self.q < low) | (self.q > high)))
 
     # --- motions ---
     def move(self, request: MoveRequest, answer: Callable[[MoveStatus], None]) -> None:
-        """Start a motion of the emulated Franka arm; `answer` is called at its start and at its end."""
+        """Start a motion of the emulated Franka robot; `answer` is called at its start and at its end."""
         if self.mode is not RobotMode.IDLE or self.motion is not None:
             answer(MoveStatus.NOT_POSSIBLE)
             return
@@ -319,7 +319,7 @@ class Robot:
             motion.answer(status)
 
     def stop(self) -> StopStatus:
-        """Stop the emulated Franka arm's motion by the client's Stop command."""
+        """Stop the emulated Franka robot's motion by the client's Stop command."""
         if self.motion is not None:
             if isinstance(self.motion.generator, Follow):
                 self._follow()
@@ -331,7 +331,7 @@ class Robot:
         self._brake = Brake(self.reference, np.full(JOINTS, STOP_DECELERATION))
 
     def abort(self, reflex: Reflex, status: MoveStatus = MoveStatus.REFLEX_ABORTED) -> None:
-        """End the emulated Franka arm's motion with an error and bring the arm to rest."""
+        """End the emulated Franka robot's motion with an error and bring the arm to rest."""
         if self.mode in (RobotMode.REFLEX, RobotMode.USER_STOPPED, RobotMode.OTHER):
             return
         self.announce(f"reflex: {reflex}")
@@ -392,7 +392,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def brakes(self, locked: bool) -> None:
-        """Lock or unlock the emulated Franka arm's brakes, as an operator does in Desk."""
+        """Lock or unlock the emulated Franka robot's brakes, as an operator does in Desk."""
         if locked:
             self._slow_down()
             self._finish(MoveStatus.ABORTED)
@@ -402,7 +402,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def guide(self, on: bool) -> None:
-        """Press or release the enabling button for guiding the emulated Franka arm by hand."""
+        """Press or release the enabling button for guiding the emulated Franka robot by hand."""
         if on and self.mode is RobotMode.IDLE:
             self.mode = RobotMode.GUIDING
         elif not on and self.mode is RobotMode.GUIDING:
@@ -410,7 +410,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def displace(self, q: ArrayLike) -> None:
-        """Put the emulated Franka arm at joint positions (7,) [rad] at once."""
+        """Put the emulated Franka robot at joint positions (7,) [rad] at once."""
         self.plant.displace(q)
         self.follow_reset()
 

@@ -35,7 +35,7 @@ Functions = dict[str, Callable[..., Any]]
 
 
 def motion_functions(robot: Robot) -> Functions:
-    """Return the emulated UR's URScript functions that take time, as generators per control step."""
+    """Return the built-in URScript functions that take time, as generators per control step."""
     s = robot.setpoint
 
     def _joints(target: Any) -> Any:

@@ -44,7 +44,7 @@ class Compliance:
     _speed: Array = field(default_factory=lambda: np.zeros(6))
 
     def keep_speed(self, before: Compliance) -> None:
-        """Continue force mode with a previous force mode's speed, so that new parameters cause no jump."""
+        """Continue compliance with a previous force mode's speed, so that new parameters cause no jump."""
         self._speed = before._speed
 
     def apply(self, s: Setpoint, q: Array, felt: Array, dt: float) -> tuple[Array, Array]:

@@ -51,7 +51,7 @@ class ControllerSettings:
 
 
 def factory_calibration(model: UrModel, seed: int | None, serial: str = "") -> Kinematics:
-    """Return the geometry of an emulated UR robot: nominal, or with random manufacturing errors.
+    """Return an emulated UR controller's robot geometry: nominal, or with manufacturing errors.
 
     The tolerances are about 1 mm and 1 mrad.
 

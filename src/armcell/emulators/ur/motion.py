@@ -35,7 +35,7 @@ class Setpoint:
         self.v_max = np.array(model.velocity)
 
     def resting_at(self, q: ArrayLike) -> Setpoint:
-        """Return an emulated UR arm's setpoint at rest at other joint positions (6,) [rad]."""
+        """Return an emulated UR motion's setpoint at rest at other joint positions (6,) [rad]."""
         other = Setpoint(self.model, self.dh, q)
         other.tcp, other.v_max = self.tcp, self.v_max
         return other
@@ -55,7 +55,7 @@ class Setpoint:
 
 
 class StopJ:
-    """URScript's stopj: proportional stop of all joints; the fastest joint decelerates at `a` [rad/s^2]."""
+    """URScript's stopj motion: proportional stop; the fastest joint decelerates at `a` [rad/s^2]."""
 
     def __init__(self, a: float):
         self.a, self.done = max(float(a), 0.1), False
@@ -69,7 +69,7 @@ class StopJ:
 
 
 class StopL(StopJ):
-    """URScript's stopl: stop with a tool deceleration of `a` [m/s^2]; all joints slow down in proportion."""
+    """URScript's stopl motion: stop with a tool deceleration of `a` [m/s^2], joints in proportion."""
 
     def __init__(self, a: float, s: Setpoint):
         tool = float(np.linalg.norm((jacobian(s.dh, s.q) @ s.v)[:3]))
@@ -157,7 +157,7 @@ class MoveL(_Along):
         super().__init__(self.measure(), v, a, seconds)
 
     def measure(self) -> float:
-        """Return the length of movel's path [m]; a rotation of 1 rad counts as 0.3 m."""
+        """Return the length of movel's motion [m]; a rotation of 1 rad counts as 0.3 m."""
         distance, angle = self._from.distance_to(self._goal)
         return max(distance, 0.3 * angle)
 
@@ -166,14 +166,14 @@ class MoveL(_Along):
         self._last = s.q
 
     def end(self, s: Setpoint) -> Array:
-        """Return movel's joint positions (6,) [rad] at the goal that are nearest to the last ones."""
+        """Return the joint positions (6,) [rad] at the goal of a movel motion, nearest to the last ones."""
         q = inverse(s.dh, self._goal.matrix, self._last, s.tcp, iterations=100)
         if q is None:
             raise MotionFault(f"the {self.name} leaves the arm's reach")
         return q
 
     def pose(self, reached: float) -> SE3:
-        """Return T_base_tcp at a fraction (0..1) of movel's straight path."""
+        """Return T_base_tcp at a fraction (0..1) of a movel motion's straight path."""
         return self._from.interpolate(self._goal, reached)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -206,7 +206,7 @@ class MoveC(MoveL):
         super().__init__(s, goal, a, v)
 
     def measure(self) -> float:
-        """Compute movec's arc and return its length [m].
+        """Compute the arc of a movec motion and return its length [m].
 
         Raises:
             MotionFault: start, via point and end are collinear.
@@ -235,7 +235,7 @@ class MoveC(MoveL):
 
 
 def _turn(a: Array, b: Array, axis: Array) -> float:
-    """Return the angle (0..2 pi) [rad] from vector a to vector b about an axis, for movec's arc."""
+    """Return the angle (0..2 pi) [rad] from vector a to b about an axis, for a movec motion's arc."""
     angle = float(np.arctan2(np.cross(a, b) @ axis, a @ b))
     return angle if angle > 0 else angle + 2.0 * np.pi
 
@@ -336,7 +336,7 @@ class Torque:
 
 
 class ServoJ:
-    """URScript's servoj: tracking of a moving joint target, smoothed over lookahead * 300 / gain seconds.
+    """URScript's servoj motion: track a joint target, smoothed over lookahead * 300 / gain seconds.
 
     The arm's limits apply.
     """

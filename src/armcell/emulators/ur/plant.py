@@ -29,7 +29,7 @@ class Plant(Protocol):
     resets: int
 
     def reset(self) -> None:
-        """Reset an emulated UR arm's joints to their initial state, or the whole world if arms share it."""
+        """Reset a UR plant's joints to their initial state, or the whole world if arms share it."""
         ...
 
     def read(self) -> tuple[Array, Array, Array]:

@@ -417,7 +417,7 @@ class Robot:
         return np.concatenate([force + self.hand, torque])
 
     def tcp_force(self) -> Array:
-        """Return the force [N] and torque [Nm] (6,) that the emulated UR controller reports, in base axes.
+        """Return the force [N] and torque [Nm] (6,) that the emulated UR robot reports, in base axes.
 
         The torque is about the TCP (CB3) or the flange (e-Series). The values contain the sensor's offset.
         If a program has enabled an external sensor, the values come from that sensor, rotated from flange to
@@ -438,14 +438,14 @@ class Robot:
 
     @property
     def remote_or_cb3(self) -> bool:
-        """Return whether the emulated UR controller accepts remote commands.
+        """Return whether the emulated UR robot accepts remote commands.
 
         An e-Series accepts them in remote control, a CB3 always.
         """
         return self.remote or not self.model.e_series
 
     def control_line(self) -> int:
-        """Return the line number of the program statement that moves the emulated UR arm, or 0."""
+        """Return the line number of the program statement that moves the emulated UR robot, or 0."""
         return self.machine.line if self.machine is not None and self.motion is not None else 0
 
     def status_bits(self) -> int:

@@ -21,7 +21,7 @@ RELEASES = 3  # solves per iteration: the first with all joints, more without jo
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def damped_step(J, n, e, damping, A):
-    """Write numeric IK's damped least-squares step `J^T (J J^T + damping)^-1 e` to J[:, 6].
+    """Write the damped least-squares step `J^T (J J^T + damping)^-1 e` of an IK descent to J[:, 6].
 
     J (n, 7) has a row per joint, A (6, 6) is scratch.
     """
@@ -88,7 +88,7 @@ def jacobian(table, axes, T, scale, J):
 def descend(
     table, bounds, goal, scale, iterations, patience, position_tolerance, rotation_tolerance, q, axes, J
 ):  # fmt: skip
-    """Reduce the pose error of q (n,) by damped least squares, in place and within bounds.
+    """IK descent: reduce the pose error of q (n,) by damped least squares, in place, within bounds.
 
     Args:
         scale: weight of a meter against a radian [1/m].

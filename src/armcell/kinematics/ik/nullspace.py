@@ -14,7 +14,7 @@ ENOUGH = 1e-3  # [rad or m] sliding ends when the possible gain is smaller
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rotation_tolerance, q):
-    """Move an IK solution q (n,) nearer to the reference (n,) in place, within bounds.
+    """Slide an IK solution q (n,) in its null space nearer to the reference (n,), within bounds.
 
     Each step goes toward the reference without the component that would move the tip; then a descent brings
     the tip back to its goal. The step size is halved, down to a sixteenth, after steps without progress.

@@ -59,7 +59,7 @@ class NumericIK(IKSolver):
         return nearer
 
     def _seeds(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None):
-        """Yield batches of IK seeds (k, n) with their scores (lowest first) and the number to try.
+        """Yield batches of seeds (k, n) for numeric IK with scores (lowest first) and the number to try.
 
         All batches together contain at most `settings.seeds` tries.
         """

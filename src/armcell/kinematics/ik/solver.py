@@ -112,7 +112,7 @@ class IKSolver(ABC):
         """
 
     def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
-        """Return an equivalent of the IK solution `q` (n,) that is nearer to the reference.
+        """Return an equivalent of an IK solver's solution `q` (n,) that is nearer to the reference.
 
         The default implementation returns `q` itself.
         """

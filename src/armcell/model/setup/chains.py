@@ -145,7 +145,7 @@ def _depth(model: RobotModel, joint: Joint) -> int:
 
 
 def _rigid_below(model: RobotModel, link: str) -> list[str]:
-    """Return a link and all links fixed to it further down, in tree order, to detect grippers."""
+    """Return a link and all links fixed further down, to detect arm chains and grippers."""
     rigid = [link]
     for joint in model.joints.values():
         if not joint.movable and joint.parent in rigid:
@@ -154,7 +154,7 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
 
 
 def _common_link(model: RobotModel, links: list[str]) -> str:
-    """Return the lowest common ancestor of a gripper's links; a link counts as its own ancestor."""
+    """Return the lowest common ancestor of a gripper's links, to detect arm chains."""
     trails = []
     for link in links:
         trail = [link]
@@ -165,7 +165,7 @@ def _common_link(model: RobotModel, links: list[str]) -> str:
 
 
 def _fixed_hand(model: RobotModel, last: str) -> str | None:
-    """Detect the palm of a gripper whose fingers are fixed in the URDF, or None.
+    """Detect, for an arm chain, the palm of a gripper whose fingers are fixed in the URDF; or None.
 
     The palm is the first link fixed below `last` with at least two branches that have collision geometry.
     """

@@ -71,7 +71,7 @@ def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) ->
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML writer of generated files in MoveIt's style: lists indented below their key, no aliases."""
+    """YAML writer for a generated folder in MoveIt's style: indented lists, no aliases."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)
@@ -81,6 +81,6 @@ class _Dumper(yaml.SafeDumper):
 
 
 def yaml_text(data: Any, *comments: str) -> str:
-    """Return data as YAML text of a file to generate, which begins with comment lines."""
+    """Return data as YAML text for a generated folder's file, which begins with comment lines."""
     head = "".join(f"# {line}\n" for line in comments)
     return head + yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)

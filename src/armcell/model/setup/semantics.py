@@ -17,7 +17,7 @@ Attributes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class Element:
-    """One SRDF element as a value: tag, attributes in file order, child elements and text."""
+    """One element of SRDF semantics: tag, attributes in file order, child elements and text."""
 
     tag: str
     attributes: Attributes = ()

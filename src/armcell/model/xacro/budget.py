@@ -20,7 +20,7 @@ CHARACTERS = 64  # number of characters that count as one item
 
 
 class XacroError(Exception):
-    """An error in a xacro file, or a xacro feature that armcell refuses for safety."""
+    """Error in a xacro file, or for a feature or effort beyond the budget that armcell allows."""
 
     def __init__(self, reason: str, hint: str | None = None):
         super().__init__(reason)
@@ -108,7 +108,7 @@ def size(value: Any) -> int:
 
 
 def check_key(key: Any) -> None:
-    """Limit xacro's work: reject dictionary keys that are large integers, also inside tuples.
+    """Keep xacro within its budget: reject dictionary keys that are large integers.
 
     An attacker can choose large integers with equal hashes, which makes a dictionary slow.
 
@@ -123,7 +123,7 @@ def check_key(key: Any) -> None:
 
 
 def check_repeated(items: Sequence[Any], times: int) -> None:
-    """Limit xacro's memory: check that a repeated string or list in a xacro expression is not too long.
+    """Keep xacro within its budget: check that a repeated string or list is not too long.
 
     Raises:
         XacroError: `items`, repeated `times` times, would be too long.

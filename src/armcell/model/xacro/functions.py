@@ -50,7 +50,7 @@ def text_of(value: Any) -> str:
 
 
 def items_of(value: Any) -> Sequence[Any]:
-    """Return the items over which a loop in a xacro expression iterates.
+    """Return a value's items for xacro functions and for loops in expressions.
 
     Raises:
         XacroError: the value is not a string, list, tuple or dictionary.
@@ -230,7 +230,7 @@ MATH: dict[str, Any] = {
 
 # --- text ---
 class _Formatter(string.Formatter):
-    """Safe `str.format` for xacro expressions that supports plain fields only.
+    """Safe `str.format` among xacro functions, which supports plain fields only.
 
     Fields such as `{0.attribute}` and `{0[item]}` would give access to Python's objects.
     """
@@ -329,12 +329,12 @@ METHODS: dict[type, dict[str, Callable[..., Any]]] = {
 
 
 def method_of(value: Any, name: str) -> Function | None:
-    """Return a method of a value for a xacro expression, or None if it is not allowed."""
+    """Return a method among xacro functions for a value in an expression, or None if not allowed."""
     found = next((methods for kind, methods in METHODS.items() if isinstance(value, kind)), {}).get(name)
     return None if found is None else plain(name, functools.partial(found, value))
 
 
 def tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
-    """Split a text at each character of `sep`, like `xacro.tokenize`."""
+    """Xacro function: split a text at each character of `sep`, like `xacro.tokenize`."""
     items = re.split("[" + re.escape(sep) + "]", text) if sep else [text]
     return [item for item in items if item] if skip_empty else items

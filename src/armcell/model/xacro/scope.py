@@ -168,7 +168,7 @@ def truth(value: Any, text: str | None = None) -> bool:
 
 
 class Arguments:
-    """Names available in xacro's `$(eval ...)`: built-in names and `$(arg NAME)` values."""
+    """Names in the scope of xacro's `$(eval ...)`: built-in names and `$(arg NAME)` values."""
 
     def __init__(self, scope: Names, values: dict[str, str]):
         self.scope, self.values = scope, values

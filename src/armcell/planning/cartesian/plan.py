@@ -47,7 +47,7 @@ FEWEST = 10  # smallest number of steps for the relative jump test, as in MoveIt
 
 
 def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
-    """Interpolate the tip poses of each segment of a Cartesian path, first pose excluded."""
+    """Interpolate the tip poses of a Cartesian plan's segments, first pose excluded."""
     legs, at = [], start
     least = FEWEST if request.relative_jump_threshold > 0 else 1
     for waypoint in request.waypoints:
@@ -66,7 +66,7 @@ def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
 def waypoints_by_offsets(
     scene: PlanningScene, group: str, offsets: Sequence[SE3], link: str | None = None, frame: str = "link"
 ) -> tuple[SE3, ...]:
-    """Compute Cartesian waypoints from a link's current pose by successive offsets.
+    """Compute a Cartesian plan's waypoints from a link's current pose by successive offsets.
 
     Args:
         offsets: motions in the link's own axes (`frame="link"`), or about the link's origin in the axes of
@@ -206,7 +206,7 @@ class _CartesianProblem:
         return points, None if stop is None else stop.explain()
 
     def proven_part(self, path: Array, reason: StopReason | None) -> tuple[Array, StopReason | None]:
-        """Return a Cartesian path's part before the first unproven step, and why the rest is not proven."""
+        """Return a Cartesian plan's part before the first unproven step, and why the rest is not proven."""
         if self.request.avoid_collisions and len(path) > 1:
             certificate = self.certify(path)
             while not certificate.free and len(path) > 1:
@@ -252,7 +252,7 @@ class _CartesianProblem:
         return None
 
     def stop_evidence(self, path: Array) -> dict[str, Any]:
-        """Collect evidence about the pose and joint positions at which the Cartesian path stops."""
+        """Collect evidence about the pose and joint positions at which a Cartesian plan stops."""
         full = self.scene.positions.copy()
         full[self.ik.columns] = path[-1]
         ends = np.cumsum([len(leg) for leg in self.legs])

@@ -47,7 +47,7 @@ def scratch_size(dof: int, places: int) -> int:
 
 @njit(cache=True, forceinline=True)
 def manifold_pointers(handle) -> Any:
-    """Convert the addresses (3,) of a constraint manifold's arrays to the pointers n, c, x."""
+    """Convert the error kernels' addresses (3,) of constraint arrays to the pointers n, c, x."""
     return (
         at_address(np.int64, handle[0]),
         at_address(np.float64, handle[1]),
@@ -207,7 +207,7 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find a position constraint's region shape nearest to a point, and the signed distance [m] to it."""
+    """Find, in an error kernel, a region's shape nearest to a point and the signed distance [m]."""
     t = n[AT_POINTS] + point * POINT_WIDTH
     best, least = n[t + FIRST_SHAPE], 1e300
     for shape in range(n[t + FIRST_SHAPE], n[t + FIRST_SHAPE] + n[t + SHAPES]):

@@ -89,7 +89,7 @@ def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
 
 
 def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
-    """Raise an error if a visibility constraint is invalid in every state.
+    """Evaluate whether a visibility constraint is valid: raise an error if no state can satisfy it.
 
     Raises:
         UnknownNameError: no such frame or axis.
@@ -109,7 +109,7 @@ def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
 
 
 def _angle(a: Array, b: Array) -> float:
-    """Compute the angle [rad] between two vectors for a constraint, accurate also for small angles."""
+    """Compute the angle [rad] between two vectors to evaluate a constraint, accurate if small."""
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
@@ -225,7 +225,7 @@ def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
 
 
 def rotation_of(error: ArrayLike, parameterization: str) -> SO3:
-    """Convert an orientation constraint's error (3,) back to a rotation; inverse of `rotation_error`."""
+    """Convert an evaluated orientation error (3,) back to a rotation; inverse of `rotation_error`."""
     if parameterization == "rotation_vector":
         return SO3.exp(error)
     return SO3.from_rpy(-np.asarray(error, dtype=float)).inv()

@@ -28,7 +28,7 @@ SETTINGS = NativeSettings(max_waypoints=4096)
 
 
 class ConstrainedPlanner(NativePlanner):
-    """A `NativePlanner` whose trees and shortcuts stay on a constraint manifold.
+    """Constrained planner: a `NativePlanner` whose trees and shortcuts stay on a constraint manifold.
 
     The planner reuses the trees of the current thread's planner.
 
@@ -100,7 +100,7 @@ logger = logging.getLogger(__name__)
 
 @lru_cache(maxsize=1)
 def warm_up_constraints() -> float:
-    """Compile all kernels for path constraints; return the duration [s]."""
+    """Warm up the constrained planner: compile all its kernels; return the duration [s]."""
     began = time.monotonic()
     announce_compilation("RRTConnect with path constraints", constrained_rrt_connect)
     model = load_robot("parallel_gripper")

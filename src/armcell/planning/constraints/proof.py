@@ -171,7 +171,7 @@ def _points(n, c, x, d, h, room, allowance):
 
 @njit(cache=True)
 def edge_keeps_tolerances(n, c, x, p, a, b, room, allowance):
-    """Return whether the straight motion from p[a:] to p[b:] is proven to keep the constraint tolerances.
+    """Return whether a constraint proof holds for the straight motion from p[a:] to p[b:].
 
     Args:
         room: (dof,) deviation of each joint from the line. allowance: [rad and m] added to the tolerances.
@@ -208,7 +208,7 @@ def edge_keeps_tolerances(n, c, x, p, a, b, room, allowance):
 
 @njit(cache=True, nogil=True)
 def first_unproven_edge(handle, points, room, allowance):
-    """Find a motion's (k, dof) first edge that is not proven to keep the constraint tolerances.
+    """Find a motion's (k, dof) first edge for which the constraint proof fails.
 
     Args:
         room: (dof,), allowance: see `edge_keeps_tolerances`.

@@ -254,7 +254,7 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
 def constrained_rrt_connect(handle, constraints, start, goals, lower, upper, shift, reach, delta, step,
                             allowance, projecting, nodes, parents, leaves, leaf_ints, room, space, found,
                             stop, max_iterations, path):  # fmt: skip
-    """Find waypoints (m, dof) on the constraint manifold from the start to one of the goals, into `path`.
+    """Constrained RRT-Connect: find waypoints (m, dof) from the start to one of the goals, into `path`.
 
     See `rrt_connect`.
 

@@ -37,7 +37,7 @@ def _length(p, dof, first, last):
 
 @njit(cache=True)
 def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta, step, allowance, stop):
-    """Shortcut a constrained path: replace its rows by projected walks over ever shorter gaps.
+    """Simplify a constrained path: replace its rows by projected walks over ever shorter gaps.
 
     p[tried:] is the walk's buffer.
     """
@@ -85,7 +85,7 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
 
 @njit(cache=True)
 def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance):
-    """Smooth a constrained path: move rows toward their neighbors' middle if the proofs allow.
+    """Simplify a constrained path: move rows toward their neighbors' middle if the proofs allow.
 
     Return the number of moved rows.
     """
@@ -127,7 +127,7 @@ def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance)
 
 @njit(cache=True, nogil=True)
 def shorten(handle, constraints, path, count, space, index, room, lower, upper, delta, step, allowance, stop):
-    """Shorten and smooth path[:count] on the constraint manifold in place.
+    """Simplify (shorten, smooth) path[:count] on the constraint manifold in place.
 
     Args:
         path: (m, dof). space: float64 scratch of 2 m + 8 rows and m numbers. index: int64 scratch of 2 m.

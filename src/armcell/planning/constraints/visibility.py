@@ -187,7 +187,7 @@ def _carriers(scene: PlanningScene, names: tuple[str, ...], link: str) -> set[in
 
 
 def _multipliers(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
-    """Bound the rotation of a sensor's or target's link per rad of each joint (dof,), with mimic joints."""
+    """Bound a sensor or target link's rotation per rad of each joint (dof,), for visibility."""
     total = np.zeros(len(names))
     for k, multiplier in _moving(scene, names, link):
         total[k] += multiplier

@@ -244,7 +244,7 @@ def _joints_between(diagnosis: Diagnosis, goal: JointGoal | NamedGoal, share: fl
 
 
 def _too_weak(diagnosis: Diagnosis, joint: str, torque: float, limit: float) -> None:
-    """Explain a torque limit that no found path keeps, and suggest a smaller payload."""
+    """Explain after a failed search a torque limit that no path keeps; suggest a smaller payload."""
     diagnosis.add_finding(f"{joint} takes {torque:.3g} to hold still, and has {limit:.3g} (Nm or N)")
     for name, body in diagnosis.scene.attached.items():
         low, high = 0.0, body.object.mass_kg

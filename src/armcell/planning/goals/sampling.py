@@ -60,7 +60,7 @@ def is_wide(goal: PoseGoal) -> bool:
 def sample_goal_positions(
     scene: PlanningScene, group: str, goal: Goal, rng: np.random.Generator, deadline: float = np.inf
 ) -> Iterator[Array]:
-    """Yield joint positions (n,) within limits that reach a goal; collisions are not checked.
+    """Sample joint positions (n,) within limits that reach a goal; collisions are not checked.
 
     Args:
         deadline: [s] of time.monotonic(), after which sampling ends.
@@ -107,7 +107,7 @@ def _of_joints(
 def whole_turn_equivalents(
     model: RobotModel, joint_names: tuple[str, ...], q: Array, start: Array
 ) -> list[Array]:
-    """List goal positions equal to q (n,) up to full turns of joints, nearest to the start first.
+    """List goal samples equal to q (n,) up to full turns of joints, nearest to the start first.
 
     Joints that drive a mimic joint at a non-integer ratio keep their position.
     """

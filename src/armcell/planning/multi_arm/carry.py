@@ -290,7 +290,7 @@ class _DetourPlanner:
         return free[:POSTURES]
 
     def _clear(self, T: SE3, q: Array) -> tuple[SE3, Array] | None:
-        """Return a carried object's pose T or a pose above T with more clearance, with joint positions.
+        """Return a pose T of the object that two arms carry, or one above with more clearance.
 
         Return None if the object touches at all these poses.
         """

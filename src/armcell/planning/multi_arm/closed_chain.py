@@ -42,7 +42,7 @@ class CarriedObject:
 
     @property
     def radius(self) -> float:
-        """Upper bound [m] of a hand's distance from the object's origin.
+        """Upper bound [m] of a hand's distance from the object's origin in a closed chain.
 
         The radius converts rotations of the object to lengths.
         """
@@ -147,7 +147,7 @@ class _Tree:
         self.parents: list[int] = []
 
     def _key(self, T: SE3) -> Array:
-        """Map an object pose to 12 tree coordinates whose differences measure translation and rotation."""
+        """Map an object pose to 12 coordinates of the closed-chain search tree: translation and rotation."""
         return np.concatenate([T.translation, (self.radius / np.sqrt(2)) * T.rotation.matrix.ravel()])
 
     def add(self, T: SE3, q: Array, parent: int) -> int:

@@ -87,7 +87,7 @@ class MotionCommand:
 
 @dataclass(frozen=True, eq=False)
 class GeneratedMotion:
-    """Generated PTP, LIN or CIRC motion before its certification.
+    """Motion that a Pilz motion command generated, before its certification.
 
     It has a joint curve, a trajectory and the frame of its tip (if any).
     """

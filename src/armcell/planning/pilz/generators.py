@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def synchronized_profile(step: Array, velocity: Array, acceleration: Array, deceleration: Array) -> Trapezoid:
-    """Compute PTP's fastest common trapezoidal profile over s in 0..1 for joint steps (n,).
+    """Compute a PTP generator's fastest common trapezoidal profile over s in 0..1 for steps (n,).
 
     MoveIt applies the group's strictest limits to every joint. Here each joint has its own limits: if all
     limits are equal, the motion equals MoveIt's; otherwise it is at least as fast.
@@ -111,7 +111,7 @@ def circ(command: MotionCommand) -> GeneratedMotion | Outcome:
 
 
 def auxiliary_point(validated: ValidatedRequest) -> tuple[str, Array, str | None]:
-    """Return CIRC's auxiliary point: its kind, world position (3,) [m] and link.
+    """Return the auxiliary point of a CIRC generator: its kind, world position (3,) [m] and link.
 
     The link is None if the request does not specify it. The point is a parameter, or, as in MoveIt, the
     position of the first shape of the single position constraint in path constraints named after the kind of

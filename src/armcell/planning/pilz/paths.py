@@ -89,7 +89,7 @@ class Arc(Line):
 
 
 def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
-    """Compute CIRC's arc from start to goal through an interim point (3,) [m]."""
+    """Compute CIRC's arc path from start to goal through an interim point (3,) [m]."""
     a, b = interim - start.translation, goal.translation - start.translation
     normal = np.cross(a, b)
     size = float(np.linalg.norm(normal))
@@ -107,7 +107,7 @@ def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
 
 
 def arc_around(start: SE3, goal: SE3, center: Array) -> Arc | Outcome:
-    """Compute CIRC's shorter arc from start to goal around a center (3,) [m].
+    """Compute CIRC's shorter arc path from start to goal around a center (3,) [m].
 
     A center that is not exactly equidistant from start and goal is moved until it is: the arc keeps its
     radius and ends in the goal.
@@ -141,14 +141,14 @@ def _no_arc(why: str, hint: str) -> Outcome:
 
 
 class Curve(Protocol):
-    """Protocol of a Pilz motion's joint curve: twice continuously differentiable over s."""
+    """Protocol of the joint curve on a Pilz path: twice continuously differentiable over s."""
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """Evaluate a Pilz joint curve's positions and first and second derivatives (m, n) at s (m,)."""
+        """Evaluate a Pilz path's joint curve: positions, first and second derivatives (m, n) at s (m,)."""
         ...
 
     def polyline(self, sagitta: float) -> tuple[Array, Array]:
-        """Sample points (k, n) on the joint curve of a Pilz motion.
+        """Sample points (k, n) on the joint curve of a Pilz path.
 
         Return the points and the largest deviation (n,) of the curve from their chords.
         """
@@ -156,7 +156,7 @@ class Curve(Protocol):
 
 
 class JointLine:
-    """Straight joint curve of PTP between two joint positions."""
+    """Straight joint path (curve) of PTP between two joint positions."""
 
     def __init__(self, start: Array, goal: Array):
         self.start, self.step = start, goal - start
@@ -170,7 +170,7 @@ class JointLine:
 
 
 class JointSpline:
-    """Joint curve of a LIN or CIRC motion: a cubic spline through points (k, n) at x (k,).
+    """Joint curve of a LIN or CIRC path: a cubic spline through points (k, n) at x (k,).
 
     Args:
         ends: first derivatives (2, n) at both ends, if specified.

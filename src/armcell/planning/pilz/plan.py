@@ -41,7 +41,7 @@ def validate_pilz_request(validated: ValidatedRequest) -> None:
 def plan_pilz(
     validated: ValidatedRequest, checker: KernelChecker, start: Array, goals: tuple[Array, ...]
 ) -> PlanResult:
-    """Generate the requested PTP, LIN or CIRC motion and certify it, or report the failure.
+    """Plan one PTP, LIN or CIRC motion: generate and certify it, or report the failure.
 
     Args:
         start: (n,), free of contact. goals: (n,) free positions of the goal, nearest first.

@@ -88,7 +88,7 @@ def blend_motions(
 
 
 def _border(outside, far: float, near: float) -> float:
-    """Find the time at which the tip crosses a blend's sphere, between an outside and an inside time."""
+    """Find the time at which the tip crosses a sequence's blend sphere, between two given times."""
     for _ in range(BISECTIONS):
         middle = (far + near) / 2
         far, near = (middle, near) if outside(middle) else (far, middle)

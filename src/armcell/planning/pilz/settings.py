@@ -21,7 +21,7 @@ FILE_KEY = "cartesian_limits"  # of pilz_cartesian_limits.yaml
 
 @dataclass(frozen=True)
 class CartesianLimits:
-    """Cartesian limits of LIN and CIRC motions; defaults as in MoveIt's pilz_cartesian_limits.yaml."""
+    """Settings of Cartesian limits for LIN and CIRC, defaults as in pilz_cartesian_limits.yaml."""
 
     max_trans_vel: float = 1.0  # [m/s]
     max_trans_acc: float = 2.25  # [m/s^2]

@@ -182,7 +182,7 @@ def _name_in(pipeline_id: str, name: str) -> str | None:
 
 
 def pipeline_for(pipeline_id: str, planner_id: str) -> str:
-    """Select the planning pipeline of a request.
+    """Select the planning pipeline of a request in the planner registry.
 
     Without a pipeline name, it is the first pipeline that has the planner.
     """

@@ -361,7 +361,7 @@ def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -
 
 @contextmanager
 def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
-    """Provide a stop flag for compiled planner searches; a watcher thread sets it at deadline or cancel."""
+    """Provide a stop flag for RRT-Connect and other compiled searches, set at deadline or cancel."""
     stop, done = np.zeros(1, np.int64), threading.Event()
 
     def watch() -> None:

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @lru_cache(maxsize=16)
 def smooth_metric(count: int) -> tuple[Array, Array]:
-    """Compute the inverse of CHOMP's and STOMP's smoothness metric (count, count) and its root.
+    """Compute the inverse smoothness metric (count, count) of trajectory optimization, and its root.
 
     The metric is the squared acceleration of a path with both ends fixed and at rest. The inverse is scaled
     to a largest element of 1; the root times white noise is smooth noise.
@@ -35,7 +35,7 @@ def smooth_metric(count: int) -> tuple[Array, Array]:
 
 
 def resample_path(path: Array, count: int) -> Array:
-    """Resample a path (k, n) for CHOMP or STOMP to count + 2 waypoints at equal distances."""
+    """Resample a path (k, n) for trajectory optimization to count + 2 waypoints at equal distances."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     at = np.linspace(0.0, way[-1], count + 2)
     return np.column_stack([np.interp(at, way, path[:, j]) for j in range(path.shape[1])])

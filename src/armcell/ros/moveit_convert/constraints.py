@@ -86,7 +86,7 @@ def _orientation(c: Any) -> OrientationConstraint:
 
 
 def _unset(c: Any) -> list[str]:
-    """List the fields of a moveit_msgs/OrientationConstraint that still have their default values."""
+    """List a moveit_msgs/OrientationConstraint's fields that still have default values."""
     tolerances = (c.absolute_x_axis_tolerance, c.absolute_y_axis_tolerance, c.absolute_z_axis_tolerance)
     return [
         *([] if c.link_name else ["link_name (empty)"]),

@@ -84,13 +84,13 @@ def prism(base: NDArray[np.float64], height: float) -> Mesh:
 
 
 def _area(corners: NDArray[np.float64]) -> float:
-    """Return the signed area [m2] of a prism's base polygon (n, 2), positive if counterclockwise."""
+    """Return the signed area [m2] of a prism shape's base (n, 2), positive if counterclockwise."""
     (x, y), (u, v) = corners.T, np.roll(corners, -1, axis=0).T
     return float(np.sum(x * v - u * y)) / 2
 
 
 def _triangles(base: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Triangulate a prism's counterclockwise base polygon (n, 2) into n - 2 triangles by ear clipping.
+    """Triangulate a prism shape's counterclockwise base (n, 2) into n - 2 triangles by ear clipping.
 
     Source: Meisters 1975.
     """

@@ -12,7 +12,7 @@ from armcell.scene import PlanningScene
 
 
 class CellAccess(Protocol):
-    """Interface through which move_group observes, edits and moves a local or remote cell from any thread."""
+    """Interface for access to a local or remote cell, by which move_group observes, edits and moves it."""
 
     @property
     def model(self) -> RobotModel: ...

@@ -120,7 +120,7 @@ def _value(text: str) -> Any:
 
 
 def host_and_port(uri: str, scheme: str = "http") -> tuple[str, int]:
-    """Return host and port of a ROS 1 address like `http://host:port/`; the default port is 11311.
+    """Return a ROS 1 node setting's host and port (`http://host:port/`); the default port is 11311.
 
     Raises:
         InputError: the address is invalid.

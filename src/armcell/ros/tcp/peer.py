@@ -319,7 +319,7 @@ class Peer:
 
 
 class _Answer:
-    """A pending answer to a service call over ROS-TCP."""
+    """A ROS-TCP peer's pending answer to a service call."""
 
     def __init__(self) -> None:
         self._there = threading.Event()

@@ -56,7 +56,7 @@ class ServerSettings:
 
 @dataclass(frozen=True)
 class ClientStatus:
-    """State of a connected ROS-TCP client, for status lines."""
+    """State of a client connected to the ROS-TCP server, for status lines."""
 
     address: str
     protocol: str
@@ -134,7 +134,7 @@ class RosTcpServer:
         return () if self._socket is None else (Endpoint.of(self._socket, "ROS-TCP"),)
 
     def clients(self) -> list[ClientStatus]:
-        """Return the state of all connected ROS-TCP clients."""
+        """Return the state of all clients connected to the ROS-TCP server."""
         with self._lock:
             sessions = list(self._sessions)
         return [session.status() for session in sessions]

@@ -46,7 +46,7 @@ class Library:
                 yield folder / inner if inner else folder
 
     def find(self, uri: str, base: Path, asked_by: Element) -> Path:
-        """Return the existing file or folder to which a URI in an SDF file refers.
+        """Return the existing file or folder that an SDF include or mesh names by URI.
 
         Args:
             uri: model://, package://, file:// or a path. Of a web address, only the model's name is used.

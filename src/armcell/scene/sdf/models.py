@@ -56,7 +56,7 @@ class Model:
 
 
 class Tree:
-    """A reader for SDF models that follows includes and records skipped elements."""
+    """Reader for the tree of SDF models, which follows includes and records skipped elements."""
 
     def __init__(self, library: Library, skip: Collection[str] = ()):
         self.library, self.skip = library, set(skip)
@@ -66,7 +66,7 @@ class Tree:
         self._roots: dict[Path, Element] = {}
 
     def root(self, file: Path) -> Element:
-        """Return the <sdf> root element of an SDF file.
+        """Return the <sdf> root element of a file with SDF models.
 
         Raises:
             InputError: the file is not XML or not SDF.
@@ -82,7 +82,7 @@ class Tree:
         return self._roots[file]
 
     def others(self, element: Element, known: Collection[str]) -> None:
-        """Record the child elements of an SDF element that armcell does not convert."""
+        """Record the child elements of an SDF model that armcell does not convert."""
         for entry in element:
             if isinstance(entry.tag, str) and entry.tag not in known:
                 self.notes.append(skipped(entry, "is not converted"))
@@ -133,7 +133,7 @@ class Tree:
         return model
 
     def _included_root(self, include: Element, uri: str) -> Element | None:
-        """Return the <sdf> element of an SDF <include>, or None for Gazebo's sun, which is a light."""
+        """Return the model file's <sdf> element for an <include>, or None for Gazebo's sun (a light)."""
         asked_by = child(include, "uri")
         asked_by = include if asked_by is None else asked_by
         try:

@@ -125,7 +125,7 @@ _READERS: dict[str, Callable[[Element, Library], tuple[Shape, SE3] | Skipped]] =
 
 
 def friction_of(collision: Element) -> tuple[tuple[float, float] | None, Skipped | None]:
-    """Return the static and dynamic friction of an SDF collision, and a note on approximations.
+    """Return the friction (static, dynamic) of an SDF collision solid, and a note on approximations.
 
     SDF has one coefficient per direction (ODE's mu and mu2, or Bullet's); armcell uses the smaller one.
     Drake's extension has a static and a dynamic coefficient.
@@ -161,7 +161,7 @@ def _coefficient(element: Element) -> float:
 
 
 def material_of(solids: list[Solid]) -> tuple[Material, bool]:
-    """Return the common material of an object's SDF collisions, and whether they differ.
+    """Return the common material of an object's SDF collision solids, and whether they differ.
 
     If they differ, the smallest static and dynamic friction apply.
     """
@@ -173,7 +173,7 @@ def material_of(solids: list[Solid]) -> tuple[Material, bool]:
 
 
 def mass_of(link: Element, solids: list[Solid]) -> float:
-    """Return the mass [kg] of an SDF link from its <inertial>, or 1 kg without <inertial>.
+    """Return the mass [kg] of an SDF link's solids from its <inertial>, or 1 kg without <inertial>.
 
     Raises:
         InputError: the mass is not positive.
@@ -192,7 +192,7 @@ def mass_of(link: Element, solids: list[Solid]) -> float:
 
 
 def color_of(link: Element) -> Color | None:
-    """Return the color of an SDF link's first visual that has a color; textures are ignored."""
+    """Return the color of an SDF link's solids: that of its first colored visual, without textures."""
     for visual in children(link, "visual"):
         color = _material_color(visual)
         if color is not None:

@@ -238,7 +238,7 @@ class _Flat:
             raise fail(first.element, error.reason, error.hint) from None
 
     def _fits(self, body: _Body, solid: Solid, fixed: bool) -> bool:
-        """Return whether an SDF mesh has a plausible size for an object, and record a note if not."""
+        """Return whether a mesh in an SDF world has a plausible size for an object, else record a note."""
         if isinstance(solid.shape, Mesh) and solid.shape.file is not None:
             try:
                 check_mesh(solid.shape, not fixed)

@@ -147,7 +147,7 @@ class Carrying:
         return self._held
 
     def squeeze(self) -> Array:
-        """Return a carried object's internal force (3,) [N]: half the difference of both hands' forces."""
+        """Return the internal force (3,) [N] of two arms that carry an object: half the hands' difference."""
         first, second = (self.ctx.driver.wrench(self.hands.grippers[g].name)[:3] for g in self.hands.groups)
         return (second - first) / 2
 
@@ -202,6 +202,6 @@ class Carrying:
 
 
 def shifted(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
-    """Return a carried object's pose moved in world axes and rotated about the vertical at its origin."""
+    """Return the pose of an object that two arms carry, moved in world axes and rotated vertically."""
     turn = SO3.exp((0.0, 0.0, np.deg2rad(turn_deg)))
     return SE3(turn @ T.rotation, T.translation + np.array([x, y, z]))

@@ -86,7 +86,7 @@ class CloseOnHeap:
 
 
 def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return how far a height [m, world] of the heap is below the TCP of a hand that points down."""
+    """Return how far a heap's height [m, world] is below the TCP, for a bin clearing stage."""
     return float(grasp.T_object_tcp.translation[2]) - z
 
 
@@ -223,7 +223,7 @@ class Drop:
 
 
 def holds(reading: GripperReading, thinnest: float) -> bool:
-    """Return whether an object between the fingers keeps a gripper that closes in the heap open."""
+    """Return whether an object keeps a gripper open that closes in the heap, in bin clearing stages."""
     return reading.width > thinnest and reading.force_per_finger > 1.0
 
 

@@ -142,7 +142,7 @@ def add_heap(ctx: TaskContext, seen: RegionView) -> None:
 
 
 def lowest_points(tray: RegionView, s: ClearSettings, count: int = 12) -> list[tuple[float, float, float]]:
-    """Return release points over the tray (x, y, highest z nearby), lowest first.
+    """Return release points over a bin clearing tray's region (x, y, highest z nearby), lowest first.
 
     Points of equal height are sorted by their distance from objects, farthest first.
     """

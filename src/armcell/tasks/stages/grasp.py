@@ -195,7 +195,7 @@ class AppendPlannedMotion:
 @stage_types.register("close")
 @dataclass(frozen=True, eq=False)
 class Close:
-    """Stage of a pick that closes the hand on the object and attaches the object.
+    """Stage of a pick that closes the hand on the object to grasp it, and attaches the object.
 
     The object may then leave its supports.
     """

@@ -185,12 +185,12 @@ def drawn(root: Behaviour, status: bool = True) -> str:
 
 
 def as_dot(root: Behaviour) -> str:
-    """Return a behavior tree as a graph in Graphviz format (for `dot -Tsvg`)."""
+    """Return behavior tree nodes as a graph in Graphviz format (for `dot -Tsvg`)."""
     return display.dot_tree(root).to_string()
 
 
 def reasons(root: Behaviour) -> list[str]:
-    """Return the feedback messages of all behavior tree leaves that failed in the last run."""
+    """Return the feedback of all behavior tree nodes (leaves) that failed in the last run."""
     return [
         f"{node.name}: {node.feedback_message}"
         for node in root.iterate()

@@ -45,7 +45,7 @@ def moving_to(ctx: TaskContext, group: str, goal: Goal | str) -> Act:
 
 
 def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequence[Stage]]) -> Act:
-    """Return a behavior tree node that creates, plans and executes stages when it is reached."""
+    """Return a behavior tree recipe that creates, plans and executes stages when it is reached."""
 
     def act(c: TaskContext) -> Outcome:
         solution, outcome = plan_stages(c, stages(c), name)
@@ -55,7 +55,7 @@ def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequ
 
 
 def looking(name: str, look: Look) -> Check:
-    """Return a behavior tree check that looks with a camera.
+    """Return a behavior tree check for recipes that looks with a camera.
 
     Example: `looking("look", lambda: cell.look("above"))`.
     """
@@ -63,7 +63,7 @@ def looking(name: str, look: Look) -> Check:
 
 
 def held(ctx: TaskContext, item: str) -> Check:
-    """Return a behavior tree check that an object is held, by the task and the gripper's sensors."""
+    """Return a behavior tree check for recipes that an object is held, by the task and sensors."""
 
     def ask() -> Outcome:
         holding = ctx.holding.get(item)
@@ -77,7 +77,7 @@ def held(ctx: TaskContext, item: str) -> Check:
 def rests_on(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, tolerance: float = 0.015
 ) -> Check:
-    """Return a behavior tree check that an object rests on another one, near a surface point [m]."""
+    """Return a behavior tree check for recipes that an object rests on another one, near a point [m]."""
 
     def ask() -> Outcome:
         scene = ctx.scene()

@@ -164,7 +164,7 @@ def message(command: int, identifier: int, payload: bytes = b"") -> bytes:
 
 
 class WireError(ValueError):
-    """Error for a TCP message that does not follow Franka's protocol."""
+    """Error for a TCP command or answer that does not follow Franka's protocol."""
 
 
 def take_message(received: bytearray) -> tuple[int, int, bytes] | None:

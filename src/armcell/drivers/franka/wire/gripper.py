@@ -44,12 +44,12 @@ REQUESTS: dict[Command, struct.Struct] = {
 
 
 def message(command: int, identifier: int, payload: bytes = b"") -> bytes:
-    """Encode a request or an answer of the Franka Hand's protocol with its header."""
+    """Encode a gripper request or answer of the Franka Hand's protocol with its header."""
     return HEADER.pack(command, identifier, HEADER.size + len(payload)) + payload
 
 
 def take_message(received: bytearray) -> tuple[int, int, bytes] | None:
-    """Remove and return the first complete message of a Franka Hand buffer."""
+    """Remove and return the first complete message of a Franka Hand (gripper) buffer."""
     if len(received) < HEADER.size:
         return None
     command, identifier, size = HEADER.unpack_from(received)

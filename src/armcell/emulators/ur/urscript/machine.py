@@ -19,7 +19,7 @@ MAX_TURNS = 20_000  # largest number of loop iterations between two control step
 
 
 class ProgramError(ArmcellError):
-    """Runtime error that stops a URScript program.
+    """Runtime error in the URScript machine that stops a program.
 
     Attributes:
         line: line in the script's text, from 1.

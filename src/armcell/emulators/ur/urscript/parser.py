@@ -33,7 +33,7 @@ Node = tuple[Any, ...]
 
 
 class ScriptError(ArmcellError):
-    """Syntax error or compile error in a URScript text.
+    """Syntax error or compile error that the URScript parser or compiler finds.
 
     Attributes:
         line, column: position in the text, from 1; 0 refers to the whole text.
@@ -110,7 +110,7 @@ def parse(text: str) -> list[Node]:
 
 
 def depth_after(line: str, depth: int) -> int:
-    """Return the number of open URScript blocks after one more line of a streamed text.
+    """Return how many URScript blocks the parser has open after one more line of a streamed text.
 
     Args:
         line: the new line.

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Vec(list):
-    """URScript list with item-by-item arithmetic."""
+    """URScript value: a list with item-by-item arithmetic."""
 
     def _by_item(self, other: Any, act: Callable[[Any, Any], Any]) -> Vec:
         if isinstance(other, list):
@@ -41,7 +41,7 @@ class Vec(list):
 
 
 class Pose(Vec):
-    """URScript pose p[x, y, z, rx, ry, rz]: position [m] and rotation vector [rad]."""
+    """URScript value: pose p[x, y, z, rx, ry, rz] of position [m] and rotation vector [rad]."""
 
 
 def copied(value: Any) -> Any:

@@ -29,7 +29,7 @@ def pose_to_list(pose_msg: Any) -> list[float]:
 
 
 def list_to_pose(pose_list: Any) -> Any:
-    """Return a Pose from x, y, z and quaternion (7) or roll, pitch, yaw (6), like moveit_commander's."""
+    """Convert x, y, z and quaternion (7) or roll, pitch, yaw (6) to a Pose, like moveit_commander."""
     values = [float(v) for v in pose_list]
     if len(values) == 6:
         values = [*values[:3], *quaternion_from_euler(*values[3:]).tolist()]
