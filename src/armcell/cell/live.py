@@ -155,7 +155,7 @@ class Arm:
     def screw(
         self, item: str, turns: float, force: float = 8.0, settings: ScrewSettings = ScrewSettings()
     ) -> Outcome:
-        """Screw a held object with a live cell's arm: turn it clockwise and press with `force` [N]."""
+        """Screw a held object: turn it clockwise about a live cell's tool axis, press with `force` [N]."""
         return screw(self._ctx, item, turns, force, settings)
 
     @property

@@ -20,7 +20,7 @@ from armcell.tasks import TaskFailed, make_stage, perform_stages
 
 
 def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
-    """Run the task of a connected cell and return the result as JSON-ready data.
+    """Run a connected cell's task and return the result.
 
     Args:
         seed: the seed that the cell was connected with; None for the nominal cell.

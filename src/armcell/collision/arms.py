@@ -140,7 +140,7 @@ def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Return the columns (indices) of one arm's joints, to check collisions of two arms."""
+    """Return the columns (indices) of the joints whose child is an arm's link, to check two arms."""
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
 

@@ -73,7 +73,7 @@ class Moving:
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: Array) -> Array:
-        """Return a motion proof's commanded positions (k, n) of a running motion at times (k,) [s]."""
+        """Return a motion proof's commanded positions (k, n) at times (k,) [s]; constant after the end."""
         q = positions_at(self.trajectory, self.passed + after)
         return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
 

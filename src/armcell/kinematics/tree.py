@@ -134,7 +134,7 @@ class KinematicTree:
         self._group_columns: dict[tuple[str, ...], NDArray[np.int64]] = {}
 
     def link_transforms(self, q: ArrayLike) -> Array:
-        """Return T_root_link of all links (links, 4, 4) of a kinematic tree, in `link_names` order, at q."""
+        """Return T_root_link of a kinematic tree's links (links, 4, 4), as in `link_names`, at q (dof,)."""
         out = np.empty((len(self.link_names), 4, 4))
         q = np.ascontiguousarray(float_array(q, (self.model.dof,), "positions", finite=False))
         forward(
@@ -151,7 +151,7 @@ class KinematicTree:
         return out
 
     def full_positions(self, q: ArrayLike) -> dict[str, float]:
-        """Return all movable joints' positions of a kinematic tree by name, mimic joints included."""
+        """Return all movable joints' positions of a kinematic tree by name, with mimic joints; q (dof,)."""
         q = float_array(q, (self.model.dof,), "positions")
         return {
             name: float(self.multiplier[i] * q[self.column[i]] + self.offset[i])

@@ -107,7 +107,7 @@ class Session:
                 logger.exception("a shutdown hook failed")
 
     def interrupt(self) -> None:
-        """Handle a signal in a ROS script's session: end every wait and set `is_shutdown()`."""
+        """Handle a signal in a ROS script: end every wait, set `is_shutdown()`; shutdown hooks run later."""
         self.interrupted = True
         self.shutting_down.set()
 

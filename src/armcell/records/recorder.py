@@ -196,7 +196,7 @@ class RunRecorder:
         return _series(self.scene.model.joint_names, samples)
 
     def close(self) -> None:
-        """Close the run recorder: write the last sample and finish the MCAP file."""
+        """Close the run recorder: write the last sample and end the MCAP file; a repeat has no effect."""
         with self._lock:
             if self._closed:
                 return

@@ -321,7 +321,7 @@ class SimWorld:
     def set_arm_target(
         self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
     ) -> None:
-        """Set a simulated world's target positions [rad or m] and velocities of some robot joints.
+        """Set a simulated world's target positions [rad or m] and velocities [rad/s or m/s] of robot joints.
 
         A gripper's driven joint moves to its target at the gripper's full force.
 

@@ -17,7 +17,7 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
-    """Sample a motion's integral of position, position and velocity (m, n), for a moving average.
+    """Sample a motion's integral of position, position and velocity (m, n) at times, for moving averages.
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.

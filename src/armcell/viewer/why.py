@@ -71,7 +71,7 @@ def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
 
 
 def _body(api: Any, scene: PlanningScene, name: str, kind: str, color: Color) -> list[Any]:
-    """Draw a link's or object's shapes in one color, to show why planning failed."""
+    """Draw a link's or object's shapes in one color, to show why planning failed; return viser's handles."""
     if name in scene.model.links:
         T = kinematic_tree(scene.model).link_pose(scene.positions, name)
         shapes = [(c.shape, T @ c.T_link_shape) for c in scene.model.links[name].collisions]

@@ -204,10 +204,10 @@ def fk_block(I, F, w):
 
 @inner_njit
 def twist_block(I, F, w):
-    """Compute the twist of every link frame of 16 configurations, per unit of the motion's edge.
+    """Compute the twist of all link frames of 16 configurations per unit of a motion's edge.
 
-    A twist is the angular velocity and the velocity of the origin. The function also sums up the rotation of
-    all revolute joints, which bounds the change of the velocities.
+    A twist is the angular velocity and the velocity of the origin. Run `fk_block` before. The function also
+    sums up the rotation of all revolute joints, which bounds the change of the velocities.
     """
     zero, turning = splat(np.float32(0.0)), splat(np.float32(0.0))
     base = twist_at(I, 0)

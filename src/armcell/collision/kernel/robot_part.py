@@ -465,7 +465,7 @@ def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> _Body:
-    """Return a kernel robot body's sphere cover and exact pieces from shapes with poses (4, 4).
+    """Return a kernel robot body's sphere cover and exact pieces from shapes, poses and overshoots [m].
 
     The result is cached on disk, so that later starts need no mesh library.
     """

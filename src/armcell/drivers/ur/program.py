@@ -184,7 +184,7 @@ class ProgramLink:
         self._send(self._reverse, _SERVO.pack(SERVO, *values, round(at * STAMP)))
 
     def forward(self, trajectory: JointTrajectory, step: float) -> int:
-        """Start a trajectory in armcell's URScript robot program and return its number."""
+        """Start a trajectory in armcell's URScript program; return its number, by which `result` reports."""
         self._number = self._number % 1000 + 1
         points = points_of(trajectory, step, self._number)
         self.result = RUNNING

@@ -437,7 +437,7 @@ class Robot:
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
-        """Set the emulated Franka robot's load: mass [kg], center (3,) [m] at the flange, inertia (9,)."""
+        """Set the emulated Franka robot's load [kg], center (3,) [m] at the flange, inertia (9,) [kg m^2]."""
         center, inertia = np.asarray(center, dtype=float), np.asarray(inertia, dtype=float)
         tensor = inertia.reshape(3, 3)
         heavy = mass + (wire_limits.HAND_MASS if self.plant.hand else 0.0) > wire_limits.MAX_LOAD

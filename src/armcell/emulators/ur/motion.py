@@ -373,7 +373,7 @@ class SpeedJ:
 
 
 class SpeedL(SpeedJ):
-    """URScript's speedl: tool motion at constant velocity [m/s, rad/s, base frame], reached with `a`."""
+    """URScript's speedl: constant tool velocity [m/s, rad/s, base frame], reached with `a` [m/s^2]."""
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
         J = jacobian(s.dh, s.q, forward(s.dh, s.q, s.tcp)[:3, 3])

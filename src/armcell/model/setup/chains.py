@@ -154,7 +154,7 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
 
 
 def _common_link(model: RobotModel, links: list[str]) -> str:
-    """Return the lowest common ancestor of a gripper's links, to detect arm chains."""
+    """Return the lowest common ancestor of a gripper's links (a link is its own), to detect arm chains."""
     trails = []
     for link in links:
         trail = [link]

@@ -84,7 +84,7 @@ def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, fl
 
 
 def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
-    """Return the links with sensor and target of an evaluated visibility constraint."""
+    """Return the links of a visibility constraint's sensor and target, which may be in the view cone."""
     return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 
 

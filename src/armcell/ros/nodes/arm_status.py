@@ -45,7 +45,7 @@ class ArmStatusPublisher:
         self._last: dict[str, tuple[int, int]] = {}
 
     def publish(self, driver: Driver) -> None:
-        """Measure and publish each arm's wrench and modes, in the thread that steps the driver."""
+        """Measure and publish each arm's wrench and modes; only in the thread that steps the driver."""
         new = self._bus.schema.new
         known = driver.arm_modes() if Capability.REPORT_MODES in driver.capabilities else {}
         for arm, publishers in self._modes.items():

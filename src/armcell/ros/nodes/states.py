@@ -97,7 +97,7 @@ class StatePublisher:
         return now >= self._next - 1e-9
 
     def publish(self, driver: Driver) -> None:
-        """Measure and publish joint states, transforms and poses, in the thread that steps the driver."""
+        """Publish joint states, transforms and poses; only in the thread that steps the driver."""
         now = driver.now
         self._next = max(self._next + self._period, now)  # avoids a burst of messages after a pause
         self._bus.clock.set(now)

@@ -89,7 +89,7 @@ def _forward(dh: Kinematics, q: bytes, tcp: bytes) -> Array:
 
 def inverse(dh: Kinematics, T_base_tcp: Array, q_near: ArrayLike, tcp: ArrayLike,
             iterations: int = 50, tolerance: float = 1e-7) -> Array | None:  # fmt: skip
-    """Return joint positions (6,) [rad] by a UR arm's inverse kinematics for a TCP pose.
+    """Return joint positions (6,) [rad] of a UR arm's inverse kinematics, by damped Newton steps.
 
     Args:
         T_base_tcp: target (4, 4).

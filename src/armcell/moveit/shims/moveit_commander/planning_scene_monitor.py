@@ -29,7 +29,7 @@ class PlanningSceneMonitor:
         self._session.hint(NAME, f"MoveIt's Python has no {NAME}; {CLASSES[NAME]}")
 
     def startWorldGeometryMonitor(self, *topics: Any) -> None:
-        """PlanningSceneMonitor: update the octomap from the cell's cameras, 10 times a second.
+        """PlanningSceneMonitor: wait for the cameras' first images, then update the octomap at 10 Hz.
 
         The camera `overview`, which renders the report's pictures, is used only if it is the only camera.
         """
