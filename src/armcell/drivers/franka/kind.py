@@ -39,6 +39,7 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
 
     arm_settings = FrankaArmSettings
     joints = 7
+    calibrates = False
     gripper_hint = "add 'gripper: {kind: hand}' to its arm under 'real: arms:'"
 
     def complete(
