@@ -29,6 +29,7 @@ def tcp(bus):
 def ros1(bus, monkeypatch):
     settings = Ros1Settings("cell", master="http://127.0.0.1:0", own_master=True)
     with Ros1Graph(bus, settings, bus_is_graph=True) as graph:
+        assert graph.master is not None
         monkeypatch.setenv("ROS_MASTER_URI", graph.master.uri)
         yield ("--ros1",)
 

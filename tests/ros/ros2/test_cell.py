@@ -91,18 +91,19 @@ def test_a_namespaced_and_remapped_cell(reach, peer):
     """As `armcell serve --ros2 --namespace arm_left --remap ...`; the peers come late."""
     bus, action, states = Bus(), "/follow", "rt/arm_left/joint_states"
     live = load("panda_pick").connect("fake", 0, time_scale=4.0)
-    with Ros2Bridge(bus, Ros2Settings(reach, "/arm_left/armcell", distro="jazzy")):
-        with ServedCell(live, bus.renamed(name_map("armcell", "arm_left", [f"{ARM}:={action}"]))):
-            peer.subscribe("rt/arm_left/robot_description", "String", reliable=True, latched=True)
-            assert "<robot" in peer.take("rt/arm_left/robot_description", 1, timeout=20.0)[0]["data"]
-            joints, start = arm_state(peer, states)
-            goal_id, accepted = send(peer, 1, trajectory(joints, start, 0.3, 1.0), action)
-            assert accepted and result(peer, goal_id, action)["status"] == 4
-            assert arm_state(peer, states)[1] - start == pytest.approx(0.3 * np.eye(7)[0], abs=0.01)
-            with Ros2Bridge(there := Bus(), Ros2Settings(reach, "/late", distro="jazzy")) as late:
-                assert late.wait_for_node("/arm_left/armcell", 5)
-                tree = there.subscribe("/tf", "tf2_msgs/TFMessage", queue_size=20)  # without a namespace
-                assert tree.get(20).transforms
+    renamed = bus.renamed(name_map("armcell", "arm_left", [f"{ARM}:={action}"]))
+    bridge = Ros2Bridge(bus, Ros2Settings(reach, "/arm_left/armcell", distro="jazzy"))
+    with bridge, ServedCell(live, renamed):
+        peer.subscribe("rt/arm_left/robot_description", "String", reliable=True, latched=True)
+        assert "<robot" in peer.take("rt/arm_left/robot_description", 1, timeout=20.0)[0]["data"]
+        joints, start = arm_state(peer, states)
+        goal_id, accepted = send(peer, 1, trajectory(joints, start, 0.3, 1.0), action)
+        assert accepted and result(peer, goal_id, action)["status"] == 4
+        assert arm_state(peer, states)[1] - start == pytest.approx(0.3 * np.eye(7)[0], abs=0.01)
+        with Ros2Bridge(there := Bus(), Ros2Settings(reach, "/late", distro="jazzy")) as late:
+            assert late.wait_for_node("/arm_left/armcell", 5)
+            tree = there.subscribe("/tf", "tf2_msgs/TFMessage", queue_size=20)  # without a namespace
+            assert tree.get(20).transforms
 
 
 def test_a_goal_that_a_newer_one_replaces_is_aborted_with_the_reason(cell, peer):
