@@ -103,7 +103,7 @@ class ScriptWires:
         return found
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:
-        """Connect the wires of a script's cell; with --plan-only, wait for the other end's joint states."""
+        """Connect the cell; with --plan-only, wait for the joint states of the other end."""
         from armcell.ros.nodes import RemoteCell
 
         if session.graph is not None:

@@ -16,11 +16,11 @@ class Following(Protocol):
     """Handle for following a trajectory that the robot plays itself."""
 
     def clock(self) -> float:
-        """Return how far [s] a robot has got in following a trajectory; slider and pause slow it down."""
+        """Return the robot's progress along the trajectory [s]; speed slider and pause slow it down."""
         ...
 
     def state(self) -> str:
-        """Return the state of following a trajectory: "running", "done", "cancelled", or an error."""
+        """Return the trajectory's state: "running", "done", "cancelled", or the reason of an abort."""
         ...
 
     def paused(self) -> bool: ...

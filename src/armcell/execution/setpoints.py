@@ -66,7 +66,7 @@ class SetpointSource(ABC):
         """Return the setpoints' largest tracking error [rad or m] and its column; None: only goals count."""
 
     def failure(self) -> Outcome | None:
-        """Return a setpoint source's reason to stop, other than a violated tolerance, or None."""
+        """Return the reason to stop the motion, other than a violated tolerance, or None."""
         return None
 
     def settling_time(self) -> float:

@@ -12,17 +12,17 @@ from armcell.scene import PlanningScene
 
 
 class CellAccess(Protocol):
-    """Interface for access to a local or remote cell, by which move_group observes, edits and moves it."""
+    """Interface to observe, edit and move a cell from any thread."""
 
     @property
     def model(self) -> RobotModel: ...
 
     def scene(self) -> PlanningScene:
-        """Return the accessed cell's measured scene with added and held objects, for move_group."""
+        """Return the measured scene with the objects that clients added and the grippers hold."""
         ...
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Edit the accessed cell's scene with the function `make` and return the resulting scene.
+        """Edit the world with the function `make` and return the resulting scene.
 
         Raises:
             InputError: `make` raised it; the world is unchanged.
@@ -31,7 +31,7 @@ class CellAccess(Protocol):
 
     @property
     def controllers(self) -> Mapping[str, tuple[str, ...]]:
-        """Return the accessed cell's controllers for move_group: joint names by controller name."""
+        """Return the joint names of each controller that clients may select, by controller name."""
         ...
 
     def play(
@@ -41,7 +41,7 @@ class CellAccess(Protocol):
         planned_in: PlanningScene | None = None,
         controllers: Sequence[str] = (),
     ) -> Work:
-        """Start a trajectory_msgs/JointTrajectory in the accessed cell and return a handle to the motion.
+        """Start a trajectory_msgs/JointTrajectory and return a handle to the motion.
 
         The motion stops if a change of the scene obstructs the rest of its path.
 
@@ -58,7 +58,7 @@ class CellAccess(Protocol):
         ...
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Start to open or close a gripper of the accessed cell and return a handle to the motion.
+        """Start to open or close a gripper and return a handle to the motion.
 
         Args:
             gripper: the gripper.
@@ -68,21 +68,21 @@ class CellAccess(Protocol):
         ...
 
     def held(self, gripper: Gripper) -> str | None:
-        """Return the object between the fingers of an accessed cell's gripper, or None."""
+        """Return the name of the object between a gripper's fingers, or None."""
         ...
 
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return the accessed cell's waiting and running motions, optionally only those of given joints."""
+        """Return the waiting and running motions, optionally only motions of given joints."""
         ...
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare contacts of `body` with `others` as expected in the accessed cell, or revoke this."""
+        """Declare contacts of `body` with `others` as part of the task, or revoke a declaration."""
         ...
 
     def tell(self, kind: str, text: str, **data: Any) -> None:
-        """Queue an event for the observers of an accessed cell."""
+        """Queue an event for the cell's observers."""
         ...
 
     def stop(self) -> None:
-        """Stop every motion of the accessed cell, local or remote."""
+        """Stop every motion of the cell."""
         ...

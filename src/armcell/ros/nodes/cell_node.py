@@ -47,7 +47,7 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANC
 
 
 class CellNode:
-    """Cell node: serves a live cell on the bus, publishes its states and executes trajectories.
+    """Node that serves a live cell on the bus while `run` executes.
 
     Input topics:
 
@@ -134,13 +134,13 @@ class CellNode:
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
-        """Start a cell node in a new thread and return the thread."""
+        """Start the node in a new thread and return the thread."""
         thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
         thread.start()
         return thread
 
     def close(self) -> None:
-        """Stop a cell node: stop the running motions and request the end of `run`."""
+        """Stop the node: stop the running motions and request the end of `run`."""
         self._stop.set()
         self.conductor.stop()
 
@@ -151,7 +151,7 @@ class CellNode:
         settings: ExecutionSettings = ExecutionSettings(),
         planned_in: PlanningScene | None = None,
     ) -> Work:
-        """Start a trajectory_msgs/JointTrajectory in a cell node once its joints' earlier motions end.
+        """Start a trajectory_msgs/JointTrajectory once earlier motions of its joints have ended.
 
         /trajectory_status reports the progress. A trajectory without points stops its joints, or all joints
         if it names none. The motion gate certifies the motion when it starts, with the contacts that
@@ -198,7 +198,7 @@ class CellNode:
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 
     def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> Work:
-        """Move a cell node's fingers to their widths [m]; fingers stopped by an object succeed."""
+        """Move fingers to their target widths [m]; fingers that an object stops count as success."""
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
@@ -210,7 +210,7 @@ class CellNode:
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
-        """Queue a cell node's motion; wait for other arms to arrive if their motions conflict with it.
+        """Queue a motion; wait for other arms to arrive if their motions conflict with it.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -231,18 +231,18 @@ class CellNode:
         raise InputError("the cell is closed")
 
     def _others(self, work: Work) -> list[Work]:
-        """Return a cell node's queued and running motions that share no joint with the motion `work`."""
+        """Return the queued and running motions that share no joint with the motion `work`."""
         works = self.conductor.works()
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
-        """Return a cell node's motion that must start or end before `work` can be checked, or None."""
+        """Return a motion that must start or end before `work` can be checked, or None."""
         before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """Describe the conflict of a cell node's motion with running motions if it ends with them.
+        """Describe a motion's conflict with running motions if the conflict ends with them.
 
         Returns an empty string if there is no such conflict.
         """
@@ -273,7 +273,7 @@ class CellNode:
         self.say(f"{what}: {result.message or f'final error {result.final_error:.4f}'}")
 
     def say(self, text: str) -> None:
-        """Publish a text on the cell node's topic /trajectory_status."""
+        """Publish a text on /trajectory_status."""
         logger.info("trajectory: %s", text)
         if not self._status.closed:
             self._status.publish(self.bus.schema.new("std_msgs/String", text))
@@ -322,7 +322,7 @@ class CellNode:
 
 
 class _Announced(GuardedMotion):
-    """Guarded motion of a cell node that reports its start on /trajectory_status."""
+    """A guarded motion that reports its start on /trajectory_status after certification."""
 
     def __init__(
         self, node: CellNode, trajectory: JointTrajectory, planned_in: PlanningScene | None,

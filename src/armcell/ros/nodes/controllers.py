@@ -75,7 +75,7 @@ class Outlet(Protocol):
     """Connection to one external ROS controller, of an action or topic interface."""
 
     def begin(self, trajectory: JointTrajectory) -> Any:
-        """Send a motion to an external controller; return the handle that `ended` and `cancel` require.
+        """Send a motion to the controller; return the handle that `ended` and `cancel` require.
 
         Raises:
             InputError: the controller is not available.
@@ -90,7 +90,7 @@ class Outlet(Protocol):
 
 
 class Controllers:
-    """Clients of a cell's external ROS controllers, which are located on first use.
+    """Clients of a cell's external controllers, which are located on first use.
 
     Args:
         bus: the message bus.
@@ -125,7 +125,7 @@ class Controllers:
     def follow(
         self, trajectory: JointTrajectory, cancel: threading.Event, names: Sequence[str] = ()
     ) -> ExecutionResult:
-        """Execute a trajectory with the external controllers of its joints and wait until it ends.
+        """Execute a trajectory with the controllers of its joints and wait until it ends.
 
         Args:
             trajectory: the motion.
@@ -161,7 +161,7 @@ class Controllers:
         self, using: Sequence[str], running: dict[str, Any], results: dict[str, ExecutionResult],
         cancel: threading.Event,
     ) -> ExecutionResult:  # fmt: skip
-        """Cancel the external controllers' remaining motions, await their end, and return the cause.
+        """Cancel the remaining motions, wait until they end, and return the cause of the stop.
 
         Returns:
             The first failure of a controller, or PREEMPTED if the caller canceled the motion.
@@ -194,7 +194,7 @@ class Controllers:
         return gripper.joint_name in {j for joints in self.joints.values() for j in joints}
 
     def grip(self, gripper: Gripper, width: float, force: float) -> Callable[[], ExecutionResult | None]:
-        """Send a gripper command to an external controller and return a function that polls its result.
+        """Send a gripper command and return a function that polls its result.
 
         The function returns None until the command has ended.
 
@@ -225,7 +225,7 @@ class Controllers:
         return ended
 
     def _finger_motion(self, gripper: Gripper, width: float) -> Callable[[], ExecutionResult | None]:
-        """Move the fingers with an external trajectory controller; return a function that polls for success.
+        """Move the fingers with a trajectory controller; return a function that polls for success.
 
         The caller must detect from the joint states whether an object stops the fingers.
         """

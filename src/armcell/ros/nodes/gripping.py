@@ -119,7 +119,7 @@ def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[G
 
 
 class GripperNode:
-    """Node that serves the grippers of a cell by a command topic and an action for each gripper.
+    """Node that serves the grippers of a cell by a topic and an action for each gripper.
 
     The topic is /gripper_command, or /<gripper>/gripper_command if the cell has several grippers. The action
     is /<gripper>_controller/gripper_cmd.
@@ -266,13 +266,13 @@ class GripperNode:
             self._say(f"{text}: the gripper closes")
 
     def _expect_contact(self, gripper: Gripper) -> None:
-        """Declare contacts between a gripper's fingers and the objects near its tcp as expected."""
+        """Declare contacts between the fingers and the objects near the tcp as expected."""
         for item in around_tcp(self._live.scene(), gripper, NEAR):
             self._live.ctx.expect_contact(item.name, gripper.finger_links)
             self._expected[gripper.name].add(item.name)
 
     def moved(self, joints: Iterable[str]) -> None:
-        """Revoke a gripper's expected finger contacts with objects that the arm has left."""
+        """Revoke expected finger contacts with objects that an arm has left at the end of a motion."""
         driver = self._live.driver
         for gripper in self._live.model.grippers.values():
             expected = self._expected[gripper.name]

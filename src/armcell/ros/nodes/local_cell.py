@@ -18,7 +18,7 @@ FALLEN = 0.03  # [m] an object that slipped by more from its grasp has fallen
 
 
 class LocalCell:
-    """`CellAccess` of move_group for a cell that a `CellNode` runs in the same process.
+    """Implementation of `CellAccess` for a cell that a `CellNode` runs in this process.
 
     An object between closed fingers is attached to the hand automatically, no matter which client closed
     them, and returns to the world when the fingers open. Clients need not attach or detach grasped objects in
@@ -38,7 +38,7 @@ class LocalCell:
         return self._node.conductor.call(self.now)
 
     def now(self) -> PlanningScene:
-        """Return the measured scene of the local cell; call this only in the driver's thread."""
+        """Return the measured scene, like `scene()`; call this only in the driver's thread."""
         ctx = self._node.live.ctx
         self._look_at_grippers(ctx)
         return ctx.scene()

@@ -51,7 +51,7 @@ BEGINS = "executing"  # prefix on /trajectory_status that reports the start of a
 
 
 class RemoteCell:
-    """`CellAccess` of move_group for a remote cell: a simulator or robot connected to the bus by topics.
+    """Implementation of `CellAccess` for a simulator or robot that is connected to the bus.
 
     Only one motion runs at a time, even with several arms: this class does not check motions against each
     other, and the simulator's status messages do not identify their motion.
@@ -114,7 +114,7 @@ class RemoteCell:
 
     # --- subscriptions ---
     def _complain(self, text: str) -> None:
-        """Log a fault in a remote cell's messages once for each kind, as messages arrive often."""
+        """Log a fault once for each kind, because messages arrive many times per second."""
         if self._complaints.is_new(re.sub(r"[-+.0-9]+", "", text)):
             logger.warning("%s", text)
 
@@ -181,13 +181,13 @@ class RemoteCell:
 
     @property
     def silence(self) -> float:
-        """Return the age of the remote cell's last joint states [s, wall clock]; 0 before the first."""
+        """Return the age of the last joint states [s, wall clock]; 0 before the first joint states."""
         with self._lock:
             return time.monotonic() - self._at if self._joints is not None else 0.0
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a gripper of the remote cell has closed or was commanded to close."""
+        """Return whether a gripper has closed or was commanded to close since the start."""
         with self._lock:
             state, targets = self._joints, dict(self._targets)
         for name, first in self._first_widths.items():
@@ -202,7 +202,7 @@ class RemoteCell:
         return self._scene.model
 
     def joints(self) -> JointState:
-        """Return the last joint states of the remote cell; wait for the first ones.
+        """Return the last joint states; before the first joint states, wait for them.
 
         Raises:
             InputError: no joint states have arrived, or the last joint states are too old; the error states
@@ -243,7 +243,7 @@ class RemoteCell:
         return scene
 
     def _await_poses(self) -> None:
-        """Wait once for the remote simulator's object poses; then use the cell's poses for other objects."""
+        """Wait once for the simulator's object poses; then use the cell's poses for other objects."""
         if not self._unseen:
             return
         give_up = time.monotonic() + POSE_TIMEOUT
@@ -254,7 +254,7 @@ class RemoteCell:
             self._unseen = set()
 
     def _grips(self, gripper: Gripper, state: JointState) -> bool:
-        """Return True if a remote cell's gripper holds an object: its fingers are wider open than commanded.
+        """Return True if a gripper holds an object: its fingers are wider open than commanded.
 
         Without a command, closer fingers than at first mean that the simulator closed them itself.
         """
@@ -288,7 +288,7 @@ class RemoteCell:
             return [w for w in self._running if wanted is None or w.joints & wanted]
 
     def _begin(self, work: Work, follow: Callable[[Work], ExecutionResult]) -> Work:
-        """Start a motion of the remote cell after conflicting motions have ended.
+        """Start a motion after conflicting motions have ended.
 
         Earlier motions of the same joints are stopped; a motion of an arm also waits until the other arms are
         still.
@@ -310,7 +310,7 @@ class RemoteCell:
         return work
 
     def _begun(self, work: Work) -> bool:
-        """Register a motion of the remote cell and return True if no other motion conflicts with it.
+        """Register a motion and return True if no other motion conflicts with it.
 
         Otherwise, stop the motions of the same joints and return False.
         """
@@ -437,7 +437,7 @@ class RemoteCell:
         return self._drive([(gripper, float(np.clip(width, 0.0, gripper.max_width)), force)])
 
     def _drive(self, goals: list[tuple[Gripper, float, float]]) -> Work:
-        """Move grippers of the remote cell in turn to widths [m] with forces [N]; an object may stop them."""
+        """Move grippers one after the other to widths [m] with forces [N]; an object may stop them."""
 
         def follow(work: Work) -> ExecutionResult:
             result = ExecutionResult(ErrorCode.SUCCESS)
@@ -461,7 +461,7 @@ class RemoteCell:
     def _follow_fingers(
         self, work: Work, gripper: Gripper, wanted: float, ended: Callable[[], ExecutionResult | None]
     ) -> ExecutionResult:
-        """Wait until a remote cell's fingers reach their target or stop, or their controller fails."""
+        """Wait until the fingers reach their target or stop, or their controller reports a failure."""
         began = still = time.monotonic()
         last = np.inf
         while time.monotonic() - began < GRIP_TIMEOUT and not self._closed.is_set():
@@ -481,7 +481,7 @@ class RemoteCell:
         return ExecutionResult(ErrorCode.SUCCESS, evidence={"width": last, "stalled": True})
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare expected contacts for the remote cell's motion gate, which then allows them.
+        """Declare expected contacts for the motion gate, which then allows them.
 
         The simulator handles contacts independently of this declaration.
         """
@@ -490,7 +490,7 @@ class RemoteCell:
             self._expected = self._expected | pairs if expected else self._expected - pairs
 
     def stop_joints(self, names: Iterable[str]) -> None:
-        """Stop joints of the remote cell by publishing an empty trajectory.
+        """Stop joints by publishing an empty trajectory.
 
         Goals that were sent to controllers are canceled by their own motions.
         """
@@ -505,7 +505,7 @@ class RemoteCell:
 
 
 def _result_of(said: list[str], begun: bool) -> ExecutionResult | None:
-    """Derive a remote motion's result from the /trajectory_status messages since it was sent.
+    """Derive a motion's result from the /trajectory_status messages since the motion was sent.
 
     Args:
         said: the status messages.

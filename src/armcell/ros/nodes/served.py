@@ -135,7 +135,7 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop all motions of a served cell for good, await the arms' rest, and update held objects."""
+        """Stop all motions for good, wait until the arms rest, and update the held objects."""
         self.node.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)
@@ -172,7 +172,7 @@ class ServedCell:
 
 
 class ServedPlanner:
-    """Served planner and grasp server for a cell whose simulator is another program on the bus."""
+    """Planner and grasp server for a cell whose simulator is another program on the bus."""
 
     def __init__(self, cell: Cell, bus: Bus, seed: int = 0, sensors: Sensors3d | None = None):
         self.bus, self._sensors = bus, sensors or cell.sensors
@@ -185,7 +185,7 @@ class ServedPlanner:
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a served gripper was commanded to close or was closed by the simulator."""
+        """Return whether a gripper was commanded to close or was closed by the simulator."""
         return self.cell.has_closed
 
     def rest(self) -> None:
@@ -197,7 +197,7 @@ class ServedPlanner:
             work.wait(SETTLE)
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a function in the caller's thread, as a served planner's process has no driver thread."""
+        """Run a function in the caller's thread, because this process has no driver thread."""
         return function()
 
     def start(self) -> None:
