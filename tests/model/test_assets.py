@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,7 +11,7 @@ from tests.model.helpers import MBM, collision, link, mbm_file, mbm_robot, robot
 
 from armcell.core import InputError
 from armcell.model import load_robot, load_urdf
-from armcell.model.assets import load_mesh, resolve_uri
+from armcell.model.assets import load_mesh, load_visual_parts, resolve_uri
 
 needs_mbm = pytest.mark.skipif(not MBM.is_dir(), reason="needs the MotionBenchMaker robots")
 
@@ -123,6 +125,20 @@ def test_a_broken_mesh_is_one_clear_line(tmp_path, within, name, data):
         load_urdf(tmp_path / "r.urdf")
     text = str(error.value)
     assert "r.urdf:2: <mesh>: " in text and name in text and "\n" not in text
+
+
+@pytest.mark.parametrize("load", [load_mesh, lambda path: load_visual_parts(path)[0][0]])
+def test_a_collada_file_has_a_unit_as_in_rviz(tmp_path, load):
+    data = trimesh.exchange.dae.export_collada(trimesh.creation.box((100, 200, 300))).decode()
+    head, tail = data.split("</asset>", 1)
+    for unit, size in (("0.001", [0.1, 0.2, 0.3]), ("0.01", [1.0, 2.0, 3.0])):
+        path = tmp_path / f"in_{unit}.dae"
+        path.write_text(re.sub(r"<unit[^>]*/>", "", head) + f'<unit meter="{unit}"/></asset>{tail}')
+        np.testing.assert_allclose(np.ptp(load(path).vertices, axis=0), size, rtol=1e-6)
+    bad = tmp_path / "bad.dae"
+    bad.write_text(f'<unit meter="0"/>{data}')
+    with pytest.raises(InputError, match="unit is 0 m"):
+        load(bad)
 
 
 def test_a_mesh_that_is_on_disk_already_is_the_mesh_of_the_file(tmp_path, monkeypatch):

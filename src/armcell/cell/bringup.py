@@ -142,11 +142,13 @@ class BringUp:
         for name, found in self._found.items():
             kind_of(arms[name]).check_identity(name, arms[name], found)
             results.append(f"{name} is a {found}")
-        unnamed = [n for n in arms if arms[n].serial is None]
+        unnamed = [
+            f"{'serial' if found.serial else 'calibration'} of {name} ({found.serial or found.calibration})"
+            for name, found in self._found.items()
+            if (found.serial or found.calibration) and arms[name].serial is arms[name].calibration is None
+        ]
         if unnamed:
-            results.append(
-                f"write 'serial' of {', '.join(unnamed)} into the cell file, so that arms cannot be swapped"
-            )
+            results.append(f"write {', '.join(unnamed)} into the cell file, so that arms cannot be swapped")
         return "; ".join(results)
 
     def _power(self, name: str) -> str:
@@ -192,10 +194,10 @@ class BringUp:
             )
         if applied:
             return f"flange {error * 1000:.2f} mm from the model with the robot's own calibration"
-        return (
-            f"flange {error * 1000:.1f} mm from the cell's nominal model (factory calibration explains some; "
-            "'real: {calibration: apply}' plans with it)"
-        )
+        text = f"flange {error * 1000:.1f} mm from the cell's nominal model"
+        if not kind.calibrates:
+            return text
+        return f"{text} (factory calibration explains some; 'real: {{calibration: apply}}' plans with it)"
 
     def _joints(self, live: LiveCell, name: str) -> str:
         names = self.cell.model.group(name).joint_names

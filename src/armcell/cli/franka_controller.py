@@ -27,6 +27,9 @@ Examples:
 
 def franka_controller(
     model: str = typer.Option("fr3", help="fr3 or panda: the limits that the controller enforces."),
+    protocol: int | None = typer.Option(
+        None, help="Version of Franka's protocol: 5 or 10. [default: 5 for a panda, 10 for an fr3]"
+    ),
     host: str = typer.Option("127.0.0.3", help="Address to serve. A Franka's ports are fixed."),
     cell: str | None = typer.Option(
         None, help="Put the arm into this cell's physics. Default: an arm with a hand in free space."
@@ -64,12 +67,14 @@ def franka_controller(
             f"cell {cell!r} has {len(arms)} groups of seven joints with a tip", hint="use a cell with one arm"
         )
     plant = FrankaPlant(world, arms[0])
-    settings = ControllerSettings(model, host, locked=locked, active=not inactive, homed=not unhomed)
+    settings = ControllerSettings(
+        model, host, locked=locked, active=not inactive, homed=not unhomed, protocol=protocol
+    )
     file = trace.open("wb", buffering=0) if trace is not None else None
     rack = Rack([settings], [plant], arms, file, reset_between_runs)
     rack.open()
     controller = rack.controllers[0]
-    console.print(f"{model} at {host}", soft_wrap=True)
+    console.print(f"{model} at {host}, protocol {settings.version}", soft_wrap=True)
     tell_listening(controller.network.endpoints)
     controller.robot.listeners.append(
         lambda text: console.print(f"{host}: {text}", soft_wrap=True, markup=False, highlight=False)

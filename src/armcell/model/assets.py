@@ -29,6 +29,8 @@ MAX_PACKAGE_BYTES = 1_000_000  # size limit of a package.xml
 MESH_SUFFIXES = {".stl", ".obj", ".dae", ".glb", ".gltf", ".ply", ".off"}
 ONE_FILE = {".stl", ".obj", ".dae", ".glb", ".ply", ".off"}
 """Mesh formats that store all triangles in one file, so its content can be a cache key."""
+HEAD_BYTES = 100_000  # start of a COLLADA file, which contains the unit
+_UNIT = re.compile(rb"""<unit\b[^>]*\bmeter=["']([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)["']""")
 
 
 def installed_share() -> list[Path]:
@@ -184,19 +186,36 @@ def _checked(path: Path) -> Path:
     return path
 
 
+def _scale_to_meters(path: Path, scale: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Multiply a mesh's scale (3,) by the length unit [m] of a COLLADA file, as RViz and Gazebo do.
+
+    Other formats have no unit: their numbers are meters.
+    """
+    if path.suffix.lower() != ".dae":
+        return scale
+    with path.open("rb") as stream:
+        found = _UNIT.search(stream.read(HEAD_BYTES))
+    unit = float(found[1]) if found else 1.0
+    if not 0 < unit < np.inf:
+        raise InputError(f"the file's unit is {unit:g} m", file=path, hint='<unit meter="1"/> means meters')
+    return (scale[0] * unit, scale[1] * unit, scale[2] * unit)
+
+
 @lru_cache(maxsize=256)
 def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Mesh:
     """Load a mesh file as one triangle mesh [m], with duplicate vertices merged.
 
     Args:
         path: mesh file (STL, OBJ, DAE, GLB, GLTF, PLY or OFF).
-        scale: factors along x, y and z.
+        scale: factors along x, y and z; the unit of a DAE file also applies.
     Raises:
-        InputError: the file is not readable as a mesh, has no triangles or has a non-finite vertex.
+        InputError: the file is not readable as a mesh, has no triangles, or has a non-finite vertex or a
+            bad unit.
     """
+    scale = _scale_to_meters(_checked(path), scale)
     if path.suffix.lower() not in ONE_FILE:
         return Mesh(*_read_mesh(path, scale), path)
-    digest = hashlib.sha256(_checked(path).read_bytes()).hexdigest()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
     key = key_of(version("trimesh"), path.suffix.lower(), repr(scale), digest)
     stored = recall("meshes", key)
     if stored is None:
@@ -213,7 +232,7 @@ def _read_mesh(
     import trimesh  # imported late, here and below: the import takes 0.5 s, which only new meshes need
 
     try:
-        loaded = trimesh.load(_checked(path), force="mesh", process=False)
+        loaded = trimesh.load(path, force="mesh", process=False)
         vertices = np.asarray(loaded.vertices, dtype=float)  # pyright: ignore[reportAttributeAccessIssue]
         faces = np.asarray(loaded.faces)  # pyright: ignore[reportAttributeAccessIssue]
     except InputError:
@@ -271,7 +290,8 @@ def load_visual_parts(
     import trimesh
 
     try:
-        loaded: Any = trimesh.load(_checked(path), process=False)
+        scale = _scale_to_meters(_checked(path), scale)
+        loaded: Any = trimesh.load(path, process=False)
         parts = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
         by_color: dict[Color, list[trimesh.Trimesh]] = {}
         for part in parts:

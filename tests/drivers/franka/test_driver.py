@@ -88,6 +88,26 @@ def test_a_trajectory_moves_the_arm_and_the_hand_grasps(host):
         assert abs(live.gripper("hand").width - 0.03) < 2e-3
 
 
+def test_a_panda_moves_stops_and_resumes_over_protocol_5():
+    with emulator("--model", "panda") as address, driver(address, model="panda") as live:
+        arm = franka(live)
+        assert (arm.identity.version, arm.identity.model) == (5, "panda")
+        goal = arm.setpoint()[0] + AMPLITUDE
+        assert wait(live.follow(swing(arm))) == "done", live.fault()
+        assert np.abs(measured(address) - goal).max() < 1e-3
+        following = live.follow(swing(arm, 6.0))
+        while np.abs(arm.state["dq"]).max() < 0.02:
+            time.sleep(0.01)
+        operate(address, "reflex")
+        assert wait(following) not in ("done", "running")
+        time.sleep(0.5)
+        stopped, fault = measured(address), live.fault()
+        assert fault is not None and fault.kind == "protective stop"
+        live.resume()
+        assert live.fault() is None and np.abs(measured(address) - stopped).max() < 2e-3
+        assert wait(live.follow(swing(arm))) == "done", live.fault()
+
+
 @pytest.mark.parametrize(
     ("command", "kind"),
     [("reflex", "protective stop"), ("user stop on", "emergency stop"), ("fault drop 0.5", "link lost")],
@@ -197,8 +217,8 @@ def _serve(answer: bytes | None, port: int, host: str) -> socket.socket:
 
 
 def test_another_protocol_version_is_named():
-    answer = wire.message(0, 1, wire.CONNECTED.pack(1, 5))
-    said = r"speaks version 5 .* armcell speaks version 10.*update"
+    answer = wire.message(0, 1, wire.CONNECTED.pack(1, 7))
+    said = r"speaks version 7 .* armcell speaks versions 10 and 5.*system 4.2 on a Panda"
     with _serve(answer, wire.PORT, "127.0.121.7"), pytest.raises(InputError, match=said):
         driver("127.0.121.7").__enter__()
 

@@ -223,3 +223,119 @@ def test_franky_runs_its_examples(host):
     assert np.linalg.norm(np.subtract(back[1], joint[1])) < 2e-3
     assert np.abs(np.array(waypoints[0]) - (0.2, -0.1, 0.3, -2.0, 0.1, 1.9, 0.6)).max() < 5e-3
     assert np.all(np.subtract(turned[0], waypoints[0]) > 0.03)
+
+
+PANDA_PYTHON = """
+import json, sys
+import numpy as np
+from panda_py import libfranka as lf
+robot = lf.Robot(sys.argv[1], lf.RealtimeConfig.kIgnore)
+assert robot.server_version() == 5
+robot.set_collision_behavior([20.0] * 7, [40.0] * 7, [20.0] * 6, [40.0] * 6)
+robot.set_joint_impedance([3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0])
+robot.set_cartesian_impedance([3000.0] * 3 + [300.0] * 3)
+def drive(control, answer, duration):
+    t, first = 0.0, []
+    def step(state, passed):
+        nonlocal t
+        t += passed.to_sec()
+        if not first:
+            first.append(state)
+        command = answer(first[0], state, t)
+        command.motion_finished = t >= duration
+        return command
+    control(step)
+    end = robot.read_once()
+    print(json.dumps({"q": list(end.q), "T": list(end.O_T_EE), "T0": list(first[0].O_T_EE_c)}))
+"""
+PANDA_MOTIONS = {
+    "joint position": """
+        def answer(first, state, t):
+            d = np.pi / 16 * (1 - np.cos(np.pi / 2.5 * t))
+            return lf.JointPositions((np.array(first.q_d) + d * np.array([0, 0, 0, 1, 1, 0, 1])).tolist())
+        drive(robot.control_joint_position, answer, 2.5)""",
+    "joint velocity": """
+        def answer(first, state, t):
+            v = 0.5 * (1 - np.cos(2 * np.pi * t)) * (1 if t < 1 else -1)
+            return lf.JointVelocities([0, 0, 0, v, v, v, v])
+        drive(robot.control_joint_velocity, answer, 2.0)""",
+    "Cartesian pose": """
+        def answer(first, state, t):
+            angle = np.pi / 8 * (1 - np.cos(np.pi / 2.5 * t))
+            T = np.array(first.O_T_EE_c)
+            T[12] += 0.2 * np.sin(angle)
+            T[14] += 0.2 * (np.cos(angle) - 1)
+            return lf.CartesianPose(T.tolist())
+        drive(robot.control_cartesian_pose, answer, 2.5)""",
+    "Cartesian velocity": """
+        def answer(first, state, t):
+            v = 0.05 * (1 - np.cos(np.pi * t)) * (1 if t < 2 else -1) * np.sqrt(0.5)
+            return lf.CartesianVelocities([v, 0, v, 0, 0, 0])
+        drive(robot.control_cartesian_velocity, answer, 4.0)""",
+    "torque": """
+        def answer(first, state, t):
+            swing = 0.1 * (1 - np.cos(np.pi * min(t, 2.0)))
+            goal = np.array(first.q_d) + swing * np.array([0, 0, 0, 0, 1, 0, 1])
+            tau = 50.0 * (goal - np.array(state.q)) - 14.0 * np.array(state.dq)
+            return lf.Torques(tau.tolist())
+        drive(robot.control, answer, 4.0)""",
+}
+
+
+@pytest.fixture(scope="module")
+def panda() -> Iterator[str]:
+    """An emulated Panda, which speaks protocol 5."""
+    need("panda_py")
+    with emulator("--model", "panda") as address:
+        yield address
+
+
+@pytest.mark.parametrize("motion", PANDA_MOTIONS)
+def test_panda_python_drives_a_panda(panda, motion):
+    operate(panda, "reset")
+    out = client(PANDA_PYTHON + textwrap.dedent(PANDA_MOTIONS[motion]), panda)
+    found = {k: np.array(v) for k, v in json.loads(out.splitlines()[-1]).items()}
+    said = operate(panda, "state").split()
+    physics = np.array([float(x) for x in said[2:]])
+    assert said[:2] == ["IDLE", "-"]
+    assert np.abs(found["q"] - physics).max() < 2e-3
+    if END[motion] is not None:
+        assert np.abs(physics - HOME - END[motion]).max() < (5e-3 if motion == "torque" else 2e-3)
+    else:
+        moved = (found["T"] - found["T0"])[12:15]
+        assert np.abs(moved - 0.2 * np.array([np.sin(np.pi / 4), 0, np.cos(np.pi / 4) - 1])).max() < 1e-3
+
+
+def test_panda_python_meets_a_reflex_recovers_and_moves_the_hand(panda):
+    operate(panda, "reset")
+    out = client(
+        PANDA_PYTHON
+        + textwrap.dedent("""
+        found, passed = [], [0.0]
+        start = np.array(robot.read_once().q_d)
+        def jump(state, step):
+            passed[0] += step.to_sec()
+            return lf.JointPositions((start + (0.05 if passed[0] > 0.1 else 0.0)).tolist())
+        def expect_error(call, *arguments):
+            try:
+                call(*arguments)
+            except Exception as error:
+                found.append(str(error))
+        unfiltered = lf.ControllerMode.kJointImpedance, False, 1000.0
+        expect_error(robot.control_joint_position, jump, *unfiltered)
+        found.append(str(robot.read_once().robot_mode))
+        robot.automatic_error_recovery()
+        found.append(str(robot.read_once().robot_mode))
+        expect_error(robot.load_model)
+        hand = lf.Gripper(sys.argv[1])
+        found += [hand.homing(), hand.move(0.03, 0.1), hand.read_once().width]
+        robot.set_load(0.2, [0.0, 0.0, 0.05], [1e-3, 0, 0, 0, 1e-3, 0, 0, 0, 1e-3])
+        found.append(robot.read_once().m_load)
+        print(json.dumps(found))
+        """),
+        panda,
+    )
+    error, stopped, recovered, model, homed, moved, width, load = json.loads(out.splitlines()[-1])
+    assert "motion aborted by reflex" in error and "joint_motion_generator_velocity_limits" in error
+    assert (stopped, recovered) == ("RobotMode.kReflex", "RobotMode.kIdle")
+    assert "model library" in model and homed and moved and abs(width - 0.03) < 2e-3 and load == 0.2

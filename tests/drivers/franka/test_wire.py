@@ -12,19 +12,23 @@ from hypothesis import strategies as st
 
 from armcell.drivers.franka.wire import commands, gripper
 from armcell.drivers.franka.wire.commands import (
+    PROTOCOLS,
     REQUESTS,
     Command,
     MoveController,
     MoveGenerator,
     MoveRequest,
+    MoveStatus,
+    RecoveryStatus,
+    SetterStatus,
     WireError,
 )
 from armcell.drivers.franka.wire.errors import ERRORS
 from armcell.drivers.franka.wire.limits import FR3, LIMITS, PANDA
 from armcell.drivers.franka.wire.state import (
-    COMMAND,
+    COMMANDS,
     FIELDS,
-    STATE_SIZE,
+    STATES,
     RobotCommand,
     StateMessage,
     read_command,
@@ -33,7 +37,7 @@ from armcell.drivers.franka.wire.state import (
 
 
 def test_sizes_are_those_of_protocol_10():
-    assert (STATE_SIZE, COMMAND.size, len(ERRORS)) == (1377, 371, 41)
+    assert (STATES[10].size, COMMANDS[10].size, len(ERRORS)) == (1377, 371, 41)
     sizes = {c: commands.HEADER.size + layout.size for c, layout in REQUESTS.items()}
     assert sizes[Command.MOVE] == 125
     assert sizes[Command.SET_COLLISION_BEHAVIOR] == 428
@@ -42,9 +46,31 @@ def test_sizes_are_those_of_protocol_10():
     assert gripper.STATE.size == 23
 
 
-def test_a_state_survives_the_wire():
-    message = StateMessage()
-    values = {name: np.arange(s.stop - s.start) / 8 + s.start for name, s in FIELDS.items()}
+def test_protocol_5_is_that_of_libfranka_0_9():
+    """Sizes and codes by hand from its headers; `panda-python` checks them in test_interop.py."""
+    numbers = 96 + 26 + 4 + 8 * 7 + 26 + 7 + 12 + 9 + 6 + 28 + 14
+    assert (STATES[5].size, COMMANDS[5].size) == (8 + 8 * numbers + 2 + 82 + 1 + 8, 370)
+    panda = PROTOCOLS[5]
+    codes = {Command.MOVE: 1, Command.SET_COLLISION_BEHAVIOR: 4, Command.SET_LOAD: 10,
+             Command.AUTOMATIC_ERROR_RECOVERY: 12, Command.LOAD_MODEL_LIBRARY: 13}  # fmt: skip
+    assert {c: panda.code(c) for c in codes} == codes and panda.command(14) is None
+    assert panda.requests[Command.MOVE].size == 56
+    for status, code in (
+        (MoveStatus.PREEMPTED, 2), (MoveStatus.NOT_POSSIBLE, 3), (MoveStatus.ABORTED, 9),
+        (RecoveryStatus.MANUAL_RECOVERY_REQUIRED, 2), (SetterStatus.INVALID_ARGUMENT, 2),
+    ):  # fmt: skip
+        assert panda.status_code(status) == code
+    assert panda.status(Command.MOVE, 6) is MoveStatus.REFLEX_ABORTED
+    assert PROTOCOLS[10].status(Command.MOVE, 6) is MoveStatus.START_AT_SINGULAR_POSE
+    with pytest.raises(WireError, match="status 10 in the answer to the command 'move'"):
+        panda.status(Command.MOVE, 10)
+
+
+@pytest.mark.parametrize("version", STATES)
+def test_a_state_survives_the_wire(version):
+    message = StateMessage(version)
+    fields = {name: s for name, s in FIELDS.items() if s.stop <= STATES[version].count}
+    values = {name: np.arange(s.stop - s.start) / 8 + s.start for name, s in fields.items()}
     for name, value in values.items():
         message[name] = value
     message.errors[ERRORS.index("joint_reflex")] = 1
@@ -58,9 +84,11 @@ def test_a_state_survives_the_wire():
         assert np.array_equal(state[name], value), name
 
 
-def test_a_command_survives_the_wire():
-    sent = RobotCommand(9, q=tuple(np.arange(7.0)), motion_finished=True, torque=(1.5,) * 7)
-    assert read_command(sent.pack()) == sent
+@pytest.mark.parametrize("version", COMMANDS)
+def test_a_command_survives_the_wire(version):
+    q = tuple(np.arange(7.0))
+    sent = RobotCommand(9, q=q, motion_finished=True, torque=(1.5,) * 7, torque_finished=version == 5)
+    assert read_command(sent.pack(version), version) == sent
 
 
 def test_a_move_survives_the_wire():
@@ -68,11 +96,13 @@ def test_a_move_survives_the_wire():
         MoveController.EXTERNAL, MoveGenerator.NONE, interpolate=True, max_velocity=tuple(np.arange(7.0))
     )
     assert MoveRequest.unpack(sent.pack()) == sent
+    panda, old = PROTOCOLS[5], MoveRequest(MoveController.EXTERNAL, MoveGenerator.JOINT_VELOCITY)
+    assert MoveRequest.unpack(old.pack(panda), panda) == old
     with pytest.raises(ValueError, match="9"):
         MoveRequest.unpack(struct.pack("<I", 9) + sent.pack()[4:])
 
 
-@given(st.binary(max_size=1500))
+@given(st.binary(max_size=2500))
 def test_damaged_datagrams_are_rejected_or_read(data):
     for read in (read_state, read_command):
         with suppress(WireError):  # any other exception fails

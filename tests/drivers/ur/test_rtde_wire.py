@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from tests.drivers.ur.emulated import dashboard, emulator, free_hosts
 
 from armcell.drivers.ur.wire import rtde
@@ -266,6 +267,39 @@ def test_inputs_are_read_back_and_reach_the_outputs(host):
         while seen != wanted and time.monotonic() < end:
             seen = struct.unpack(">I?idddI", client.next("U")[1:])
         assert seen == wanted
+
+
+@pytest.mark.slow
+def test_an_external_sensor_gives_the_tcp_force(host):
+    """The input is in flange axes, the output in base axes; it counts once a program has enabled it."""
+    given = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
+
+    def outputs(client) -> tuple[np.ndarray, np.ndarray]:
+        pose_and_force = np.array(struct.unpack(">12d", client.next("U")[1:]))
+        return pose_and_force[:6], pose_and_force[6:]
+
+    def expect_force(client, within: float, *wanted: float) -> None:
+        end = time.monotonic() + 5.0
+        while True:
+            pose, force = outputs(client)
+            expect = Rotation.from_rotvec(pose[3:]).apply(np.reshape(wanted, (2, 3))).ravel()
+            if np.abs(force - expect).max() < within or time.monotonic() > end:
+                return np.testing.assert_allclose(force, expect, atol=within)
+
+    with Client(host, 2) as client, socket.create_connection((host, 30002)) as scripts:
+        assert client.ask("I", b"external_force_torque") == b"\x01VECTOR6D"
+        ask_outputs(client, "actual_TCP_pose", "actual_TCP_force")
+        assert client.ask("S") == b"\x01"
+        client.send("U", struct.pack(">B6d", 1, *given))
+        before = outputs(client)[1]
+        for function in ("ft_rtde_input_enable", "enable_external_ft_sensor"):
+            scripts.sendall(f"sec on():\n  {function}(True)\nend\n".encode())
+            expect_force(client, 1e-9, *given)
+            scripts.sendall(f"sec off():\n  {function}(False)\nend\n".encode())
+            end = time.monotonic() + 5.0
+            while np.abs((now := outputs(client)[1]) - before).max() > 0.1 and time.monotonic() < end:
+                pass
+            np.testing.assert_allclose(now, before, atol=0.1)  # the arm's own sensor, with its offset
 
 
 @pytest.mark.slow

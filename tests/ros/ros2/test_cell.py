@@ -12,11 +12,13 @@ import pytest
 
 from armcell.cell import load
 from armcell.ros import Bus, CellNode, Ros2Bridge, Ros2Settings, schema
+from armcell.ros.names import name_map
+from armcell.ros.nodes import ServedCell
 
 pytestmark = pytest.mark.slow
 S = schema()
 ARM = "/arm_controller/follow_joint_trajectory"
-SEND, CANCEL, RESULT = (f"{ARM}/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result"))
+CANCEL = f"{ARM}/_action/cancel_goal"
 
 
 @pytest.fixture
@@ -41,25 +43,24 @@ def trajectory(joints, start, turn, seconds, first=0.0):
     return {"joint_names": joints, "points": [point(first, 0.0), point(seconds, turn)]}
 
 
-def arm_state(peer):
+def arm_state(peer, topic="rt/joint_states"):
     """Names and positions of the arm's joints, as the peer hears of them."""
-    peer.drop("rt/joint_states")
-    peer.subscribe("rt/joint_states", "JointState", depth=1)
-    message = peer.take("rt/joint_states", 1, timeout=20.0)[-1]
+    peer.drop(topic)
+    peer.subscribe(topic, "JointState", depth=1)
+    message = peer.take(topic, 1, timeout=20.0)[-1]
     pairs = [(n, p) for n, p in zip(message["name"], message["position"]) if "finger" not in n]
     return [n for n, _ in pairs], np.array([p for _, p in pairs])
 
 
-def send(peer, number, goal):
+def send(peer, number, goal, action=ARM):
     goal_id = {"uuid": [number] * 16}
-    answer = peer.call(
-        SEND, "FollowSendGoal", {"goal_id": goal_id, "goal": {"trajectory": goal}}, timeout=20.0
-    )
+    request = {"goal_id": goal_id, "goal": {"trajectory": goal}}
+    answer = peer.call(f"{action}/_action/send_goal", "FollowSendGoal", request, timeout=20.0)
     return goal_id, answer["accepted"]
 
 
-def result(peer, goal_id):
-    return peer.call(RESULT, "FollowGetResult", {"goal_id": goal_id}, timeout=60.0)
+def result(peer, goal_id, action=ARM):
+    return peer.call(f"{action}/_action/get_result", "FollowGetResult", {"goal_id": goal_id}, timeout=60.0)
 
 
 def test_a_ros2_client_drives_the_arm(cell, peer):
@@ -84,6 +85,25 @@ def test_a_ros2_client_drives_the_arm(cell, peer):
     assert (ended["status"], ended["result"]["error_code"]) == (5, -1)
     assert "canceled by a client" in ended["result"]["error_string"]
     assert abs(arm_state(peer)[1][0] - start[0]) < 0.4  # it stopped on the way
+
+
+def test_a_namespaced_and_remapped_cell(reach, peer):
+    """As `armcell serve --ros2 --namespace arm_left --remap ...`; the peers come late."""
+    bus, action, states = Bus(), "/follow", "rt/arm_left/joint_states"
+    live = load("panda_pick").connect("fake", 0, time_scale=4.0)
+    renamed = bus.renamed(name_map("armcell", "arm_left", [f"{ARM}:={action}"]))
+    bridge = Ros2Bridge(bus, Ros2Settings(reach, "/arm_left/armcell", distro="jazzy"))
+    with bridge, ServedCell(live, renamed):
+        peer.subscribe("rt/arm_left/robot_description", "String", reliable=True, latched=True)
+        assert "<robot" in peer.take("rt/arm_left/robot_description", 1, timeout=20.0)[0]["data"]
+        joints, start = arm_state(peer, states)
+        goal_id, accepted = send(peer, 1, trajectory(joints, start, 0.3, 1.0), action)
+        assert accepted and result(peer, goal_id, action)["status"] == 4
+        assert arm_state(peer, states)[1] - start == pytest.approx(0.3 * np.eye(7)[0], abs=0.01)
+        with Ros2Bridge(there := Bus(), Ros2Settings(reach, "/late", distro="jazzy")) as late:
+            assert late.wait_for_node("/arm_left/armcell", 5)
+            tree = there.subscribe("/tf", "tf2_msgs/TFMessage", queue_size=20)  # without a namespace
+            assert tree.get(20).transforms
 
 
 def test_a_goal_that_a_newer_one_replaces_is_aborted_with_the_reason(cell, peer):

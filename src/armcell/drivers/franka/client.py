@@ -9,8 +9,8 @@ import time
 
 from armcell.core import ArmcellError
 from armcell.drivers.franka.wire import commands as wire
-from armcell.drivers.franka.wire.commands import Command, ConnectStatus, WireError
-from armcell.drivers.franka.wire.state import STATE_SIZE
+from armcell.drivers.franka.wire.commands import NEWEST, PROTOCOLS, Command, ConnectStatus, WireError
+from armcell.drivers.franka.wire.state import MAX_STATE
 
 TIMEOUT = 2.0  # [s] for an answer
 
@@ -30,46 +30,66 @@ class FciError(ArmcellError):
 class FciClient:
     """Connection to a Franka robot, which serves one client at a time.
 
+    The connection uses the robot's version of the protocol, if armcell supports it.
+
+    Attributes:
+        protocol: the version in use.
     Raises:
         FciError: no robot answers, or it rejects the connection.
     """
 
     def __init__(self, host: str, port: int = wire.PORT):
-        self.host, self._identifier = host, 0
-        self._received = bytearray()
+        self.host, self.protocol = host, NEWEST
+        version = self._open(port)
+        if version != NEWEST.version and version in PROTOCOLS:
+            self.close()
+            self.protocol = PROTOCOLS[version]
+            version = self._open(port)
+        if version != self.protocol.version:
+            self.close()
+            known = " and ".join(str(v) for v in PROTOCOLS)
+            raise FciError(
+                "version", f"{host} speaks version {version} of Franka's protocol, armcell speaks versions "
+                f"{known}",
+            )  # fmt: skip
+
+    def _open(self, port: int) -> int:
+        """Connect to the robot; return the version of the protocol that it accepts, or speaks instead."""
+        self._identifier, self._received = 0, bytearray()
+        self._robot: tuple[str, int] | None = None  # address from which the robot sends its states
         try:
-            self.tcp = socket.create_connection((host, port), TIMEOUT)
+            self.tcp = socket.create_connection((self.host, port), TIMEOUT)
         except ConnectionRefusedError:
-            raise FciError("refused", f"{host} refuses the connection to port {port}") from None
+            raise FciError("refused", f"{self.host} refuses the connection to port {port}") from None
         except OSError as error:
-            raise FciError("unreachable", f"{host} does not answer: {error.strerror or error}") from None
+            text = f"{self.host} does not answer: {error.strerror or error}"
+            raise FciError("unreachable", text) from None
         self.tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._robot: tuple[str, int] | None = None  # address from which the robot sends its states
         try:
             self.udp.bind((self.tcp.getsockname()[0], 0))
             self.udp.setblocking(False)
-            self._connect()
+            return self._connect()
         except BaseException:
             self.close()
             raise
 
-    def _connect(self) -> None:
-        request = wire.REQUESTS[Command.CONNECT].pack(wire.VERSION, self.udp.getsockname()[1])
-        answer = self.ask(Command.CONNECT, request)
+    def _connect(self) -> int:
+        wanted = self.protocol.version
+        answer = self.ask(
+            Command.CONNECT, wire.REQUESTS[Command.CONNECT].pack(wanted, self.udp.getsockname()[1])
+        )
         if len(answer) != wire.CONNECTED.size:
             raise FciError("protocol", f"{self.host} does not answer like a Franka robot")
-        status, self.version = wire.CONNECTED.unpack(answer)
-        if status != ConnectStatus.SUCCESS:
-            raise FciError(
-                "version", f"{self.host} speaks version {self.version} of Franka's protocol, armcell speaks "
-                f"version {wire.VERSION}",
-            )  # fmt: skip
+        status, version = wire.CONNECTED.unpack(answer)
+        if status != ConnectStatus.SUCCESS and version == wanted:
+            raise FciError("protocol", f"{self.host} rejects its own version {version} of Franka's protocol")
+        return wanted if status == ConnectStatus.SUCCESS else version
 
     def send(self, command: Command, payload: bytes = b"") -> int:
         """Send a request to the robot and return its identifier."""
         self._identifier += 1
-        self.tcp.sendall(wire.message(command, self._identifier, payload))
+        self.tcp.sendall(wire.message(self.protocol.code(command), self._identifier, payload))
         return self._identifier
 
     def answers(self) -> list[tuple[int, bytes]]:
@@ -117,7 +137,7 @@ class FciClient:
         found = []
         while True:
             try:
-                data, self._robot = self.udp.recvfrom(STATE_SIZE + 1)
+                data, self._robot = self.udp.recvfrom(MAX_STATE + 1)
             except OSError:
                 return found
             found.append(data)
@@ -132,7 +152,7 @@ class FciClient:
             raise FciError(
                 "unreachable", f"{self.host} sends no state to UDP port {self.udp.getsockname()[1]}"
             )
-        data, self._robot = self.udp.recvfrom(STATE_SIZE + 1)
+        data, self._robot = self.udp.recvfrom(MAX_STATE + 1)
         return data
 
     def command(self, data: bytes) -> None:

@@ -38,8 +38,9 @@ class FrankaIdentity:
     """Identity and state of a Franka robot; its interface reports no serial number.
 
     Attributes:
-        model: name of the robot in its own description: fr3, panda.
-        description: URDF text that the robot sends.
+        model: name of the robot in its own description: fr3, panda. Protocol 5 has no description; its robots
+            are Pandas.
+        description: URDF text that the robot sends, or empty.
         version: version of the protocol.
     """
 
@@ -55,7 +56,9 @@ class FrankaIdentity:
 
     @property
     def calibration(self) -> str:
-        """Return a checksum of the robot description that the robot sends."""
+        """Return a checksum of the robot description that the robot sends, or nothing without one."""
+        if not self.description:
+            return ""
         return f"{crc32(self.description.encode()):08x}"
 
     def __str__(self) -> str:
@@ -76,13 +79,16 @@ def identify(host: str) -> FrankaIdentity:
         raise InputError(str(error), hint=_hint(host, error.kind)) from None
     try:
         state = read_state(client.first_state())
-        description = client.ask(Command.GET_ROBOT_MODEL)[1:].decode("utf-8", "replace")
+        description = ""
+        if Command.GET_ROBOT_MODEL in client.protocol.commands:
+            description = client.ask(Command.GET_ROBOT_MODEL)[1:].decode("utf-8", "replace")
     except (FciError, WireError, ValueError) as error:
         raise InputError(f"{host}: {error}", hint=_hint(host, "protocol")) from None
     finally:
         client.close()
     named = re.search(r'<robot[^>]*\sname="([^"]*)"', description)
-    return FrankaIdentity(host, named[1] if named else "unknown", description, client.version, state)
+    model = named[1] if named else "unknown" if description else "panda"
+    return FrankaIdentity(host, model, description, client.protocol.version, state)
 
 
 def _hint(host: str, kind: str) -> str:
@@ -92,7 +98,7 @@ def _hint(host: str, kind: str) -> str:
         "refused": ACTIVATE,
         "unreachable": "check the cable, the address, and that no firewall blocks UDP",
         "closed": "FCI is not active in Desk, or another client is connected: end it",
-        "version": "update the robot's system: FR3 with system 5.9 or later",
+        "version": "use system 5.9 or later on an FR3, system 4.2 on a Panda",
     }.get(kind, "check that a Franka robot has this address")
 
 

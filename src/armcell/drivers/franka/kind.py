@@ -19,7 +19,7 @@ from armcell.drivers.franka.identity import (
     identify,
 )
 from armcell.drivers.franka.settings import FrankaArmSettings
-from armcell.drivers.franka.wire.commands import Command
+from armcell.drivers.franka.wire.commands import REQUESTS, Command
 from armcell.drivers.franka.wire.state import RobotMode
 from armcell.drivers.real import NetworkReport, RealSettings, RobotKind, robot_kinds
 from armcell.drivers.real.arm import Array
@@ -27,14 +27,19 @@ from armcell.model import RobotModel
 
 STATES = 2000  # of a network measurement: two seconds
 TRIPS = 50
+QUESTIONS = {  # commands that change nothing; each protocol has one of them
+    Command.GET_ROBOT_MODEL: b"",
+    Command.GET_CARTESIAN_LIMIT: REQUESTS[Command.GET_CARTESIAN_LIMIT].pack(0),
+}
 OPERATOR_TIME = 60.0  # [s] in which the operator unlocks the brakes
 
 
 class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
-    """Franka arms over Franka's Control Interface (FCI), protocol 10."""
+    """Franka arms over Franka's Control Interface (FCI), protocols 5 and 10."""
 
     arm_settings = FrankaArmSettings
     joints = 7
+    calibrates = False
     gripper_hint = "add 'gripper: {kind: hand}' to its arm under 'real: arms:'"
 
     def complete(
@@ -73,9 +78,10 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
         client = FciClient(arm.host)
         try:
             trips, arrivals = [], []
+            question = next(c for c in QUESTIONS if c in client.protocol.commands)
             for _ in range(TRIPS):
                 began = time.monotonic()
-                client.ask(Command.GET_ROBOT_MODEL)
+                client.ask(question, QUESTIONS[question])
                 trips.append(time.monotonic() - began)
             client.states()
             for _ in range(STATES):

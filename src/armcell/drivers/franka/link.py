@@ -50,6 +50,7 @@ class WorkerLink:
         self._news = threading.Condition()
         self._sending = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
 
     def start(self) -> None:
         """Start the worker process, which connects to the robot, and wait for the first state.
@@ -81,7 +82,7 @@ class WorkerLink:
     def close(self) -> None:
         """End the worker process, which stops a moving arm."""
         process, self._process = self._process, None
-        if process is None:
+        if process is None or self._socket is None:
             return
         self._order(do="end")
         self._socket.shutdown(socket.SHUT_WR)
@@ -97,6 +98,8 @@ class WorkerLink:
     # --- messages ---
     def _send(self, data: bytes) -> None:
         with self._sending:
+            if self._socket is None:  # a heartbeat before the first connection
+                return
             try:
                 self._socket.sendall(data)
             except OSError:
@@ -153,7 +156,7 @@ class WorkerLink:
         with self._news:
             self._asked += 1
             number = self._asked
-        self._order(do="ask", id=number, command=int(command), payload=payload.hex())
+        self._order(do="ask", id=number, command=command.value, payload=payload.hex())
         with self._news:
             self._news.wait_for(lambda: number in self._answers or self.error, ANSWER_TIME)
             if number in self._answers:

@@ -13,6 +13,7 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -123,9 +124,17 @@ class Worker:
         """Send a command to the robot and report the status of its answer."""
 
         def report(content: bytes) -> None:
-            self._event(answer=order["id"], status=STATUS.unpack_from(content)[0])
+            self._event(answer=order["id"], status=int(self._status(command, content)))
 
-        self._send(Command(order["command"]), bytes.fromhex(order["payload"]), report)
+        command = Command(order["command"])
+        self._send(command, bytes.fromhex(order["payload"]), report)
+
+    def _status(self, command: Command, content: bytes) -> IntEnum:
+        """Decode the status in an answer; an unknown status ends the connection."""
+        try:
+            return self._client.protocol.status(command, STATUS.unpack_from(content)[0])
+        except WireError as error:
+            raise FciError("protocol", str(error)) from None
 
     def _send(self, command: Command, payload: bytes, then: Callable[[bytes], None]) -> None:
         try:
@@ -170,13 +179,13 @@ class Worker:
         identifier = self._client._identifier + 1
 
         def answered(content: bytes) -> None:
-            status = MoveStatus(STATUS.unpack_from(content)[0])
+            status = MoveStatus(self._status(Command.MOVE, content))
             if status is MoveStatus.STARTED:
                 self._answers[identifier] = answered  # a second answer follows at the motion's end
             else:
                 self._ended(status, number)
 
-        self._send(Command.MOVE, request.pack(), answered)
+        self._send(Command.MOVE, request.pack(self._client.protocol), answered)
 
     def _drop(self) -> None:
         """Discard the queued motion; the next streamed point starts a new one."""
@@ -242,7 +251,7 @@ class Worker:
             return
         q = setpoints.next(ticks, self._pace, now, state["q_d"], state["dq_d"], state["ddq_d"])
         command = RobotCommand(state.time, q=tuple(q.tolist()), motion_finished=setpoints.finished)
-        self._client.command(command.pack())
+        self._client.command(command.pack(self._client.protocol.version))
 
 
 def main(descriptor: str, host: str, watchdog: str) -> None:

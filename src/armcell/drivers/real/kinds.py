@@ -30,12 +30,14 @@ class RobotKind(ABC, Generic[A, I]):
         joints: number of joints of an arm.
         backends: valid values of `real: backend:`, the default first.
         gripper_hint: how to configure a gripper in the cell file.
+        calibrates: robots report the factory calibration of their geometry.
     """
 
     arm_settings: ClassVar[type[ArmSettings]]
     joints: ClassVar[int]
     backends: ClassVar[tuple[str, ...]] = ("own",)
     gripper_hint: ClassVar[str]
+    calibrates: ClassVar[bool] = True
 
     def complete(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
         """Check all arms of this robot kind against each other and fill in default values.

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from enum import IntEnum
 
 from armcell.drivers.franka.wire import commands as wire
-from armcell.drivers.franka.wire.commands import Command, ConnectStatus, SetterStatus
-from armcell.drivers.franka.wire.state import COMMAND, RobotCommand, read_command
+from armcell.drivers.franka.wire.commands import Command, ConnectStatus, Protocol, SetterStatus
+from armcell.drivers.franka.wire.state import COMMANDS, RobotCommand, read_command
 from armcell.emulators.franka.generators import Reflex
 from armcell.emulators.franka.robot import Robot
 from armcell.emulators.franka.robot_state import StateWriter
 from armcell.emulators.network import Link, Network
+
+MAX_CUTOFF = 1000.0  # [Hz]; disables a filter
 
 
 class CommandServer:
@@ -21,14 +24,14 @@ class CommandServer:
         active: whether the Franka Control Interface is active (in Desk); otherwise connections are closed.
     """
 
-    def __init__(self, robot: Robot, network: Network, host: str, urdf: str, port: int = wire.PORT):
-        self._robot, self._urdf = robot, urdf
+    def __init__(self, robot: Robot, network: Network, host: str, urdf: str, protocol: Protocol):
+        self._robot, self._urdf, self._protocol = robot, urdf, protocol
         self._client: Link | None = None
         self._state_to: tuple[str, int] | None = None
         self.udp = network.datagrams(host, "FCI states")
-        self._writer = StateWriter(robot)
+        self._writer = StateWriter(robot, protocol.version)
         self.active = True
-        network.listen(host, port, self._begin, self._data, "FCI commands")
+        network.listen(host, wire.PORT, self._begin, self._data, "FCI commands")
 
     @property
     def connected(self) -> bool:
@@ -50,10 +53,10 @@ class CommandServer:
 
     def commands(self) -> list[RobotCommand]:
         """Return the valid motion commands that have arrived since the last call."""
-        found = []
-        for data in self.udp.receive(COMMAND.size + 1):
+        found, version = [], self._protocol.version
+        for data in self.udp.receive(COMMANDS[version].size + 1):
             try:
-                found.append(read_command(data))
+                found.append(read_command(data, version))
             except ValueError:
                 self._robot.announce(f"a command of {len(data)} bytes was dropped")
         if not self.connected and self._robot.motion is not None:
@@ -76,41 +79,51 @@ class CommandServer:
                 return
             self._answer(link, *request)
 
-    def _answer(self, link: Link, command: int, identifier: int, payload: bytes) -> None:
-        def answer(status: int, more: bytes = b"") -> None:
-            link.send(wire.message(command, identifier, wire.STATUS.pack(status) + more))
+    def _answer(self, link: Link, code: int, identifier: int, payload: bytes) -> None:
+        protocol = self._protocol
 
-        layout = wire.REQUESTS.get(command)  # type: ignore[call-overload]
-        if layout is None or len(payload) != layout.size:
-            self._robot.announce(f"connection closed: command {command} with {len(payload)} bytes")
+        def answer(status: IntEnum, more: bytes = b"") -> None:
+            content = wire.STATUS.pack(protocol.status_code(status)) + more
+            link.send(wire.message(code, identifier, content))
+
+        command = protocol.command(code)
+        if command is None or len(payload) != protocol.requests[command].size:
+            self._robot.announce(f"connection closed: command {code} with {len(payload)} bytes")
             link.close()
             return
-        values = layout.unpack(payload)
-        if self._state_to is None and command != Command.CONNECT:
+        values = protocol.requests[command].unpack(payload)
+        if self._state_to is None and command is not Command.CONNECT:
             link.close()
-        elif command == Command.CONNECT:
-            self._connect(link, answer, *values)
-        elif command == Command.MOVE:
-            self._move(payload, answer)
-        elif command == Command.STOP_MOVE:
-            answer(self._robot.stop())
-        elif command == Command.AUTOMATIC_ERROR_RECOVERY:
-            self._robot.recover(answer)
-        elif command == Command.GET_ROBOT_MODEL:
-            answer(0, self._urdf.encode())
-        else:
-            answer(self._set(Command(command), values))
+            return
+        match command:
+            case Command.CONNECT:
+                self._connect(link, answer, *values)
+            case Command.MOVE:
+                self._move(payload, answer)
+            case Command.STOP_MOVE:
+                answer(self._robot.stop())
+            case Command.AUTOMATIC_ERROR_RECOVERY:
+                self._robot.recover(answer)
+            case Command.GET_ROBOT_MODEL:
+                answer(SetterStatus.SUCCESS, self._urdf.encode())
+            case Command.LOAD_MODEL_LIBRARY:  # a real Panda sends its own, compiled for the client
+                self._robot.announce("the client asks for the model library; the emulator has none")
+                answer(SetterStatus.NOT_POSSIBLE)
+            case Command.GET_CARTESIAN_LIMIT:  # no virtual wall is active
+                answer(SetterStatus.SUCCESS, wire.CARTESIAN_LIMIT.pack(*[0.0] * 19, False))
+            case _:
+                answer(self._set(command, values))
 
-    def _connect(self, link: Link, answer: Callable[[int, bytes], None], version: int, port: int) -> None:
-        compatible = version == wire.VERSION
-        status = ConnectStatus.SUCCESS if compatible else ConnectStatus.INCOMPATIBLE_VERSION
-        answer(status, struct.pack("<H", wire.VERSION))
-        if compatible:
+    def _connect(self, link: Link, answer: Callable[..., None], version: int, port: int) -> None:
+        own = self._protocol.version
+        status = ConnectStatus.SUCCESS if version == own else ConnectStatus.INCOMPATIBLE_VERSION
+        answer(status, struct.pack("<H", own))
+        if version == own:
             self._state_to = (link.socket.getpeername()[0], port)
 
-    def _move(self, payload: bytes, answer: Callable[[int], None]) -> None:
+    def _move(self, payload: bytes, answer: Callable[..., None]) -> None:
         try:
-            request = wire.MoveRequest.unpack(payload)
+            request = wire.MoveRequest.unpack(payload, self._protocol)
         except ValueError:
             answer(wire.MoveStatus.INVALID_ARGUMENT)
             return
@@ -133,5 +146,8 @@ class CommandServer:
                 return robot.set_frame("NE_T_EE", values)
             case Command.SET_LOAD:
                 return robot.set_load(values[0], values[1:4], values[4:])
+            case Command.SET_FILTERS:  # the emulator does not filter the client's signals
+                good = all(0.0 < f <= MAX_CUTOFF for f in values)
+                return SetterStatus.SUCCESS if good else SetterStatus.INVALID_ARGUMENT
         robot.guiding_axes = values
         return SetterStatus.SUCCESS

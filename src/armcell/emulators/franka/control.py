@@ -37,7 +37,7 @@ def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedan
     """Return torques (7,) [Nm] of springs and dampers to the joint reference, with feedforward."""
     q, dq = plant.read()
     spring = impedance.joint * (reference.q - q) + impedance.damping * (reference.dq - dq)
-    return spring + plant.inertial_torque(reference.ddq) + plant.coriolis() + plant.friction()
+    return spring + plant.inertial_torque(reference.ddq) + plant.coriolis()
 
 
 def cartesian_impedance(
@@ -53,7 +53,7 @@ def cartesian_impedance(
     wrench = impedance.cartesian * off + damping * slip
     elbow = NULLSPACE_STIFFNESS * (reference.q - q) + 10.0 * (reference.dq - dq)
     elbow = elbow - J.T @ np.linalg.solve(J @ J.T + 1e-9 * np.eye(6), J @ elbow)
-    return J.T @ wrench + elbow + plant.inertial_torque(reference.ddq) + plant.coriolis() + plant.friction()
+    return J.T @ wrench + elbow + plant.inertial_torque(reference.ddq) + plant.coriolis()
 
 
 class Brake:

@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import BinaryIO
 
+from armcell.core import InputError
 from armcell.core.checks import checked
+from armcell.drivers.franka.wire.commands import PROTOCOLS
 from armcell.drivers.franka.wire.limits import limits_of
 from armcell.emulators import rack
 from armcell.emulators.franka.command_server import CommandServer
@@ -32,13 +34,24 @@ ANSWER_TIME = 0.0004  # [s] in which a client must be able to answer a state
 @dataclass(frozen=True)
 @checked()
 class ControllerSettings:
-    """Settings of one emulated Franka controller."""
+    """Settings of one emulated Franka controller.
+
+    Attributes:
+        protocol: version of Franka's protocol; None: 5 for a Panda, 10 for an FR3.
+    """
 
     model: str = "fr3"
     host: str = "127.0.0.3"
     locked: bool = False  # brakes locked
     active: bool = True  # the Franka Control Interface is active
     homed: bool = True  # the hand
+    protocol: int | None = None
+
+    @property
+    def version(self) -> int:
+        if self.protocol is not None:
+            return self.protocol
+        return 5 if self.model == "panda" else 10
 
 
 def free_arm() -> PlanningScene:
@@ -69,10 +82,15 @@ class FrankaController:
         self.hand = Hand(plant)
         self.hand.homed = settings.homed
         host = settings.host
+        if settings.version not in PROTOCOLS:
+            raise InputError(
+                f"no version {settings.version} of Franka's protocol", hint=f"use one of {sorted(PROTOCOLS)}"
+            )
         try:
             self.commands = CommandServer(
-                self.robot, self.network, host, urdf(plant.world.robot, group, limits)
-            )
+                self.robot, self.network, host, urdf(plant.world.robot, group, limits),
+                PROTOCOLS[settings.version],
+            )  # fmt: skip
             self.commands.set_active(settings.active)
             self._hand_server = HandServer(self.hand, self.network, host)
             self.operator = OperatorServer(self.robot, self.hand, self.commands, self, self.network, host)

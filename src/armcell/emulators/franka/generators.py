@@ -6,6 +6,7 @@ acceleration, as Franka's documentation describes. A command outside the limits 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -13,6 +14,7 @@ import numpy as np
 import ruckig
 from numpy.typing import NDArray
 
+from armcell.drivers.franka.wire.commands import MoveController, MoveRequest, MoveStatus
 from armcell.drivers.franka.wire.limits import ELBOW_FLIP, FrankaLimits
 from armcell.drivers.franka.wire.state import RobotCommand
 from armcell.emulators.franka.kinematics import JOINTS, ArmKinematics, rotation_exp, rotation_log
@@ -344,6 +346,24 @@ class Follow:
 
     def step(self, command: RobotCommand | None) -> None:
         pass
+
+
+@dataclass(eq=False)
+class Motion:
+    """Running motion of the emulated arm."""
+
+    request: MoveRequest
+    answer: Callable[[MoveStatus], None]
+    generator: Generator
+    started: bool = False
+    waited: int = 0
+    lost: int = 0
+    ending: MoveStatus | None = None  # answer once the arm is at rest
+
+    @property
+    def by_torque(self) -> bool:
+        """Return whether the client's torques move the arm, which need not follow the reference."""
+        return self.request.controller is MoveController.EXTERNAL
 
 
 def elbow_of(q: Array) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,6 +33,7 @@ from armcell.emulators.franka.generators import (
     Interpolation,
     JointPosition,
     JointVelocity,
+    Motion,
     Reference,
     Reflex,
     elbow_of,
@@ -53,19 +53,6 @@ STOP_DECELERATION = 15.0  # [rad/s^2] of reflexes and stops
 LIMIT_MARGIN = 0.005  # [rad] beyond a position limit at which an arm has violated it
 MOVING = 1e-3  # [rad/s^2] desired acceleration above which the thresholds for acceleration apply
 GUIDING_DAMPING = 2.0  # [Nm s/rad]
-
-
-@dataclass(eq=False)
-class Motion:
-    """Running motion of the emulated arm."""
-
-    request: MoveRequest
-    answer: Callable[[MoveStatus], None]
-    generator: Generator
-    started: bool = False
-    waited: int = 0
-    lost: int = 0
-    ending: MoveStatus | None = None  # answer once the arm is at rest
 
 
 class Robot:
@@ -94,7 +81,7 @@ class Robot:
         self._brake: Brake | None = None
         self._recovered: tuple[int, Callable[[RecoveryStatus], None]] | None = None  # time and answer
         self._arrived: deque[bool] = deque(maxlen=WINDOW)
-        self.torque, self.torque_rate = np.zeros(JOINTS), np.zeros(JOINTS)  # desired [Nm], [Nm/s]
+        self.torque, self.torque_rate = np.zeros(JOINTS), np.zeros(JOINTS)  # tau_J_d [Nm], [Nm/s]
         self._commanded_torque = np.zeros(JOINTS)
         self.joint_contact, self.joint_collision = np.zeros(JOINTS), np.zeros(JOINTS)
         self.cartesian_contact, self.cartesian_collision = np.zeros(6), np.zeros(6)
@@ -142,7 +129,10 @@ class Robot:
         before = self.torque
         self.torque = self._control()
         self.torque_rate = (self.torque - before) / PERIOD
-        self.plant.apply(np.clip(self.torque, -self.limits.torque, self.limits.torque))
+        applied = self.torque + self.load_torque()
+        if self.mode is not RobotMode.GUIDING:
+            applied = applied + self.plant.friction()
+        self.plant.apply(np.clip(applied, -self.limits.torque, self.limits.torque))
         self.plant.step()
         self.measure()
         try:
@@ -174,7 +164,7 @@ class Robot:
         self._count(motion, command)
         if isinstance(motion.generator, Follow):
             self._follow()
-        if motion.request.controller is MoveController.EXTERNAL and command is not None:
+        if motion.by_torque and command is not None:
             self._take_torque(command)
         motion.generator.step(command)
         if command is not None and (command.motion_finished or command.torque_finished):
@@ -203,8 +193,10 @@ class Robot:
         Position and velocity commands must be at rest by then.
         """
         motion.ending = MoveStatus.SUCCESS
+        if motion.by_torque:
+            self._follow()
         moving = bool(np.any(np.abs(self.reference.dq) > 1e-4))
-        streamed = not motion.generator.patient and not isinstance(motion.generator, Follow)
+        streamed = not motion.generator.patient and not motion.by_torque
         if streamed and np.any(np.abs(self.reference.dq) / PERIOD > 1.5 * self.limits.acceleration):
             name = "cartesian_motion_generator_velocity_discontinuity"
             raise Reflex(
@@ -218,19 +210,17 @@ class Robot:
             self._finish(MoveStatus.SUCCESS)
 
     def _control(self) -> Array:
-        external = self.motion is not None and self.motion.request.controller is MoveController.EXTERNAL
-        if external and self._brake is None:
-            return self._commanded_torque + self.load_torque() + self.plant.friction()
+        """Return the desired torques (7,) [Nm] beyond the compensation of gravity and friction."""
+        if self.motion is not None and self.motion.by_torque and self._brake is None:
+            return self._commanded_torque
         if self.mode is RobotMode.GUIDING:
-            return self.load_torque() - GUIDING_DAMPING * self.dq
+            return -GUIDING_DAMPING * self.dq
         cartesian = self.motion is not None and (
             self.motion.request.controller is MoveController.CARTESIAN_IMPEDANCE
         )
         if cartesian and self._brake is None:
-            torque = cartesian_impedance(self.plant, self.frames, self.reference, self.impedance)
-        else:
-            torque = joint_impedance(self.plant, self.reference, self.impedance)
-        return torque + self.load_torque()
+            return cartesian_impedance(self.plant, self.frames, self.reference, self.impedance)
+        return joint_impedance(self.plant, self.reference, self.impedance)
 
     def _supervise(self) -> None:
         """Check the measured state of the arm against the limits; raise Reflex at a violation."""
@@ -280,9 +270,10 @@ class Robot:
         if self.mode is not RobotMode.IDLE or self.motion is not None:
             answer(MoveStatus.NOT_POSSIBLE)
             return
-        external = request.controller is MoveController.EXTERNAL
         interpolates = request.interpolate and request.generator is not MoveGenerator.JOINT_POSITION
-        if interpolates or (request.generator is MoveGenerator.NONE and not external):
+        if interpolates or (
+            request.generator is MoveGenerator.NONE and request.controller is not MoveController.EXTERNAL
+        ):
             answer(MoveStatus.INVALID_ARGUMENT)
             return
         self._brake = None
@@ -291,7 +282,7 @@ class Robot:
         self._clear_contacts()
         self.impedance.fit(self.plant.inertia())
         self._arrived.clear()
-        self._commanded_torque = np.zeros(JOINTS)
+        self._commanded_torque = self.torque
         self.motion = Motion(request, answer, self._generator(request))
         self.mode = RobotMode.MOVE
         answer(MoveStatus.STARTED)
@@ -321,7 +312,7 @@ class Robot:
     def stop(self) -> StopStatus:
         """Stop the running motion by the client's Stop command."""
         if self.motion is not None:
-            if isinstance(self.motion.generator, Follow):
+            if self.motion.by_torque:
                 self._follow()
             self.motion.ending = MoveStatus.PREEMPTED
             self._slow_down()
@@ -335,7 +326,7 @@ class Robot:
         if self.mode in (RobotMode.REFLEX, RobotMode.USER_STOPPED, RobotMode.OTHER):
             return
         self.announce(f"reflex: {reflex}")
-        if isinstance(getattr(self.motion, "generator", None), Follow):
+        if self.motion is not None and self.motion.by_torque:
             self._follow()
         self.errors.add(reflex.error)
         self.last_errors = {reflex.error}

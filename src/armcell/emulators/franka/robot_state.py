@@ -14,8 +14,8 @@ from armcell.emulators.franka.robot import Robot
 class StateWriter:
     """Writer that fills one message buffer with a robot's state."""
 
-    def __init__(self, robot: Robot):
-        self._robot, self._message = robot, StateMessage()
+    def __init__(self, robot: Robot, version: int = 10):
+        self._robot, self._message = robot, StateMessage(version)
         m = self._message
         m["F_T_NE"] = robot.T_F_NE.T.ravel()
         m["O_ddP_O"] = (0.0, 0.0, -9.81)

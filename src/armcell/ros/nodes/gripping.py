@@ -42,6 +42,9 @@ def gripping(
 ) -> ExecutionSteps:
     """Move a gripper until it reaches the target width or an object stops it.
 
+    A cancelled motion stops the fingers where they are, as ros_control's gripper_action_controller does;
+    fingers that hold an object keep their force.
+
     Args:
         driver: the cell's driver.
         gripper: the gripper.
@@ -60,6 +63,8 @@ def gripping(
         reading = driver.gripper(gripper.name)
         now = driver.now
         if cancel.is_set():
+            if not reading.held:
+                driver.command_gripper(gripper.name, reading.width, force)
             return ExecutionResult(ErrorCode.PREEMPTED, "cancelled", {"width": reading.width}, began, now)
         if abs(reading.width - last) > STANDS * max(now - still, driver.period):
             last, still = reading.width, now

@@ -5,10 +5,8 @@ The results are shapes, materials, colors and masses.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -31,8 +29,6 @@ from armcell.scene.sdf.elements import (
 )
 from armcell.scene.sdf.includes import Library
 
-HEAD_BYTES = 100_000  # start of a COLLADA file, which contains the unit
-_UNIT = re.compile(rb"""<unit\b[^>]*\bmeter=["']([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)["']""")
 DEFAULT_MASS = 1.0  # [kg] of a link without <inertial>; SDF's default
 WATER = 1000.0  # [kg/m^3]; SDF's default density for inertials that are computed
 GAZEBO_COLORS: dict[str, Color] = {
@@ -107,21 +103,7 @@ def _mesh(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
     uri = child(element, "uri")
     base = file_of(element).parent
     file = library.find(text_of(element, "uri"), base, element if uri is None else uri)
-    unit = collada_unit(file)
-    return load_mesh(file, (sx * unit, sy * unit, sz * unit)), SE3.identity()
-
-
-def collada_unit(file: Path) -> float:
-    """Return the length unit [m] of a COLLADA file, or 1 for any other file.
-
-    Gazebo scales meshes by this unit.
-    """
-    if file.suffix.lower() != ".dae":
-        return 1.0
-    with file.open("rb") as stream:
-        found = _UNIT.search(stream.read(HEAD_BYTES))
-    unit = float(found[1]) if found else 1.0
-    return unit if 0 < unit < np.inf else 1.0
+    return load_mesh(file, (sx, sy, sz)), SE3.identity()
 
 
 def _sized(kind: ShapeKind) -> Callable[[Element, Library], tuple[Shape, SE3]]:

@@ -1,42 +1,50 @@
-"""TCP commands of the Franka Control Interface (port 1337), protocol version 10.
+"""TCP commands of the Franka Control Interface (port 1337), protocol versions 5 and 10.
 
-All messages are packed little-endian. Source: Franka's public headers `libfranka-common` (Apache-2.0) and
-the interface documentation; the layouts were checked with the clients `pylibfranka` and `franky-control`.
+A Panda with system 4.2 speaks version 5, an FR3 with system 5.9 or later version 10. All messages are packed
+little-endian. Source: Franka's public headers `libfranka-common` (Apache-2.0; version 5: as in libfranka
+0.9.2) and the interface documentation; the layouts were checked with the clients `panda-python` (version 5),
+`pylibfranka` and `franky-control` (version 10).
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 
 PORT = 1337
-VERSION = 10
 MAX_MESSAGE = 1 << 20  # bytes; a robot model is the largest message
 
 HEADER = struct.Struct("<III")
 """Command, identifier of the request, and size of the whole message in bytes."""
 
 
-class Command(IntEnum):
-    CONNECT = 0
-    MOVE = 1
-    STOP_MOVE = 2
-    SET_COLLISION_BEHAVIOR = 3
-    SET_JOINT_IMPEDANCE = 4
-    SET_CARTESIAN_IMPEDANCE = 5
-    SET_GUIDING_MODE = 6
-    SET_EE_TO_K = 7
-    SET_NE_TO_EE = 8
-    SET_LOAD = 9
-    AUTOMATIC_ERROR_RECOVERY = 10
-    GET_ROBOT_MODEL = 11
+class Command(Enum):
+    """Command of any version; `Protocol.code` gives its number on the wire."""
+
+    CONNECT = "connect"
+    MOVE = "move"
+    STOP_MOVE = "stop move"
+    GET_CARTESIAN_LIMIT = "get Cartesian limit"
+    SET_COLLISION_BEHAVIOR = "set collision behavior"
+    SET_JOINT_IMPEDANCE = "set joint impedance"
+    SET_CARTESIAN_IMPEDANCE = "set Cartesian impedance"
+    SET_GUIDING_MODE = "set guiding mode"
+    SET_EE_TO_K = "set EE to K"
+    SET_NE_TO_EE = "set NE to EE"
+    SET_LOAD = "set load"
+    SET_FILTERS = "set filters"
+    AUTOMATIC_ERROR_RECOVERY = "automatic error recovery"
+    GET_ROBOT_MODEL = "get robot model"
+    LOAD_MODEL_LIBRARY = "load model library"
 
 
 REQUESTS: dict[Command, struct.Struct] = {
     Command.CONNECT: struct.Struct("<HH"),  # protocol version, UDP port of the client
-    Command.MOVE: struct.Struct("<II6dB7d"),  # see MoveRequest
+    Command.MOVE: struct.Struct("<II6dB7d"),  # see MoveRequest; version 5 ends after the deviations
     Command.STOP_MOVE: struct.Struct("<"),
+    Command.GET_CARTESIAN_LIMIT: struct.Struct("<i"),  # number of the virtual wall
     # torque thresholds (7) lower and upper during acceleration, lower and upper nominal; force
     # thresholds (6) in the same order
     Command.SET_COLLISION_BEHAVIOR: struct.Struct("<52d"),
@@ -46,11 +54,14 @@ REQUESTS: dict[Command, struct.Struct] = {
     Command.SET_EE_TO_K: struct.Struct("<16d"),  # column-major
     Command.SET_NE_TO_EE: struct.Struct("<16d"),  # column-major
     Command.SET_LOAD: struct.Struct("<13d"),  # mass [kg], center in the flange (3) [m], inertia (9)
+    Command.SET_FILTERS: struct.Struct("<5d"),  # cut-off frequencies [Hz] of the client's signals
     Command.AUTOMATIC_ERROR_RECOVERY: struct.Struct("<"),
     Command.GET_ROBOT_MODEL: struct.Struct("<"),
+    Command.LOAD_MODEL_LIBRARY: struct.Struct("<BB"),  # processor, operating system
 }
-"""Payload of each request, without the header."""
+"""Payload of each request in version 10 or, for commands that it no longer has, in version 5."""
 
+CARTESIAN_LIMIT = struct.Struct("<3d16d?")  # size [m], frame (column-major), whether the wall is active
 CONNECTED = struct.Struct("<BH")  # status, protocol version of the robot
 STATUS = struct.Struct("<B")
 
@@ -121,13 +132,77 @@ class MoveGenerator(IntEnum):
     NONE = 4
 
 
+_SAFETY = ("PREEMPTED_BY_SAFETY", "REJECTED_BY_SAFETY", "SAFETY_FUNCTION")  # not in version 5
+_STATUSES: Mapping[Command, type[IntEnum]] = {
+    Command.CONNECT: ConnectStatus,
+    Command.MOVE: MoveStatus,
+    Command.STOP_MOVE: StopStatus,
+    Command.AUTOMATIC_ERROR_RECOVERY: RecoveryStatus,
+}
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """Codes and layouts of one version of Franka's command protocol.
+
+    Attributes:
+        commands: all commands of the version, in the order of their codes.
+        requests: payload of each request, without the header.
+        without: statuses of version 10 that this version does not have.
+    """
+
+    version: int
+    commands: tuple[Command, ...]
+    requests: Mapping[Command, struct.Struct]
+    without: tuple[str, ...] = ()
+
+    def code(self, command: Command) -> int:
+        return self.commands.index(command)
+
+    def command(self, code: int) -> Command | None:
+        return self.commands[code] if code < len(self.commands) else None
+
+    def status_code(self, status: IntEnum) -> int:
+        """Return the code of a status on the wire."""
+        return self._statuses(type(status)).index(status)
+
+    def status(self, command: Command, code: int) -> IntEnum:
+        """Decode the status in the answer to a command.
+
+        Raises:
+            WireError: the version has no such status.
+        """
+        known = self._statuses(_STATUSES.get(command, SetterStatus))
+        if code >= len(known):
+            raise WireError(f"status {code} in the answer to the command {command.value!r}")
+        return known[code]
+
+    def _statuses(self, kind: type[IntEnum]) -> list[IntEnum]:
+        return [status for status in kind if status.name not in self.without]
+
+
+def _protocols() -> dict[int, Protocol]:
+    old = {Command.GET_CARTESIAN_LIMIT, Command.SET_FILTERS, Command.LOAD_MODEL_LIBRARY}
+    of_10 = tuple(c for c in Command if c not in old)
+    of_5 = tuple(c for c in Command if c is not Command.GET_ROBOT_MODEL)
+    return {
+        10: Protocol(10, of_10, REQUESTS),
+        5: Protocol(5, of_5, {**REQUESTS, Command.MOVE: struct.Struct("<II6d")}, _SAFETY),
+    }
+
+
+PROTOCOLS = _protocols()
+"""Supported versions of the protocol, newest first."""
+NEWEST = PROTOCOLS[10]
+
+
 @dataclass(frozen=True)
 class MoveRequest:
     """Request of the Move command, which starts a motion.
 
     Attributes:
         path_deviation, goal_deviation: largest translation [m], rotation [rad] and elbow angle [rad].
-        interpolate: the robot itself interpolates a slow stream of joint positions.
+        interpolate: the robot itself interpolates a slow stream of joint positions; not in version 5.
         max_velocity: largest joint speeds (7,) [rad/s] of such an interpolation.
     """
 
@@ -138,24 +213,24 @@ class MoveRequest:
     interpolate: bool = False
     max_velocity: tuple[float, ...] = (0.0,) * 7
 
-    def pack(self) -> bytes:
-        return REQUESTS[Command.MOVE].pack(
+    def pack(self, protocol: Protocol = NEWEST) -> bytes:
+        """Encode the request; a version without interpolation by the robot drops these fields."""
+        values = (
             self.controller, self.generator, *self.path_deviation, *self.goal_deviation,
             self.interpolate, *self.max_velocity,
         )  # fmt: skip
+        return protocol.requests[Command.MOVE].pack(*(values if protocol.version > 5 else values[:8]))
 
     @classmethod
-    def unpack(cls, payload: bytes) -> MoveRequest:
+    def unpack(cls, payload: bytes, protocol: Protocol = NEWEST) -> MoveRequest:
         """Decode a Move request.
 
         Raises:
             ValueError: a mode is not known.
         """
-        controller, generator, *rest = REQUESTS[Command.MOVE].unpack(payload)
-        return cls(
-            MoveController(controller), MoveGenerator(generator), tuple(rest[0:3]), tuple(rest[3:6]),
-            bool(rest[6]), tuple(rest[7:14]),
-        )  # fmt: skip
+        controller, generator, *rest = protocol.requests[Command.MOVE].unpack(payload)
+        motion = MoveController(controller), MoveGenerator(generator), tuple(rest[0:3]), tuple(rest[3:6])
+        return cls(*motion, bool(rest[6]), tuple(rest[7:14])) if len(rest) > 6 else cls(*motion)
 
 
 def message(command: int, identifier: int, payload: bytes = b"") -> bytes:

@@ -1,8 +1,7 @@
-"""UDP messages of the Franka Control Interface, version 10: robot state and motion command.
+"""UDP messages of the Franka Control Interface, versions 5 and 10: robot state and motion command.
 
-The robot sends a state every millisecond. The state's numbers are float32, the command's float64; matrices
-are column-major. Source: Franka's public headers `libfranka-common` (Apache-2.0), checked with the clients
-`pylibfranka` and `franky-control`.
+The robot sends a state every millisecond. The state's numbers are float64 in version 5 and float32 in version
+10, the command's float64; matrices are column-major. Source: see `commands`.
 """
 
 from __future__ import annotations
@@ -32,16 +31,33 @@ _FIELDS = (
 COUNT = sum(n for _, n in _FIELDS)
 _starts = np.cumsum([0, *(n for _, n in _FIELDS)])
 FIELDS = {name: slice(int(a), int(a) + n) for (name, n), a in zip(_FIELDS, _starts, strict=False)}
-"""Position of each state field in the float array."""
-
-_TAIL = 8 + 4 * COUNT
+"""Position of each state field in the number array."""
 _MODES = struct.Struct("<BB")  # motion generator mode, controller mode
-_REST = struct.Struct("<Bf")  # robot mode, success rate
-STATE_SIZE = _TAIL + _MODES.size + 2 * len(ERRORS) + _REST.size
 
-COMMAND = struct.Struct("<Q7d7d16d6d2dBB7dB")
+
+class StateLayout:
+    """Layout of the robot state message in one version of the protocol.
+
+    Attributes:
+        count: numbers in the message; version 5 lacks the accelerometers at the end.
+        modes: start of the two modes, which follow the numbers.
+        rest: robot mode and success rate, at the end.
+    """
+
+    def __init__(self, version: int, number: str, count: int):
+        self.version, self.count, self.number = version, count, np.dtype(f"<{number}")
+        self.modes = 8 + self.number.itemsize * count
+        self.rest = struct.Struct(f"<B{self.number.char}")
+        self.size = self.modes + _MODES.size + 2 * len(ERRORS) + self.rest.size
+
+
+STATES = {10: StateLayout(10, "f4", COUNT), 5: StateLayout(5, "f8", FIELDS["accelerometer_top"].start)}
+MAX_STATE = max(layout.size for layout in STATES.values())
+_BY_SIZE = {layout.size: layout for layout in STATES.values()}
+
+COMMANDS = {10: struct.Struct("<Q7d7d16d6d2dBB7dB"), 5: struct.Struct("<Q7d7d16d6d2dBB7d")}
 """Identifier of the state it answers; q_c, dq_c, O_T_EE_c, O_dP_EE_c, elbow_c, valid elbow, motion finished,
-tau_J_d, torque finished."""
+tau_J_d; in version 10 torque finished."""
 
 
 class GeneratorMode(IntEnum):
@@ -74,27 +90,26 @@ class StateMessage:
     """Robot state message that is written in place; `bytes(state)` returns the message.
 
     Attributes:
-        floats: all numbers (COUNT,); `FIELDS` names their positions.
+        numbers: all numbers of the version; `FIELDS` names their positions.
     """
 
-    def __init__(self) -> None:
-        self._buffer = bytearray(STATE_SIZE)
-        self.floats: NDArray[np.float32] = np.frombuffer(self._buffer, "<f4", COUNT, 8)
-        self.errors: NDArray[np.uint8] = np.frombuffer(
-            self._buffer, np.uint8, len(ERRORS), _TAIL + _MODES.size
-        )
-        self.reflex_reason: NDArray[np.uint8] = np.frombuffer(
-            self._buffer, np.uint8, len(ERRORS), _TAIL + _MODES.size + len(ERRORS)
-        )
+    def __init__(self, version: int = 10) -> None:
+        self._layout = layout = STATES[version]
+        self._buffer = bytearray(layout.size)
+        self.numbers = np.frombuffer(self._buffer, layout.number, layout.count, 8)
+        flags, n = layout.modes + _MODES.size, len(ERRORS)
+        self.errors: NDArray[np.uint8] = np.frombuffer(self._buffer, np.uint8, n, flags)
+        self.reflex_reason: NDArray[np.uint8] = np.frombuffer(self._buffer, np.uint8, n, flags + n)
 
     def __setitem__(self, field: str, values: ArrayLike) -> None:
-        self.floats[FIELDS[field]] = values
+        self.numbers[FIELDS[field]] = values
 
     def head(self, identifier: int, generator: int, controller: int, mode: int, success: float) -> None:
         """Write the fields of the robot state message that are not arrays."""
+        layout = self._layout
         struct.pack_into("<Q", self._buffer, 0, identifier)
-        _MODES.pack_into(self._buffer, _TAIL, generator, controller)
-        _REST.pack_into(self._buffer, STATE_SIZE - _REST.size, mode, success)
+        _MODES.pack_into(self._buffer, layout.modes, generator, controller)
+        layout.rest.pack_into(self._buffer, layout.size - layout.rest.size, mode, success)
 
     def __bytes__(self) -> bytes:
         return bytes(self._buffer)
@@ -106,12 +121,12 @@ class RobotState:
 
     Attributes:
         time: message identifier, which counts milliseconds.
-        floats: all numbers (COUNT,).
+        numbers: all numbers of the version.
         errors, last_errors: names of the active errors, and of the errors that ended the last motion.
     """
 
     time: int
-    floats: NDArray[np.float32]
+    numbers: NDArray[np.floating]
     generator: int
     controller: int
     mode: int
@@ -120,26 +135,28 @@ class RobotState:
     last_errors: tuple[str, ...]
 
     def __getitem__(self, field: str) -> NDArray[np.float64]:
-        return self.floats[FIELDS[field]].astype(np.float64)
+        return self.numbers[FIELDS[field]].astype(np.float64)
 
 
 def read_state(data: bytes) -> RobotState:
-    """Decode a robot state message.
+    """Decode a robot state message; its size tells the version.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.
     """
-    if len(data) != STATE_SIZE:
-        raise WireError(f"a robot state of {len(data)} bytes; protocol 10 has {STATE_SIZE}")
-    generator, controller = _MODES.unpack_from(data, _TAIL)
-    mode, success = _REST.unpack_from(data, STATE_SIZE - _REST.size)
-    floats = np.frombuffer(data, "<f4", COUNT, 8)
-    if not np.isfinite(floats).all():
+    layout = _BY_SIZE.get(len(data))
+    if layout is None:
+        sizes = ", ".join(f"version {version} {one.size}" for version, one in STATES.items())
+        raise WireError(f"a robot state of {len(data)} bytes; Franka's protocol has {sizes}")
+    generator, controller = _MODES.unpack_from(data, layout.modes)
+    mode, success = layout.rest.unpack_from(data, layout.size - layout.rest.size)
+    numbers = np.frombuffer(data, layout.number, layout.count, 8)
+    if not np.isfinite(numbers).all():
         raise WireError("a robot state has numbers that are not finite")
-    flags = data[_TAIL + _MODES.size : STATE_SIZE - _REST.size]
+    flags = data[layout.modes + _MODES.size : layout.size - layout.rest.size]
     n = len(ERRORS)
     return RobotState(
-        struct.unpack_from("<Q", data)[0], floats, generator, controller, mode, success,
+        struct.unpack_from("<Q", data)[0], numbers, generator, controller, mode, success,
         tuple(e for e, on in zip(ERRORS, flags[:n], strict=True) if on),
         tuple(e for e, on in zip(ERRORS, flags[n:], strict=True) if on),
     )  # fmt: skip
@@ -163,24 +180,28 @@ class RobotCommand:
     torque: tuple[float, ...] = (0.0,) * 7
     torque_finished: bool = False
 
-    def pack(self) -> bytes:
-        return COMMAND.pack(
+    def pack(self, version: int = 10) -> bytes:
+        """Encode the command; version 5 has no end of a torque alone."""
+        values = (
             self.time, *self.q, *self.dq, *self.O_T_EE, *self.O_dP_EE, *self.elbow, self.valid_elbow,
             self.motion_finished, *self.torque, self.torque_finished,
         )  # fmt: skip
+        return COMMANDS[version].pack(*(values if version > 5 else values[:-1]))
 
 
-def read_command(data: bytes) -> RobotCommand:
+def read_command(data: bytes, version: int = 10) -> RobotCommand:
     """Decode a motion command message.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.
     """
-    if len(data) != COMMAND.size:
-        raise WireError(f"a command of {len(data)} bytes; protocol 10 has {COMMAND.size}")
-    v = COMMAND.unpack(data)
+    layout = COMMANDS[version]
+    if len(data) != layout.size:
+        raise WireError(f"a command of {len(data)} bytes; protocol {version} has {layout.size}")
+    v = layout.unpack(data)
     if not np.isfinite(v[1:39]).all() or not np.isfinite(v[41:48]).all():
         raise WireError("a command has numbers that are not finite")
+    finished = bool(v[48]) if version > 5 else bool(v[40])
     return RobotCommand(
-        v[0], v[1:8], v[8:15], v[15:31], v[31:37], v[37:39], bool(v[39]), bool(v[40]), v[41:48], bool(v[48])
+        v[0], v[1:8], v[8:15], v[15:31], v[31:37], v[37:39], bool(v[39]), bool(v[40]), v[41:48], finished
     )

@@ -1,0 +1,26 @@
+"""Motions of a gripper on the bus that a client cancels."""
+
+import threading
+
+import pytest
+
+from armcell.cell import load
+from armcell.core import ErrorCode
+from armcell.ros.nodes.gripping import gripping
+
+
+@pytest.mark.parametrize("mode", ["sim", "fake"])
+def test_a_cancelled_gripper_stops_where_it_is(mode):
+    with load("panda_pick").connect(mode) as live:
+        driver, hand = live.driver, live.model.gripper()
+        opened, cancel = driver.gripper(hand.name).width, threading.Event()
+        steps = gripping(driver, hand, 0.0, 20.0, cancel)
+        while driver.gripper(hand.name).width > 0.8 * opened:
+            next(steps)
+            live.ctx.advance(driver.period)
+        cancel.set()
+        with pytest.raises(StopIteration) as ended:
+            next(steps)
+        live.ctx.advance(1.0)
+        stopped = driver.gripper(hand.name).width
+        assert ended.value.value.code is ErrorCode.PREEMPTED and 0.6 * opened < stopped < 0.85 * opened
