@@ -19,6 +19,7 @@ from armcell.cell.calibrating import with_geometry
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
 from armcell.core import ArmcellError, CartesianRequest, InputError, JointGoal, JointState, PlanRequest
+from armcell.core.pauses import no_long_pauses
 from armcell.drivers.real import RobotIdentity, identify_all, kind_of, real_settings
 from armcell.execution import execute
 from armcell.kinematics import kinematic_tree
@@ -127,7 +128,8 @@ class BringUp:
     # --- the steps ---
     def _network(self, name: str) -> str:
         arm = self.settings.arms[name]
-        report = kind_of(arm).measure_network(arm)
+        with no_long_pauses():  # a pause of this program is not the network's
+            report = kind_of(arm).measure_network(arm)
         if report.worst_gap > self.settings.max_state_age:
             raise InputError(
                 f"{report}: a gap longer than {self.settings.max_state_age * 1000:.0f} ms would stop the arm",

@@ -23,6 +23,7 @@ def twin(
     from armcell.cell import load
     from armcell.cell.twin import bands_file, learn_bands
     from armcell.core import InputError
+    from armcell.drivers.real import kind_of, real_settings
     from armcell.planning import warm_up
 
     loaded = load(cell)
@@ -40,15 +41,17 @@ def twin(
     warm_up()
     bands = learn_bands(loaded, motions, seed, console.print)
     bands.save(target)
+    settings = real_settings(loaded.spec.real, loaded.model)
     for name, arm in bands.arms.items():
+        effort, unit = kind_of(settings.arms[name]).effort
         measured = np.isfinite(arm.current).all()
         console.print(
             f"{name}: position {np.rad2deg(arm.position.max()):.2f} deg, "
             f"velocity {arm.velocity.max():.2f} rad/s, "
             + (
-                f"current {arm.current.max():.2f} A, load {arm.load:.1f} kg, "
+                f"{effort} {arm.current.max():.2f} {unit}, load {arm.load:.1f} kg, "
                 if measured
-                else "no current measured, "
+                else f"no {effort} measured, "
             )
             + f"round trip {arm.trip * 1000:.0f} ms; {arm.lag * 1000:.0f} ms behind; {arm.samples} looks",
             soft_wrap=True,

@@ -40,6 +40,7 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
     arm_settings = FrankaArmSettings
     joints = 7
     calibrates = False
+    effort = "torque", "Nm"
     gripper_hint = "add 'gripper: {kind: hand}' to its arm under 'real: arms:'"
 
     def complete(

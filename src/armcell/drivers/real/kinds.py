@@ -31,6 +31,7 @@ class RobotKind(ABC, Generic[A, I]):
         backends: valid values of `real: backend:`, the default first.
         gripper_hint: how to configure a gripper in the cell file.
         calibrates: robots report the factory calibration of their geometry.
+        effort: name and unit of `ArmSample.efforts`.
     """
 
     arm_settings: ClassVar[type[ArmSettings]]
@@ -38,6 +39,7 @@ class RobotKind(ABC, Generic[A, I]):
     backends: ClassVar[tuple[str, ...]] = ("own",)
     gripper_hint: ClassVar[str]
     calibrates: ClassVar[bool] = True
+    effort: ClassVar[tuple[str, str]] = ("current", "A")
 
     def complete(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
         """Check all arms of this robot kind against each other and fill in default values.
