@@ -23,7 +23,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(path for path in EXAMPLES.rglob("*.py") if "__pycache__" not in path.parts)
 
 
-PROCESSES = ("23_", "28_", "29_", "31_")
+PROCESSES = ("23_", "28_", "29_", "31_", "32_")
 """Examples that start other processes: they run in a process of their own, which must end."""
 
 
@@ -347,6 +347,15 @@ def test_23_two_arms_over_the_wire(printed):
     assert number(r"relative_error_mm: ([\d.]+)", said) <= 0.5
     assert number(r"relative_error_deg: ([\d.]+)", said) <= 0.1
     assert 0.5 < number(r"squeeze_N: ([\d.]+)", said) <= 30.0
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_32_panda_over_the_wire(printed):
+    with in_real_time():
+        said = printed("32_panda_over_the_wire.py")
+    assert "panda at 127.0.0.32, protocol 5" in said and "success" in said
+    assert number(r"placed ([\d.]+) mm off", said) < 5.0
 
 
 @pytest.mark.slow
