@@ -174,8 +174,8 @@ def page(kept: dict[str, Any]) -> str:
     """docs/benchmarks.md."""
     parts = [
         "# Benchmarks",
-        "`make bench` runs everything in `benchmarks/` in turn and writes this page: what each prints. "
-        '`ONLY="campaign wires"` runs some, `SIZE=quick` a few runs of each without writing anything.',
+        "`make bench` runs every benchmark in `benchmarks/` and writes the output of each to this page. "
+        '`ONLY="campaign wires"` selects benchmarks; `SIZE=quick` makes few runs and writes nothing.',
     ]
     for benchmark in BENCHMARKS:
         parts += [f"## {benchmark.title}", *section(benchmark, kept.get(benchmark.name))]
@@ -183,7 +183,7 @@ def page(kept: dict[str, Any]) -> str:
 
 
 def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
-    where = [f"Tables: [{benchmark.title}]({benchmark.page})."] if benchmark.page else []
+    where = [f"For the results, see [{benchmark.title}]({benchmark.page})."] if benchmark.page else []
     drawn = []
     if benchmark.draws and (PAGE.parent / picture(benchmark)).exists():
         drawn.append(f"![{benchmark.title}]({picture(benchmark)})")
@@ -191,15 +191,16 @@ def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
         written = (PAGE.parent / benchmark.page).read_text(encoding="utf-8").splitlines()
         drawn += [line for line in written if line.startswith("![")]
     if found is None:
-        return [*where, f"Not run here yet: `make bench ONLY={benchmark.name}`."]
+        return [*where, f"There are no results yet: run `make bench ONLY={benchmark.name}`."]
     how = (
-        f"{found['date']}, {found['seconds'] / 60:.1f} minutes, load before {found['load']:.1f}. "
-        f"{found['machine']}. {found['versions']}."
+        "| date | duration | load before | machine | versions |\n|---|---|---|---|---|\n"
+        f"| {found['date']} | {found['seconds'] / 60:.1f} minutes | {found['load']:.1f} "
+        f"| {found['machine']} | {found['versions']} |"
     )
     if found["status"] == REASON:
         return [*where, how, f"Left out: {' '.join(found['printed'][-1:])}"]
     if found["status"] != 0:
-        how += f" It failed (status {found['status']})."
+        how += f"\n\nThe benchmark failed with status {found['status']}."
     plain, table = split(found["printed"])
     if benchmark.page:
         return [*where, how, *drawn]
@@ -218,7 +219,7 @@ def as_printed(lines: list[str]) -> list[str]:
 def folded(lines: list[str]) -> str:
     """To be opened by a click."""
     text = escape("\n".join(lines), quote=False)
-    return f"<details><summary>All that it printed</summary>\n<pre>\n{text}\n</pre>\n</details>"
+    return f"<details><summary>Complete output</summary>\n<pre>\n{text}\n</pre>\n</details>"
 
 
 def split(lines: list[str]) -> tuple[list[str], list[str]]:

@@ -128,15 +128,15 @@ def measure(case: Case, pipeline: str, planner: str, seeds: int, seconds: float)
 
 HEAD = """# Comparison of all planners
 
-The table compares every planner of every pipeline on four problems, from a request to a proven and timed
-motion. Each cell contains the number of solved runs, their median CPU time (all threads of the process) and
-their median path length.
-`make bench-planners` writes this page; {seeds} seeds, {seconds:g} s of planning time each, {machine}.
+The table compares all planners of all pipelines on four problems, from the request to a proven and timed
+motion. Each cell of the table contains the number of solved runs, their median CPU time (all threads of the
+process) and their median path length.
+`make bench-planners` writes this page ({seeds} seeds, {seconds:g} s of planning time each, {machine}).
 
 Anytime planners use all of their planning time. OMPL's AORRTC, BIT*, PRM*, RRT* and similar planners stop
 after 1 s if they have a solution; the native AORRTC stops at the end of the planning time.
-A native PRM keeps its roadmap between seeds.
-OMPL's planners call the same collision kernel from Python, and the same code shortens all paths.
+The native PRM keeps its roadmap between the seeds.
+OMPL's planners call armcell's collision kernel from Python, and armcell shortens the paths of all planners.
 
 """
 
@@ -154,7 +154,8 @@ def main() -> None:
     for case in problems:  # compiles and fits what is kept after the first use
         for planner in pipelines["native"]:
             measure(case, "native", planner, 1, 0.1)
-    lines = [f"- **{case.name}**: {case.words}" for case in problems]
+    lines = ["| problem | description |", "|---|---|"]
+    lines += [f"| {case.name} | {case.words} |" for case in problems]
     lines += [
         "",
         "| planner | " + " | ".join(c.name for c in problems) + " |",

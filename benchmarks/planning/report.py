@@ -29,7 +29,7 @@ def write(results: dict[str, Any], document: Path, pictures: Path) -> None:
     if text.count(BEGIN) != 1 or text.count(END) != 1:
         raise ValueError(f"{document} needs the lines {BEGIN} and {END} once each")
     pictures.mkdir(parents=True, exist_ok=True)
-    parts = [f"Measured on {results['machine']}.\n", _bars_table(lines(results))]
+    parts = [f"| machine and versions |\n| --- |\n| {results['machine']} |\n", _bars_table(lines(results))]
     for robot, title in ROBOTS.items():
         rows = [r for r in results.get("rows", []) if r["robot"] == robot]
         if not rows:

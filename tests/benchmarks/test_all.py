@@ -52,7 +52,7 @@ def test_the_page_has_what_was_printed(tmp_path, monkeypatch, capfd):
     )
     assert "![Good](pictures/bench_good.png)" in good and (tmp_path / "pictures/bench_good.png").exists()
     assert "[Bad](own.md)" in bad and "![A plot](pictures/own.png)" in bad
-    assert "It failed (status 3)" in bad and "Left out: | 1 | 2 |" in unable
+    assert "failed with status 3" in bad and "Left out: | 1 | 2 |" in unable
     assert "make bench ONLY=later" in later
     assert "<details>" not in page
     lines = [f"{'  ' * (n % 2)}line {n} <" for n in range(40)]

@@ -56,7 +56,7 @@ def resume(folder: str | Path) -> Store:
     if changed:
         store.close()
         raise InputError(
-            f"since this campaign began, what changed is: {', '.join(changed)}", file=store.folder,
+            f"changed since this campaign began: {', '.join(changed)}", file=store.folder,
             hint="trials of two different cells do not make one table: begin a new campaign",
         )  # fmt: skip
     announce_code(cell)

@@ -62,7 +62,7 @@ class _Actor:
             return {"cell": f"{error} (on node {platform.node()})"}
         changed = changed_parts(self._hashes, content_hashes(self._cell))
         if changed:
-            return {"cell": f"on node {platform.node()}, what differs is: {', '.join(changed)}"}
+            return {"cell": f"node {platform.node()} has other versions of: {', '.join(changed)}"}
         warm_up()
         return {"ready": True}
 

@@ -55,7 +55,7 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
         changed = [part for part in DECIDING if bands.identity.get(part) != now[part]]
         if changed:
             raise InputError(
-                f"since the twin's bands were learned, what changed is: {', '.join(changed)}", file=file,
+                f"changed since the twin's bands were learned: {', '.join(changed)}", file=file,
                 hint=f"learn them again, which begins with a slow loop: armcell twin {cell.file}",
             )  # fmt: skip
     elif watch:

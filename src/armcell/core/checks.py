@@ -74,6 +74,8 @@ def _like(default: Any, value: Any, what: str) -> Any:
 
 def is_number(value: Any, infinite: bool = False) -> bool:
     """Check whether a value is one real number; infinity counts only with `infinite`, NaN never."""
+    if type(value) is float:  # nearly always
+        return math.isfinite(value) or (infinite and not math.isnan(value))
     if not isinstance(value, int | float | np.integer | np.floating):
         return False
     try:
@@ -194,7 +196,7 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
         return is_number(value, infinite)
     if kind == "int":
         return is_number(value) and value == int(value)
-    if not isinstance(value, Sequence | np.ndarray) or isinstance(value, str):
+    if type(value) is not tuple and (not isinstance(value, Sequence | np.ndarray) or isinstance(value, str)):
         return False
     return (not _TUPLE[kind] or len(value) == _TUPLE[kind]) and all(is_number(v, infinite) for v in value)
 

@@ -67,7 +67,7 @@ def checked_cell(record: Record, anyway: bool = False) -> Any:
     changed = changed_since(record.metadata, cell)
     if changed and not anyway:
         raise InputError(
-            f"since this record, what changed is: {', '.join(changed)}", file=record.file,
+            f"changed since this record: {', '.join(changed)}", file=record.file,
             hint="restore it, or compare all the same with --anyway",
         )  # fmt: skip
     announce_code(cell, origin_of(record.metadata, record.file))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -51,10 +52,10 @@ def pose_from_message(pose: Any) -> SE3:
     else:
         p, r = pose.translation, pose.rotation
     xyz, xyzw = np.array([p.x, p.y, p.z], dtype=float), np.array([r.x, r.y, r.z, r.w], dtype=float)
-    length = float(np.linalg.norm(xyzw))
+    length = math.sqrt(xyzw.dot(xyzw))
     if length == 0.0:
         xyzw, length = np.array([0.0, 0.0, 0.0, 1.0]), 1.0
-    if not (np.isfinite(xyz).all() and np.isfinite(length)):
+    if not math.isfinite(sum(xyz.tolist(), length)):
         raise InputError("a pose has a number that is not finite")
     if abs(length - 1.0) > 0.1:
         raise InputError(f"quaternion {xyzw.round(4).tolist()} has length {length:.3f}", hint="normalize it")

@@ -85,8 +85,8 @@ def _placed_object(
     if isinstance(change, MoveObject):
         return item.at(change.T_frame_object) if change.frame == WORLD else None
     if isinstance(change, SetColor):
-        return replace(item, color=change.color)
-    return replace(item, type=change.type)
+        return item.colored(change.color)
+    return item if item.type == change.type else replace(item, type=change.type)
 
 
 # --- objects ---

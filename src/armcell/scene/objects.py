@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +111,15 @@ class Thread:
             raise InputError(f"a thread's torque is {self.torque:g} Nm, it must not be negative")
 
 
+def is_color(color: Any) -> bool:
+    """Return whether a value is an RGBA color of scene objects: a tuple of four numbers from 0 to 1."""
+    return len(color) == 4 and all(0 <= part <= 1 for part in color)
+
+
+def _bad_color(name: str, color: Any) -> InputError:
+    return InputError(f"object {name!r}: color is {color}, it must be r, g, b, a of 0 to 1")
+
+
 @dataclass(frozen=True, eq=False)
 @checked()
 class CollisionObject:
@@ -147,8 +157,8 @@ class CollisionObject:
             raise InputError("an object needs a name")
         if any(not name or name != name.strip() for name in self.subframes):
             raise InputError(f"object {self.name!r}: a subframe needs a name")
-        if len(self.color) != 4 or not np.all((np.asarray(self.color) >= 0) & (np.asarray(self.color) <= 1)):
-            raise InputError(f"object {self.name!r}: color is {self.color}, it must be r, g, b, a of 0 to 1")
+        if not is_color(self.color):
+            raise _bad_color(self.name, self.color)
         if not self.shapes:
             raise InputError(f"object {self.name!r} has no shape")
         if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
@@ -171,8 +181,21 @@ class CollisionObject:
 
     def at(self, T_world_object: SE3) -> CollisionObject:
         """Return the collision object at another pose, without validating other fields again."""
+        return self._copy(T_world_object=T_world_object)
+
+    def colored(self, color: Color) -> CollisionObject:
+        """Return the collision object in another RGBA color (0 to 1), without validating other fields.
+
+        Raises:
+            InputError: the color is invalid.
+        """
+        if not is_color(color):
+            raise _bad_color(self.name, color)
+        return self._copy(color=color)
+
+    def _copy(self, **checked_fields: Any) -> CollisionObject:
         other = object.__new__(CollisionObject)
-        other.__dict__.update(self.__dict__, T_world_object=T_world_object)
+        other.__dict__.update(self.__dict__, **checked_fields)
         return other
 
     @property

@@ -33,7 +33,8 @@ def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
         if len(poses) > len(items):
             raise InputError(f"{len(poses)} {kind} poses for {len(items)} shapes")
         placed = [pose_from_message(p) for p in poses]
-        return list(zip(items, placed + [SE3.identity()] * (len(items) - len(placed))))
+        placed += [SE3.identity() for _ in items[len(placed) :]]
+        return list(zip(items, placed))
 
     for item, T in each("primitive", message.primitives, message.primitive_poses):
         found.append((primitive_shape(item), T))

@@ -185,7 +185,7 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
                 {s.link_name: float(s.scale) for s in message.link_scale},
             )
         ])  # fmt: skip
-    add(
+    changes.extend(
         SetColor(c.id, (float(c.color.r), float(c.color.g), float(c.color.b), float(c.color.a)))
         for c in message.object_colors
         if c.id in now.objects or c.id in now.attached

@@ -5,6 +5,7 @@ Both sides use full lengths, not half-lengths.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,12 @@ PRISM = 5  # shape_msgs/SolidPrimitive's type of a prism, only in ROS 2; armcell
 
 def _primitives() -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
     """Return the shape classes that shape_msgs/SolidPrimitive supports, by shape name."""
-    return {n: (k, k.primitive) for n, k in shapes.imported().items() if k.primitive is not None}
+    return _primitives_of(tuple(shapes.imported().items()))
+
+
+@lru_cache(maxsize=2)
+def _primitives_of(kinds: tuple[tuple[str, ShapeKind], ...]) -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
+    return {name: (kind, kind.primitive) for name, kind in kinds if kind.primitive is not None}
 
 
 def primitive_type(name: str) -> int:
@@ -44,12 +50,12 @@ def primitive_shape(message: Any) -> Shape:
     Raises:
         InputError: the type is unknown, dimensions are missing, or a dimension is not positive.
     """
-    number, sizes = int(message.type), [float(v) for v in message.dimensions]
-    known = {primitive.type: name for name, (_, primitive) in _primitives().items()} | {PRISM: "prism"}
+    number, sizes, primitives = int(message.type), [float(v) for v in message.dimensions], _primitives()
+    known = {primitive.type: name for name, (_, primitive) in primitives.items()} | {PRISM: "prism"}
     if number not in known:
         names = ", ".join(f"{number} {name}" for number, name in sorted(known.items()))
         raise InputError(f"solid primitive of type {number}", hint=names)
-    kind, primitive = _primitives().get(known[number], (None, SolidPrimitive(PRISM, ("height",))))
+    kind, primitive = primitives.get(known[number], (None, SolidPrimitive(PRISM, ("height",))))
     if len(sizes) < len(primitive.dimensions):
         need = len(primitive.dimensions)
         raise InputError(f"a {known[number]} has {len(sizes)} dimensions, it needs {need}")
