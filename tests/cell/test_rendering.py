@@ -88,6 +88,7 @@ def renderer_of(live):
     return live.camera("top").renderer
 
 
+@pytest.mark.slow
 def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
     with cell.connect(seed=3) as live:
         world = live.driver.world
@@ -110,6 +111,7 @@ def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
         assert image.rgb is None and image.depth is not None
 
 
+@pytest.mark.slow
 def test_pictures_of_a_robot_without_physics_too(cell, process):
     with cell.connect("fake") as live:
         setup = Setup(live.scene_at_start)
@@ -121,6 +123,7 @@ def test_pictures_of_a_robot_without_physics_too(cell, process):
                 same(process.finish(), camera.draw())
 
 
+@pytest.mark.slow
 def test_a_picture_shows_the_moment_of_its_stamp(cell, nothing_is_drawn_here):
     """Color, depth and info of one message time are of one state, however late they are drawn."""
     with cell.connect(time_scale=FAST) as live:
@@ -192,7 +195,8 @@ def test_no_step_draws_or_waits_for_streams_watches_frames_or_key_moments(cell, 
 def test_a_look_lets_time_pass_while_it_is_drawn(tmp_path, nothing_is_drawn_here):
     text = CELL + "perception: {camera: top, objects: [cube], surface: table}\n"
     (tmp_path / "cell.yaml").write_text(text.replace("width: 96, height: 72", "width: 320, height: 240"))
-    with load(tmp_path).connect(time_scale=1.0) as live:
+    # A picture may be 0.5 s of the cell's time old: 5 s here, for it is drawn with low priority.
+    with load(tmp_path).connect(time_scale=0.1) as live:
         before = live.driver.now
         sight = live.look("top")
         assert live.driver.now > before  # the first picture of a process takes a second at least
@@ -251,6 +255,7 @@ def test_a_renderer_that_cannot_work_is_given_up_with_a_warning(cell, caplog, mo
         assert live.arm.move_to("extended")
 
 
+@pytest.mark.slow
 def test_key_moments_that_wait_are_drawn_when_the_cell_is_closed(cell):
     taken = []
     with cell.connect(time_scale=FAST) as live:
