@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from benchmarks.campaign import QUICK, TIMED, VARIED
 from tests.cli.helpers import call, cell_file, finished, read_json, start
+from tests.programs import Program
 
 from armcell.campaigns import CampaignSpec, Store, begin, resume, rows_of, run, write_report
 from armcell.campaigns.failure_frames import MOST
@@ -64,7 +65,7 @@ def test_workers_and_the_head_are_killed_at_random_moments(quick, tmp_path):
     store = begin(spec, tmp_path / "broken")
     store.close()
     for k in range(KILLS):
-        head = subprocess.Popen(
+        head = Program(
             [sys.executable, "-m", "armcell", "campaign", "--resume", str(store.folder), "--workers", "2"],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip

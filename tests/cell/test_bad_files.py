@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import pytest
+from tests import programs
 
 import armcell
 from armcell.core import InputError
@@ -134,7 +134,7 @@ def test_a_deep_file_does_not_crash_the_process(tmp_path):
     file = tmp_path / "cell.yaml"
     file.write_text("robot: " + "[" * 25_000 + "]" * 25_000 + "\n")
     loads = f"import armcell; armcell.load({str(file)!r})"
-    process = subprocess.run([sys.executable, "-c", loads], capture_output=True, text=True, timeout=60)
+    process = programs.run([sys.executable, "-c", loads], capture_output=True, text=True, timeout=60)
     assert process.returncode == 1  # negative: killed by a signal
     assert "InputError" in process.stderr.splitlines()[-1]
 

@@ -10,6 +10,8 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.programs import Program
+
 from armcell.cli.main import main
 
 # A cell for quick runs: nothing to plan around, one motion.
@@ -37,7 +39,7 @@ def call(capsys, *arguments: object) -> Said:
 
 def start(*arguments: object, **options) -> subprocess.Popen:
     """`armcell ARGUMENTS` as a process in a group of its own."""
-    return subprocess.Popen(
+    return Program(
         [sys.executable, "-m", "armcell", *map(str, arguments)],
         stdin=subprocess.DEVNULL,
         text=True,

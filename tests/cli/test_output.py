@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from tests import programs
 from tests.cli.helpers import call, cell_file, start
 
 ARMCELL = f"{sys.executable} -m armcell"
@@ -59,7 +60,7 @@ def test_a_reader_that_goes_away():
     """`armcell cells | head -1`, whatever the pipe still takes."""
     reader, writer = os.pipe()
     os.close(reader)
-    done = subprocess.run(
+    done = programs.run(
         [sys.executable, "-m", "armcell", "cells"], stdout=writer, stderr=subprocess.PIPE, text=True
     )
     os.close(writer)

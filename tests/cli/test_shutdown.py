@@ -15,8 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import programs
 from tests.cli.helpers import Said, cell_file, finished, start
 from tests.drivers.ur.emulated import dashboard, emulator, free_hosts, free_port
+from tests.programs import Program
 
 from armcell.cell.built_in import LIBRARY
 from armcell.records import read_record
@@ -162,7 +164,7 @@ with cell.connect("fake") as live:
     assert live.arm.move_to("home").ok
 assert told == [1] and before == [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)], {handler!r}
 """
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+    programs.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
 # --- every command ---
@@ -276,7 +278,7 @@ def master():
     """A ROS master in a process of its own: its address."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         uri = f"http://127.0.0.1:{free.getsockname()[1]}"
-    process = subprocess.Popen(
+    process = Program(
         [sys.executable, "-c", MASTER, uri], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None and process.stdin is not None

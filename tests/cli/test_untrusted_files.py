@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests import programs
 from tests.cli.helpers import call, finished, start
 
 import armcell
@@ -219,7 +219,7 @@ def test_modules_in_the_current_folder_are_not_imported(cell):
     for name in ("numpy", "json", "armcell", "yaml"):
         mark = "from pathlib import Path\nPath(__file__).with_suffix('.imported').touch()\n"
         (cell / f"{name}.py").write_text(mark)
-    done = subprocess.run(
+    done = programs.run(
         [sys.executable, "-P", "-c", CAMPAIGN],
         cwd=cell,
         capture_output=True,

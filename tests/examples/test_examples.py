@@ -6,7 +6,6 @@ import logging
 import os
 import re
 import runpy
-import subprocess
 import sys
 import threading
 import warnings
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import programs
 from tests.drivers.ur.emulated import in_real_time
 
 import armcell
@@ -49,7 +49,7 @@ def printed(tmp_path, monkeypatch, capfd, caplog):
 
 
 def _in_process(script: Path, folder: Path) -> tuple[str, str]:
-    process = subprocess.run(
+    process = programs.run(
         [sys.executable, script], cwd=folder, env={**os.environ, "PYTHONPATH": str(SOURCE)},
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
@@ -405,7 +405,7 @@ def test_31_gate(printed):
 @pytest.mark.slow
 def test_25_moveit_commander_script(tmp_path):
     command = [sys.executable, "-m", "armcell", "run", str(EXAMPLES / "25_moveit_commander_script.py")]
-    process = subprocess.run(
+    process = programs.run(
         [*command, "--cell", "panda_table", "--time-scale", "3"], cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(SOURCE)}, capture_output=True, text=True, timeout=120,
     )  # fmt: skip

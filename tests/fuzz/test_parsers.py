@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests import programs
 from tests.fuzz import files, parsers
 
 from armcell.core import ArmcellError
@@ -109,7 +109,7 @@ def test_a_kept_input_is_given_again_by_one_command(tmp_path):
     bad = tmp_path / "trials-1-98"
     bad.write_bytes(b'{"trial": 1}\n')
     paths = os.pathsep.join(map(str, files.PATHS))
-    done = subprocess.run(
+    done = programs.run(
         [sys.executable, "-m", "tests.fuzz", "--replay", bad], capture_output=True, text=True,
         cwd=files.ROOT, env={**os.environ, "PYTHONPATH": paths},
     )  # fmt: skip

@@ -11,7 +11,6 @@ import inspect
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -20,6 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from tests import programs
 from tests.misuse.samples import HUGE, LONG, by_type, is_array, misuses, sample
 
 from armcell.core import ArmcellError
@@ -154,7 +154,7 @@ def _findings(shard: int, shards: int, folder: str) -> Iterator[dict[str, Any]]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     while True:
         command = [sys.executable, "-m", "tests.misuse.calls", str(shard), str(shards), str(first)]
-        done = subprocess.run(
+        done = programs.run(
             command, capture_output=True, text=True, timeout=600, check=False, cwd=folder, env=environment
         )
         lines = [json.loads(line) for line in done.stdout.splitlines()]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests import programs
 
 import armcell
 from armcell.cell import cell_names
@@ -21,7 +21,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "moveit_scripts.md"
 def test_the_block_runs(tmp_path):
     (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.S)
     environment = {**os.environ, "PYTHONPATH": str(Path(armcell.__file__).parents[1])}
-    done = subprocess.run(
+    done = programs.run(
         [sys.executable, "-c", block],
         cwd=tmp_path,
         env=environment,

@@ -10,6 +10,7 @@ import threading
 import time
 
 import pytest
+from tests.programs import Program
 
 from armcell.cell import load
 from armcell.cli.main import main
@@ -240,9 +241,7 @@ def test_the_command_in_a_process_of_its_own_ends_by_ctrl_c(tmp_path):
         "import rospy\nrospy.init_node('n')\nrospy.loginfo('spinning')\nrospy.spin()\nprint('after')\n"
     )
     command = [sys.executable, "-m", "armcell", "run", str(file), "--cell", "panda_table", "--mode", "fake"]
-    process = subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    process = Program(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     while "spinning" not in process.stderr.readline():
         assert process.poll() is None

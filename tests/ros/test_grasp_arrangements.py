@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from tests.programs import Program
 from tests.ros.unity_like import UnityLike
 from tests.ros.unity_sim import UnitySim
 
@@ -58,7 +59,7 @@ def test_all_in_one_process(seed):
 @pytest.mark.parametrize("protocol", ["ROS1", "ROS2"])
 def test_simulator_and_planner_in_two_processes(protocol, tmp_path):
     def start(*arguments):
-        return subprocess.Popen(
+        return Program(
             [sys.executable, "-u", "-m", "armcell", *arguments],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip

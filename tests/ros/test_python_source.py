@@ -1,10 +1,10 @@
 """Generated Python classes work with the codecs like the built-in ones."""
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests import programs
 
 import armcell
 from armcell.core import UnknownNameError
@@ -34,7 +34,7 @@ def test_generated_package_is_used(tmp_path):
     files = write(python(schema(), ["moveit_msgs"]), tmp_path)
     assert tmp_path / "geometry_msgs" / "msg.py" in files  # what it uses comes along
     source = Path(armcell.__file__).parents[1]
-    done = subprocess.run(
+    done = programs.run(
         [sys.executable, "-c", USE],
         env={"PYTHONPATH": f"{tmp_path}:{source}"},
         capture_output=True,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests import programs
 
 import armcell
 from armcell.ros.ros1 import header, rpc, settings, subscription
@@ -20,7 +20,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "ros1.md"
 @pytest.mark.slow
 def test_the_block_runs(tmp_path):
     (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.S)
-    done = subprocess.run(
+    done = programs.run(
         [sys.executable, "-c", block], cwd=tmp_path, capture_output=True, text=True, timeout=60,
         env={**os.environ, "PYTHONPATH": str(Path(armcell.__file__).parents[1])},
     )  # fmt: skip

@@ -1,6 +1,5 @@
 """Clouds from another process over a real wire become the octomap that plans avoid."""
 
-import subprocess
 import sys
 import time
 from contextlib import contextmanager
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.programs import Program
 from tests.ros.cloud_publisher import TOPIC
 
 from armcell.cell import load
@@ -56,7 +56,7 @@ def published(server, folder, points):
     """A process that publishes a cloud."""
     file = folder / "points.npy"
     np.save(file, points)
-    process = subprocess.Popen(
+    process = Program(
         [
             sys.executable,
             "-m",

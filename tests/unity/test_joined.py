@@ -10,6 +10,8 @@ import subprocess
 import sys
 
 import pytest
+from tests import programs
+from tests.programs import Program
 
 from armcell.ros import Bus, schema
 from armcell.ros.nodes import ServedPlanner
@@ -57,7 +59,7 @@ def test_the_planner_grasps_in_unity(player, exported, scene, ros2):
 def test_the_commands_of_the_readme(player, scene):
     """`armcell serve ... --plan-only`, Unity, and `armcell service call /grasp`, each in a process."""
     command = [sys.executable, "-u", "-m", "armcell"]
-    planner = subprocess.Popen(
+    planner = Program(
         [*command, "serve", "panda_table", "--unity", "--port", "0", "--plan-only"],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
@@ -70,7 +72,7 @@ def test_the_commands_of_the_readme(player, scene):
         where = f"127.0.0.1:{port[1]}"
         call = [*command, "service", "call", "/grasp", "std_srvs/Trigger", "--connect", where]
         for _ in range(3):  # the planner may still be getting ready
-            done = subprocess.run(call, capture_output=True, text=True, timeout=200)
+            done = programs.run(call, capture_output=True, text=True, timeout=200)
             if done.returncode == 0:
                 break
         assert done.returncode == 0 and "cube is lifted" in done.stdout, done.stdout + done.stderr

@@ -15,6 +15,7 @@ import viser.infra._infra as infra
 import websockets.asyncio.server
 from tests.cell.test_setup import small_arm
 from tests.cli.helpers import NOD, cell_file
+from tests.programs import Program
 from tests.viewer.client import closed, get, login, press, refusal, send, websocket
 
 from armcell.cell import load
@@ -317,7 +318,7 @@ page = start_page("127.0.0.1", {port}, "x"); page.open(); print(page.url, flush=
 """
     urls = []
     for _ in range(2):
-        process = subprocess.Popen(
+        process = Program(
             [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         assert process.stdout is not None

@@ -9,6 +9,8 @@ import sys
 import time
 from contextlib import contextmanager, suppress
 
+from tests.programs import Program
+
 from armcell.emulators.franka.operator_server import PORT as OPERATOR
 
 SRC = os.path.join(os.path.dirname(__file__), "..", "..", "..", "src")
@@ -34,7 +36,7 @@ def emulator(*options: str):
     """`armcell franka-controller` at a free address, which it yields."""
     host = free_host()
     command = [sys.executable, "-m", "armcell", "franka-controller", "--host", host, *options]
-    process = subprocess.Popen(
+    process = Program(
         command, env={**os.environ, "PYTHONPATH": os.path.abspath(SRC)}, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip

@@ -10,6 +10,7 @@ import time
 from contextlib import contextmanager, suppress
 
 import pytest
+from tests.programs import Program
 
 SRC = os.path.join(os.path.dirname(__file__), "..", "..", "..", "src")
 PORTS = (29999, 30001, 30002, 30003, 30004)
@@ -48,9 +49,7 @@ def emulator(*options: str, hosts: list[str]):
     for host in hosts:
         command += ["--host", host]
     environment = {**os.environ, "PYTHONPATH": os.path.abspath(SRC)}
-    process = subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
+    process = Program(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         with before_others(process.pid):
             for host in hosts:

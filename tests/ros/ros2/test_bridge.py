@@ -1,7 +1,6 @@
 """A bus in a ROS 2 domain, against a plain DDS program in another process that follows rmw's conventions."""
 
 import logging
-import subprocess
 import sys
 import threading
 import time
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import programs
 
 from armcell.core import InputError
 from armcell.ros import ActionClient, ActionServer, Bus, Done, ServiceError, State, schema
@@ -488,7 +488,7 @@ bus.subscribe("/a", "std_msgs/String")
 Ros2Bridge(bus, Ros2Settings(Reach({reach.domain}, config={reach.config!r}))).start()
 raise SystemExit(3)
 """
-    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    ended = programs.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert (ended.returncode, ended.stderr) == (3, "")
 
 

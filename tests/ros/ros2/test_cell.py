@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from tests.programs import Program
 
 from armcell.cell import load
 from armcell.ros import Bus, CellNode, Ros2Bridge, Ros2Settings, schema
@@ -166,7 +167,7 @@ def test_a_subscriber_that_has_stopped_holds_nobody_up(bus, bridge, peer, mortal
 
 
 def start(environment, *arguments):
-    return subprocess.Popen(
+    return Program(
         [sys.executable, "-u", "-m", "armcell", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ, **environment},
     )  # fmt: skip
