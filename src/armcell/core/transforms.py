@@ -18,6 +18,10 @@ from armcell.core.errors import InputError
 
 Array = NDArray[np.float64]
 
+_IDENTITY = np.eye(3)
+_ORTHOGONAL = 1e-4 + 1e-5 * _IDENTITY
+"""Largest deviation of R @ R.T from the identity that counts as rounding."""
+
 QUAT_NORM_TOLERANCE = 1e-3
 """Largest deviation of a quaternion's norm from 1 that counts as rounding, not as a mistake."""
 
@@ -212,7 +216,7 @@ class SE3:
         """Create an SE3 transform from a 4x4 homogeneous matrix."""
         m = float_array(matrix, (4, 4), "a homogeneous transform")
         R = m[:3, :3]
-        if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
+        if not (np.abs(R @ R.T - _IDENTITY) <= _ORTHOGONAL).all() or np.linalg.det(R) < 0:
             raise InputError("the upper left of a homogeneous transform is no rotation")
         return SE3(SO3(m[:3, :3].copy()), m[:3, 3].copy())
 

@@ -25,7 +25,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike, NDArray
 from rosbags.typesys import Stores, get_typestore
 
-from armcell.core import SE3, Contact, Event, JointState, JointTrajectory, StateSample
+from armcell.core import SE3, SO3, Contact, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
 from armcell.records.shapes import object_data, pose_data
 from armcell.records.write_behind import WriteBehindFile
@@ -275,10 +275,8 @@ class McapWriter:
         for i in joints:
             P, C = Ts[self._tree.parent[i]], Ts[i + 1]
             R = P[:3, :3].T
-            T = np.eye(4)
-            T[:3, :3] = R @ C[:3, :3]
-            T[:3, 3] = R @ (C[:3, 3] - P[:3, 3])
-            found.append(self._transform(stamp, *self._ends[i], self._both(SE3.from_matrix(T))[0]))
+            T = SE3(SO3(R @ C[:3, :3]), R @ (C[:3, 3] - P[:3, 3]))
+            found.append(self._transform(stamp, *self._ends[i], self._both(T)[0]))
         return found
 
     def _both(self, T: SE3) -> tuple[Any, Any]:
