@@ -77,7 +77,7 @@ test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Fast DDS, Mono,
 	@$(PY) -m pip install -q -r requirements-interop.txt || echo "Franka's clients cannot be installed from here; their tests are skipped"
 	$(PY) -m pytest -m interop -rs
 
-test-realtime: $(VENV)/.stamp ## set up, then test two emulated arms moved as one; nothing else should run meanwhile
+test-realtime: $(VENV)/.stamp ## set up, then test emulated arms and wires that must run on time; nothing else should run meanwhile
 	$(PY) -m pytest -m realtime
 
 lint: $(VENV)/.stamp ## style, types and the layers of the packages

@@ -33,7 +33,7 @@ from armcell.viewer import PlanningSession
 
 pytestmark = pytest.mark.slow
 
-MODES = ["sim", "fake", "real"]
+MODES = ["sim", "fake", pytest.param("real", marks=pytest.mark.realtime)]
 WIRES = ["script", "execute_trajectory", "follow_joint_trajectory", "topic", "ros_tcp", "ros1", "ros2"]
 SCENARIOS = ["stale pair", "resting arm", "stale object", "held object", "nan"]
 TIP = SE3.from_xyz_rpy((0.1, 0.0, 1.2), (np.pi, 0.0, 0.0))

@@ -534,6 +534,7 @@ def test_emulated_controllers_close(number):
             probe.bind((host, 29999))
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_real_arms_are_at_rest(real_cell, tmp_path):
     """`run`, `twin`, `bringup` and `doctor`, each while the emulated arm moves (doctor: while it looks)."""

@@ -37,6 +37,7 @@ def test_wrong_use(capsys, within, arguments, status, words):
     assert said.status == status and words in said.err
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_real_arm_moves_for_the_operator_alone_and_the_reason_is_recorded(tmp_path):
     (host,) = free_hosts(1)

@@ -61,6 +61,7 @@ def test_the_script_lifts_the_cube_of_a_simulator_over_ros_tcp(script):
         finished(simulator)
 
 
+@pytest.mark.realtime
 def test_the_script_lifts_the_cube_of_a_simulator_over_ros1(script, monkeypatch):
     monkeypatch.setenv("ROS_MASTER_URI", f"http://{free_address()}")
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
@@ -93,6 +94,7 @@ def test_the_script_lifts_the_cube_of_a_simulator_over_ros2(script, monkeypatch)
         finished(simulator)
 
 
+@pytest.mark.realtime
 def test_pick_and_place_of_the_second_document_over_ros_tcp(tmp_path):
     """The arm of another process picks and places: `pick`, `go` and `place` follow its joint states."""
     file = tmp_path / "pick_place.py"
@@ -128,6 +130,7 @@ def test_plan_only_without_a_wire_is_refused(script, capsys):
     assert "--view needs a robot in this process" in capsys.readouterr().err
 
 
+@pytest.mark.realtime
 def test_without_plan_only_others_join_the_scripts_own_cell(tmp_path):
     """The robot is in the script's process; a client of the endpoint sees it move."""
     file = tmp_path / "turn.py"

@@ -326,6 +326,7 @@ def test_16_live_octomap(printed):
     assert number(r"into the map: (\d+) ms", said) < 200
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_22_real_arm_over_the_wire(printed):
     said = printed("22_real_arm_over_the_wire.py")

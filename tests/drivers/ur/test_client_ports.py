@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.drivers.ur.emulated import dashboard, emulator, free_hosts
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 # Sizes of the packages of a robot state message, header of 5 bytes included (3.15 and 5.11).
 SIZES = {0: 47, 1: 251, 2: 37, 3: 75, 4: 101, 5: 225, 6: 445, 7: 61, 8: 9, 9: 53, 10: 43}

@@ -12,7 +12,7 @@ from tests.drivers.ur.external_control_peer import ExternalControlPeer
 
 from armcell.drivers.ur.rtde_client import RtdeClient
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 MOVE = np.array([0.4, -0.2, 0.2, 0.1, 0.2, 0.3])
 ZERO = np.zeros(6)
 

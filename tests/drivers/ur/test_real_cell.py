@@ -59,6 +59,7 @@ def test_the_same_task_on_a_robot_over_the_wire(cell, tmp_path):
     assert "protective stop" not in messages  # physics saw no unwanted touch
 
 
+@pytest.mark.realtime
 def test_no_draw_moves_the_things_of_a_real_cell(cell, tmp_path):
     """The commands of docs/real_ur.md, which give no seed: things are where the cell file says."""
     result, _ = run_real(*cell, tmp_path / "result.json")
@@ -66,6 +67,7 @@ def test_no_draw_moves_the_things_of_a_real_cell(cell, tmp_path):
     assert "--seed" not in result["command"]
 
 
+@pytest.mark.realtime
 def test_a_served_arm_tells_where_it_is_while_it_moves_and_stops_when_told(cell):
     file, host = cell
     bus, new, at = Bus(), schema().new, schema().message("builtin_interfaces/Duration").from_sec
@@ -106,6 +108,7 @@ def test_a_served_arm_tells_where_it_is_while_it_moves_and_stops_when_told(cell)
         assert served.failure is None
 
 
+@pytest.mark.realtime
 def test_a_served_arm_rests_before_the_cell_is_closed(cell, tmp_path):
     file, host = cell
     loaded, new, at = load(file), schema().new, schema().message("builtin_interfaces/Duration").from_sec
@@ -131,6 +134,7 @@ def test_a_served_arm_rests_before_the_cell_is_closed(cell, tmp_path):
         assert now == pytest.approx(series.positions[-1, column], abs=2e-3)
 
 
+@pytest.mark.realtime
 def test_bring_up(cell, tmp_path, capsys):
     file, host = cell
     record = tmp_path / "bringup.json"
@@ -142,6 +146,7 @@ def test_bring_up(cell, tmp_path, capsys):
     assert all(s["outcome"] == "done" for s in steps)
 
 
+@pytest.mark.realtime
 def test_bring_up_stops_at_the_wrong_model(cell, tmp_path, capsys):
     file, host = cell
     with emulator("--model", "UR10e", hosts=[host]):
@@ -166,6 +171,7 @@ def seeing(cell):
     return file, host
 
 
+@pytest.mark.realtime
 def test_real_arms_behind_a_camera_learn_their_twin(seeing, capsys):
     file, host = seeing
     with emulator("--cell", "six_axis_pick", hosts=[host]):
@@ -178,6 +184,7 @@ def test_real_arms_behind_a_camera_learn_their_twin(seeing, capsys):
             assert Capability.DRY_RUN in live.driver.capabilities
 
 
+@pytest.mark.realtime
 def test_real_arms_behind_a_camera_are_brought_up(seeing, tmp_path):
     file, host = seeing
     record = tmp_path / "bringup.json"

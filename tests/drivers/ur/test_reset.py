@@ -63,6 +63,7 @@ def test_both_arms_and_the_object_of_a_shared_world_go_back():
     assert robots[0].plant.gripper()[0] > 0.9
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_it_resets_once_the_last_client_has_left_but_not_in_a_run():
     (host,) = free_hosts(1)
@@ -87,6 +88,7 @@ def test_it_resets_once_the_last_client_has_left_but_not_in_a_run():
         assert joint() == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_run_that_grasps_beside_the_object_says_where_it_believes_it(tmp_path):
     (host,) = free_hosts(1)

@@ -37,7 +37,7 @@ real:
 
 installed = find_spec("rtde_control") is not None
 needs_ur_rtde = pytest.mark.skipif(not installed, reason="ur_rtde is not installed (no wheel for 3.13)")
-BACKENDS = ["own", pytest.param("ur_rtde", marks=needs_ur_rtde)]
+BACKENDS = ["own", pytest.param("ur_rtde", marks=[needs_ur_rtde, pytest.mark.realtime])]
 
 
 @pytest.fixture(params=BACKENDS)
@@ -126,6 +126,7 @@ def test_stops_that_an_operator_ends(cell):
         ready(live)
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_program_that_was_killed_and_remote_control_that_is_off(cell):
     (host,) = free_hosts(1)
@@ -141,6 +142,7 @@ def test_a_program_that_was_killed_and_remote_control_that_is_off(cell):
         ready(live)
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_link_that_is_lost_and_comes_back(cell):
     """Whatever is called between fails with an error of ours, and says what to do."""
@@ -162,6 +164,7 @@ def test_a_link_that_is_lost_and_comes_back(cell):
             ready(live)
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_one_arm_of_two_that_cannot_resume_keeps_both_stopped():
     hosts = free_hosts(2)
@@ -188,6 +191,7 @@ def test_one_arm_of_two_that_cannot_resume_keeps_both_stopped():
         assert driver.fault() is None
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_resume_while_it_moves_changes_nothing_and_at_once_after_a_stop_it_holds():
     (host,) = free_hosts(1)
@@ -214,6 +218,7 @@ def test_resume_while_it_moves_changes_nothing_and_at_once_after_a_stop_it_holds
             np.testing.assert_allclose(arm.q, rest, atol=1e-3)
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_slider_set_while_the_link_is_lost_is_set_by_the_resume():
     (host,) = free_hosts(1)
@@ -296,6 +301,7 @@ def test_no_assert_guards_what_a_driver_may_meet():
         assert not asserts, f"{file}: {asserts}"
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_served_cell_resumes_by_a_service(cell):
     (host,) = free_hosts(1)

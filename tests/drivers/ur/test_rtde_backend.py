@@ -37,6 +37,7 @@ def test_streamed_points_are_met_by_cubics():
 
 @pytest.mark.slow
 @needs_ur_rtde
+@pytest.mark.realtime
 def test_moves_streams_stops_and_resumes():
     hosts = free_hosts(2)
     with emulator(hosts=hosts), two_arms(hosts, backend="ur_rtde") as driver:
@@ -79,6 +80,7 @@ def test_moves_streams_stops_and_resumes():
 
 @pytest.mark.slow
 @needs_ur_rtde
+@pytest.mark.realtime
 def test_a_process_that_dies_and_a_frozen_network_stop_the_arm():
     (host,) = free_hosts(1)
     with emulator(hosts=[host]), one_arm(host, backend="ur_rtde") as driver:

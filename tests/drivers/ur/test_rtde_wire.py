@@ -213,6 +213,7 @@ def test_the_tables_are_the_published_ones():
     assert expected(INPUTS) == rtde.INPUTS
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 @pytest.mark.parametrize("version", [1, 2])
 def test_every_output_comes_with_its_type_and_size(host, version):
@@ -230,6 +231,7 @@ def test_every_output_comes_with_its_type_and_size(host, version):
             assert len(data) == sum(SIZES[table[name]] for name in names) + (version == 2)
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_every_input_is_accepted_with_its_type(host):
     table = expected(INPUTS)
@@ -246,6 +248,7 @@ def ask_outputs(client: Client, *names: str) -> None:
     assert answer[1:].decode().split(",") == [table[name] for name in names]
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_inputs_are_read_back_and_reach_the_outputs(host):
     with Client(host, 2) as client:
@@ -269,6 +272,7 @@ def test_inputs_are_read_back_and_reach_the_outputs(host):
         assert seen == wanted
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_an_external_sensor_gives_the_tcp_force(host):
     """The input is in flange axes, the output in base axes; it counts once a program has enabled it."""
@@ -339,6 +343,7 @@ def test_values_agree_with_each_other_while_the_arm_moves(host):
     np.testing.assert_allclose(reached, speed[1:, :3] - speed[0, :3], atol=0.08)
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_name_no_controller_has_spoils_its_recipe_alone(host):
     with Client(host, 2) as client:
@@ -349,6 +354,7 @@ def test_a_name_no_controller_has_spoils_its_recipe_alone(host):
         assert client.ask("S") == b"\x01"
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_text_message_is_logged_and_the_link_goes_on(host):
     with Client(host, 2) as client:

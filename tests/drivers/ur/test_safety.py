@@ -44,6 +44,7 @@ def moving(driver, plans, seconds: float) -> None:
     raise AssertionError("the machine is too busy for this test")
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 @pytest.mark.parametrize("together", [False, True], ids=["forwarded", "streamed"])
 def test_both_arms_rest_after_any_stop(tmp_path, together):

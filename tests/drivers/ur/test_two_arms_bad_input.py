@@ -24,6 +24,7 @@ def test_a_simulated_clock_is_refused():
     assert "slider" in (caught.value.hint or "")
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_arms_swapped_are_known_by_calibration():
     hosts = free_hosts(2)
@@ -38,6 +39,7 @@ def test_arms_swapped_are_known_by_calibration():
             assert driver.fault() is None
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_one_arm_pushed_by_hand_stops_a_coupled_motion_before_it_begins():
     hosts = free_hosts(2)

@@ -20,7 +20,7 @@ rtde_receive = pytest.importorskip("rtde_receive")
 rtde_io = pytest.importorskip("rtde_io")
 dashboard_client = pytest.importorskip("dashboard_client")
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 SETTLED = 0.05  # [s] until a value read back is there
 Y, Z = np.eye(6)[1], np.eye(6)[2]
