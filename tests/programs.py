@@ -190,8 +190,9 @@ def _serve(link: socket.socket) -> tuple[dict, list[int]]:
 
 def _become(request: dict, streams: list[int]) -> None:
     """Run a program in this process, as `python REST` does."""
+    kept = {key: os.environ[key] for key in os.environ.keys() - request["before"]}  # that imports have set
     os.environ.clear()
-    os.environ.update(request["env"])
+    os.environ.update(kept | request["env"])
     os.chdir(request["cwd"])
     if request["session"]:
         os.setsid()
@@ -202,10 +203,11 @@ def _become(request: dict, streams: list[int]) -> None:
     for number, fd in enumerate(streams):
         os.dup2(fd, number)
         os.close(fd)
-    for stream in (sys.stdout, sys.stderr):
-        stream.reconfigure(line_buffering=stream is sys.stderr or stream.isatty())
-        if request["unbuffered"]:
-            stream.reconfigure(write_through=True)
+    if request["unbuffered"]:
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(line_buffering=False, write_through=True)
+    elif not sys.stdout.write_through:
+        sys.stdout.reconfigure(line_buffering=sys.stdout.isatty())
     sys.path[:0] = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
     first, *rest = request["rest"]
     if first == "-m":
@@ -235,6 +237,7 @@ def _silence() -> None:
 def main() -> None:
     """Be the server whose socket is the given file descriptor, then one of its programs."""
     del sys.path[0]
+    before = set(os.environ)
     for name in PRELOADED:
         importlib.import_module(name)
     from armcell.planning.warm_up import warm_up
@@ -244,6 +247,7 @@ def main() -> None:
     gc.freeze()
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)  # OpenBLAS's
     request, streams = _serve(socket.socket(fileno=int(sys.argv[1])))
+    request["before"] = before
     atexit.register(_silence)
     _become(request, streams)
 
