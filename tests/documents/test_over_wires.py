@@ -81,6 +81,7 @@ def test_the_script_lifts_the_cube_of_a_simulator_over_ros1(script, monkeypatch)
                 finished(process)
 
 
+@pytest.mark.realtime
 def test_the_script_lifts_the_cube_of_a_simulator_over_ros2(script, monkeypatch):
     pytest.importorskip("cyclonedds")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
