@@ -29,12 +29,13 @@ LIVE = ("PYTHONPATH", "ROS_", "CYCLONEDDS_URI", "PYTEST_", "ARMCELL_GATE_KEY", "
 """Environment variables that programs read when they run, not when they import."""
 PRELOADED = (
     "armcell.cli.main", "armcell.cell.live", "armcell.cell.script", "armcell.records",
-    "armcell.records.plots", "armcell.ros", "armcell.ros.tcp", "armcell.campaigns",
+    "armcell.records.plots", "armcell.ros.tcp", "armcell.ros.ros1", "armcell.campaigns", "armcell.viewer",
     "armcell.emulators.ur", "armcell.emulators.franka", "trimesh", "matplotlib.figure",
-    "matplotlib.backends.backend_agg",
+    "matplotlib.backends.backend_agg", "viser",
 )  # fmt: skip
 MESSAGE = 1 << 20  # bytes of a request
-_server: _Server | None = None
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_servers: dict[tuple[str | None, ...], _Server] = {}  # by the numbers of threads, which libraries read early
 
 
 class Program(subprocess.Popen):
@@ -51,7 +52,7 @@ class Program(subprocess.Popen):
         pipes = args[10:16]  # p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite
         streams = [fd if fd >= 0 else k for k, fd in enumerate((pipes[0], pipes[3], pipes[5]))]
         try:
-            self.pid, self._status = _running().start(self._request, streams)
+            self.pid, self._status = self._request.pop("server").start(self._request, streams)
             self._child_created = True
         finally:
             self._close_pipe_fds(*pipes)
@@ -102,35 +103,37 @@ def _request(command: list[str], options: dict) -> dict | None:
     known = {"stdin", "stdout", "stderr", "text", "encoding", "bufsize", "cwd", "env", "start_new_session"}
     if command[0] != sys.executable or any(value for key, value in options.items() if key not in known):
         return None
-    rest, unbuffered = command[1:], False
-    if rest[0] == "-u":
-        rest, unbuffered = rest[1:], True
+    flags = {flag for flag in command[1:3] if flag in ("-u", "-P")}
+    rest = command[1 + len(flags) :]
     if rest[0].startswith("-") and rest[0] not in ("-m", "-c"):
         return None
-    env, own = dict(os.environ if options.get("env") is None else options["env"]), _running().env
-    changed = {key for key in env.keys() | own.keys() if env.get(key) != own.get(key)}
-    paths = env.get("PYTHONPATH", "").split(os.pathsep)
-    if (
-        any(not key.startswith(LIVE) for key in changed)
-        or not {os.path.abspath(p) for p in paths if p} <= PATHS
-    ):
+    env = dict(os.environ if options.get("env") is None else options["env"])
+    server = _running(env)
+    changed = {key for key in env.keys() | server.env.keys() if env.get(key) != server.env.get(key)}
+    paths = {os.path.abspath(path) for path in env.get("PYTHONPATH", "").split(os.pathsep) if path}
+    if any(not key.startswith(LIVE) for key in changed) or not paths <= PATHS:
         return None
     return {
-        "rest": rest, "unbuffered": unbuffered, "env": env, "cwd": os.path.abspath(options.get("cwd") or "."),
+        "server": server, "rest": rest, "flags": flags, "env": env,
+        "cwd": os.path.abspath(options.get("cwd") or "."),
         "session": bool(options.get("start_new_session")), "nice": os.getpriority(os.PRIO_PROCESS, 0),
         "scheduler": (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority),
+        "mask": signal.pthread_sigmask(signal.SIG_BLOCK, ()),
     }  # fmt: skip
 
 
 class _Server:
     """This process's end of the server."""
 
-    def __init__(self) -> None:
-        self.env = dict(os.environ)
+    def __init__(self, threads: tuple[str | None, ...]) -> None:
+        given = dict(zip(THREADS, threads, strict=True))
+        self.env = {key: value for key, value in {**os.environ, **given}.items() if value is not None}
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             command = [sys.executable, __file__, str(theirs.fileno())]
-            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(theirs.fileno(),))
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, pass_fds=(theirs.fileno(),), env=self.env
+            )
         self.pid, self._process = process.pid, process
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MESSAGE)
 
@@ -141,11 +144,11 @@ class _Server:
         return int(ours.recv(16)), ours
 
 
-def _running() -> _Server:
-    global _server
-    if _server is None or _server._process.poll() is not None:
-        _server = _Server()
-    return _server
+def _running(env: dict[str, str]) -> _Server:
+    threads = tuple(env.get(key) for key in THREADS)
+    if threads not in _servers or _servers[threads]._process.poll() is not None:
+        _servers[threads] = _Server(threads)
+    return _servers[threads]
 
 
 # ---- the server: no threads, no GL context; what it imports, its programs have imported ----------------
@@ -194,6 +197,7 @@ def _become(request: dict, streams: list[int]) -> None:
     os.environ.clear()
     os.environ.update(kept | request["env"])
     os.chdir(request["cwd"])
+    signal.pthread_sigmask(signal.SIG_SETMASK, request["mask"])
     if request["session"]:
         os.setsid()
     if os.sched_getscheduler(0) != request["scheduler"][0]:
@@ -203,7 +207,7 @@ def _become(request: dict, streams: list[int]) -> None:
     for number, fd in enumerate(streams):
         os.dup2(fd, number)
         os.close(fd)
-    if request["unbuffered"]:
+    if "-u" in request["flags"]:
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(line_buffering=False, write_through=True)
     elif not sys.stdout.write_through:
@@ -211,7 +215,8 @@ def _become(request: dict, streams: list[int]) -> None:
     sys.path[:0] = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
     first, *rest = request["rest"]
     if first == "-m":
-        sys.path.insert(0, os.getcwd())
+        if "-P" not in request["flags"]:
+            sys.path.insert(0, os.getcwd())
         sys.argv = rest
         runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
         return
@@ -240,9 +245,11 @@ def main() -> None:
     before = set(os.environ)
     for name in PRELOADED:
         importlib.import_module(name)
-    from armcell.planning.warm_up import warm_up
+    import armcell
 
-    warm_up()
+    for mode in ("fake", "sim"):  # loads the kernels
+        with armcell.load("panda_pick").connect(mode) as live:
+            live.arm.move_to("home")
     gc.collect()
     gc.freeze()
     warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)  # OpenBLAS's
