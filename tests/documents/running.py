@@ -27,11 +27,11 @@ class Ran(NamedTuple):
         return self.live.driver.object_poses()[name].translation.tolist()
 
 
-def run(folder: Path, source: str, cell: str, mode: str = "sim", **kwargs) -> Ran:
+def run(folder: Path, source: str, cell: str, mode: str = "sim", speed: float | None = None, **kwargs) -> Ran:
     """Run a script to its end; quiet, for its lines are in the session."""
     file = folder / "script.py"
     file.write_text(source, encoding="utf-8")
-    live = load(cell).connect(mode, time_scale=SPEEDS[mode])
+    live = load(cell).connect(mode, time_scale=speed or SPEEDS[mode])
     status, session = run_script(file, live, quiet=True, **kwargs)
     return Ran(status, session, live)
 

@@ -133,11 +133,13 @@ assert arm.go(turned(0.3))
 def test_the_monitor_makes_an_octomap_that_is_planned_around(tmp_path):
     """The camera of this cell sees what the scene does not have: the object that the planner is not given."""
     after = """
+import time
 from moveit_msgs.srv import GetPlanningScene
 ask = rospy.ServiceProxy("/get_planning_scene", GetPlanningScene)
 from moveit_msgs.msg import PlanningSceneComponents
 only = PlanningSceneComponents(components=PlanningSceneComponents.OCTOMAP)
-for _ in range(50):
+give_up = time.monotonic() + 120
+while time.monotonic() < give_up:  # on a busy machine some pictures come too late to be used
     octomap = ask(only).scene.world.octomap.octomap
     if len(octomap.data) > 10:
         break
@@ -146,7 +148,8 @@ assert octomap.id == "OcTree" and len(octomap.data) > 10, len(octomap.data)
 planning_scene_monitor.stopWorldGeometryMonitor()
 assert arm.go(turned(0.3))
 """
-    ran = run(tmp_path, HEAD + part(*MONITOR) + after, "six_axis_camera")
+    # A picture may be 0.5 s of the cell's time old: 2 s here, for it is drawn with low priority.
+    ran = run(tmp_path, HEAD + part(*MONITOR) + after, "six_axis_camera", speed=0.25)
     assert ran.status == 0, ran.said
     assert "sensors_3d.yaml" in ran.said  # where ROS configures it
 

@@ -16,7 +16,7 @@ from armcell.moveit.tutorial_names import CLASSES
 from armcell.ros.nodes import ServedCell
 
 NAME = "PlanningSceneMonitor"
-FIRST_IMAGE = 30.0  # [s, wall clock] for the first images, as the rendering process must start
+FIRST_IMAGE = 90.0  # [s, wall clock] for the first images: a render process that hangs ends after 60 s
 HINT = "describe a depth camera under `cameras:` of the cell file"
 
 
@@ -48,7 +48,10 @@ class PlanningSceneMonitor:
             except InputError as error:
                 self._session.say("WARN", f"startWorldGeometryMonitor: no octomap of {camera}: {error}")
         give_up = time.monotonic() + FIRST_IMAGE
-        while any(not w.updates for w in self._watches) and time.monotonic() < give_up:
+        while (
+            any(not w.updates and not w.camera.renderer.broken for w in self._watches)
+            and time.monotonic() < give_up
+        ):
             if self._session.shutting_down.wait(CHECK):
                 return
         for watch in self._watches:
