@@ -21,7 +21,7 @@ FILE = re.compile(r'^```\w+ title="([^"]+)"\n(.*?)^```', re.M | re.S)
 def run(command: list[str], folder: Path, installed: Path) -> subprocess.CompletedProcess:
     path = os.pathsep.join([str(installed), str(Path(armcell.__file__).parents[1])])
     return subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=300,
+        command, cwd=folder, capture_output=True, text=True, timeout=900,
         env={**os.environ, "PYTHONPATH": path},
     )  # fmt: skip
 
