@@ -12,7 +12,7 @@ from tests.fuzz import files, parsers
 
 from armcell.core import ArmcellError
 
-QUICK = 200  # inputs of each parser
+QUICK = 80  # inputs of each parser
 
 # What runs of the fuzzer have found, by target.
 FOUND = {
