@@ -46,6 +46,7 @@ def names(cell) -> list[str]:
     return [report.name for report in cell.reports]
 
 
+@pytest.mark.slow
 def test_what_a_seed_drops_lies_in_the_bin_and_is_the_same_every_time():
     cell = whole()
     scene, again = cell.scene(3), cell.scene(3)

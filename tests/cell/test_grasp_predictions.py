@@ -50,6 +50,7 @@ def pebble(tmp_path_factory):
     return item, on_table(item), grasp_candidates(item, hand_of(MODEL, GRIPPER))[0]
 
 
+@pytest.mark.slow
 def test_the_robot_goes_where_the_object_is_believed_to_be(cube):
     item, scene, grasps = cube
     as_believed = held_in_truth(scene, item, GRIPPER, grasps[0], SETTINGS, 0.5)

@@ -88,6 +88,7 @@ def renderer_of(live):
     return live.camera("top").renderer
 
 
+@pytest.mark.slow
 def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
     with cell.connect(seed=3) as live:
         world = live.driver.world
@@ -110,6 +111,7 @@ def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
         assert image.rgb is None and image.depth is not None
 
 
+@pytest.mark.slow
 def test_pictures_of_a_robot_without_physics_too(cell, process):
     with cell.connect("fake") as live:
         setup = Setup(live.scene_at_start)
@@ -121,6 +123,7 @@ def test_pictures_of_a_robot_without_physics_too(cell, process):
                 same(process.finish(), camera.draw())
 
 
+@pytest.mark.slow
 def test_a_picture_shows_the_moment_of_its_stamp(cell, nothing_is_drawn_here):
     """Color, depth and info of one message time are of one state, however late they are drawn."""
     with cell.connect(time_scale=FAST) as live:
@@ -252,6 +255,7 @@ def test_a_renderer_that_cannot_work_is_given_up_with_a_warning(cell, caplog, mo
         assert live.arm.move_to("extended")
 
 
+@pytest.mark.slow
 def test_key_moments_that_wait_are_drawn_when_the_cell_is_closed(cell):
     taken = []
     with cell.connect(time_scale=FAST) as live:

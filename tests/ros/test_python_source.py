@@ -30,6 +30,7 @@ assert s.GetPositionIK._request_class().ik_request.timeout.to_sec() == 0
 """
 
 
+@pytest.mark.slow
 def test_generated_package_is_used(tmp_path):
     files = write(python(schema(), ["moveit_msgs"]), tmp_path)
     assert tmp_path / "geometry_msgs" / "msg.py" in files  # what it uses comes along

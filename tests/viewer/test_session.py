@@ -124,7 +124,9 @@ def test_the_gripper_has_no_tip(session):
     assert planned(session).ok
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize(
+    "motion", [pytest.param(m, marks=pytest.mark.slow) if m == UPRIGHT else m for m in MOTIONS]
+)
 def test_each_kind_of_motion_is_one(session, motion):
     session.set(motion=motion)
     session.set_goal_pose(SE3.from_xyz_rpy((0.45, -0.25, 0.45), DOWN))
