@@ -27,8 +27,8 @@ ROBOTS = {
 }
 SLOW = {"ur5", "baxter"}
 NAMES = [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in ROBOTS]
-SAMPLES = 20_000  # for the pairs; `armcell setup` takes 100,000
-CHECKED = 1_000  # by the other collision library; 100,000 are in docs/setup.md
+SAMPLES = 5_000  # for the pairs; `armcell setup` takes 100,000
+CHECKED = 500  # by the other collision library; 100,000 are in docs/setup.md
 
 BOX = collision('<box size="0.05 0.05 0.05"/>')
 
