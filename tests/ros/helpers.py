@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from armcell.cell import LiveCell
 from armcell.ros.definitions import PLACEHOLDER, field_parts
 from armcell.ros.messages import DTYPES, STAMPS, python_name
+from armcell.ros.nodes import RemoteDriver, RemoteMotions
 from armcell.ros.schema import Schema
+from armcell.tasks import TaskSettings
 
 TEXTS = ("", "a", "joint_1", "żółw", "panda_link0", "x" * 17)
+
+
+def remote_cell(bus, scene, controllers=()) -> RemoteMotions:
+    """A running cell whose robot is at the other end of the bus; close it."""
+    driver = RemoteDriver(bus, scene, controllers)
+    cell = RemoteMotions(LiveCell("remote", scene, driver, TaskSettings(), (), 0), driver)
+    cell.start()
+    assert cell.ready.wait(120)
+    return cell
 
 
 def random_message(schema: Schema, name: str, rng: np.random.Generator, depth: int = 0):

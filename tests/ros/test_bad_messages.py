@@ -14,7 +14,7 @@ from armcell.core import InputError
 from armcell.ros import ActionClient, Bus, schema
 from armcell.ros.actions import State
 from armcell.ros.complaints import Complaints
-from armcell.ros.nodes import RemoteCell
+from armcell.ros.nodes import RemoteDriver
 from armcell.ros.units import unit_fault
 
 S = schema()
@@ -29,9 +29,8 @@ def scene():
 
 @pytest.fixture
 def remote(scene):
-    cell = RemoteCell(Bus(), scene)
-    yield cell
-    cell.close()
+    with RemoteDriver(Bus(), scene) as driver:
+        yield driver
 
 
 def states(scene, **changes):
@@ -57,7 +56,7 @@ def test_joint_states_that_are_none(remote, scene, caplog):
                 wait_for(lambda: not remote._members[0]._queue)  # it holds two
         moved = states(scene, position=q + 0.01)
         publisher.publish(moved)
-        wait_for(lambda: np.allclose(remote.joints().positions, q + 0.01))
+        wait_for(lambda: np.allclose(remote.joint_state().positions, q + 0.01))
     lines = [r.getMessage() for r in caplog.records if "/joint_states" in r.getMessage()]
     assert len(lines) == len(bad), lines
     for text in ("not finite", "names and", "look like degrees: ROS has radians", "'elbow'", "named twice"):
@@ -85,11 +84,12 @@ def test_poses_that_are_none(remote, caplog):
 
 
 def test_a_simulator_that_only_sends_degrees_is_told_where_somebody_waits(remote, scene, monkeypatch):
-    monkeypatch.setattr("armcell.ros.nodes.remote_cell.STATE_TIMEOUT", 0.3)
+    monkeypatch.setattr("armcell.ros.nodes.remote_driver.STATE_TIMEOUT", 0.3)
     publisher = remote._bus.advertise("/joint_states", STATES)
     publisher.publish(states(scene, position=np.rad2deg(scene.positions)))
     with pytest.raises(InputError, match="no /joint_states yet; the last one was refused.*degrees"):
-        remote.joints()
+        remote.wait_for_state()
+        remote.joint_state()
 
 
 @pytest.mark.parametrize("scale, fault", [(1.0, None), (1.2, None), (180 / np.pi, "degrees")])

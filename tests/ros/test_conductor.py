@@ -13,7 +13,7 @@ from tests.execution.ungated import execution_steps
 from armcell.cell import load
 from armcell.collision.motion_proof import Moving, first_conflict
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
-from armcell.ros.nodes.cell_node import SHIFT
+from armcell.ros.nodes.cell_motions import SHIFT
 from armcell.ros.nodes.conductor import MAX_WORKS, Conductor, Work
 from armcell.scene import PlanningScene
 

@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 from tests.programs import Program
+from tests.ros.helpers import remote_cell
 from tests.ros.unity_like import UnityLike
 from tests.ros.unity_sim import UnitySim
 
@@ -17,7 +18,7 @@ from armcell.cell import load
 from armcell.core import InputError
 from armcell.ros import Bus, Ros1Graph, Ros1Settings, cdr, schema
 from armcell.ros.codec import ros1
-from armcell.ros.nodes import GraspServer, GraspServerSettings, RemoteCell, ServedCell, ServedPlanner
+from armcell.ros.nodes import GraspServer, GraspServerSettings, ServedCell, ServedPlanner
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
 
 S = schema()
@@ -155,8 +156,8 @@ def test_unity_simulates_and_the_planner_grasps_with_it(ros2):
 
 
 def test_without_a_simulator_the_planner_says_what_to_look_at(monkeypatch):
-    monkeypatch.setattr("armcell.ros.nodes.remote_cell.STATE_TIMEOUT", 0.2)
-    cell = RemoteCell(Bus(), load(CELL).scene())
+    monkeypatch.setattr("armcell.ros.nodes.remote_driver.STATE_TIMEOUT", 0.2)
+    cell = remote_cell(Bus(), load(CELL).scene())
     with pytest.raises(InputError, match=r"no /joint_states yet .*simulator running"):
         cell.scene()
     cell.close()
@@ -172,7 +173,8 @@ def test_settings_of_the_grasp_server():
 def test_grasps_are_aligned_with_the_edges_and_approach_as_they_say():
     cell, bus = load(CELL), Bus()
     scene = cell.scene(1)  # the cube turned
-    server = GraspServer(RemoteCell(bus, scene), bus)
+    remote = remote_cell(bus, scene)
+    server = GraspServer(remote, bus)
     try:
         item = scene.objects["cube"]
         grasps = server._grasps(scene, item, "panda_arm", "panda_hand_tcp")
@@ -190,3 +192,4 @@ def test_grasps_are_aligned_with_the_edges_and_approach_as_they_say():
             assert grasp.post_grasp_retreat.desired_distance == pytest.approx(0.2)
     finally:
         server.close()
+        remote.close()

@@ -238,8 +238,9 @@ class LiveCell:
             if not self.driver.is_simulated:
                 opening.callback(_interrupts.last_will(self.driver.stop, urgent=True))
             self.ctx.observe()
-            for group in self.arms:
-                prepare(self.ctx.scene(), group)  # so that the first plan is fast
+            if self.driver.is_simulated:
+                for group in self.arms:
+                    prepare(self.ctx.scene(), group)  # so that the first plan is fast
             self._inside = opening.pop_all()
         return self
 

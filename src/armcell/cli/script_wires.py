@@ -104,7 +104,7 @@ class ScriptWires:
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:
         """Connect the cell; with --plan-only, wait for the joint states of the other end."""
-        from armcell.ros.nodes import RemoteCell
+        from armcell.ros.nodes import ServedPlanner
 
         if session.graph is not None:
             tell_listening(session.graph.endpoints(), errors)  # standard output belongs to the script
@@ -112,9 +112,9 @@ class ScriptWires:
             wire = join()
             errors.print(wire.ready, markup=False, highlight=False, soft_wrap=True)
             tell_listening(wire.endpoints, errors)
-        robot = session.served.cell
-        if not isinstance(robot, RemoteCell):
+        if not isinstance(session.served, ServedPlanner):
             return
+        robot = session.served.driver
         if not robot.is_seen:
             err(f"waiting for /joint_states of the simulator or robot ({self._how()})")
         while not robot.is_seen:

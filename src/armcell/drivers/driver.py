@@ -42,6 +42,7 @@ class GripperReading:
     width: float  # [m]
     force_per_finger: float  # [N]
     held: str | None = None  # object between the fingers, if the driver detects it
+    fault: str = ""  # reason for which the gripper did not execute its last command
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,26 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.core import Outcome
+
 RUNNING, DONE, CANCELLED = "running", "done", "cancelled"  # states of a trajectory
 
 
 class Following(Protocol):
     """Handle for following a trajectory that the robot plays itself."""
 
-    def clock(self) -> float:
-        """Return the robot's progress along the trajectory [s]; speed slider and pause slow it down."""
+    def clock(self) -> float | None:
+        """Return the robot's progress along the trajectory [s]; speed slider and pause slow it down.
+
+        None if the robot does not report its progress; `state` then returns the outcome at the end.
+        """
         ...
 
-    def state(self) -> str:
-        """Return the trajectory's state: "running", "done", "cancelled", or the reason of an abort."""
+    def state(self) -> str | Outcome:
+        """Return the trajectory's state: "running", "done", "cancelled", or the reason of an abort.
+
+        An outcome is the robot's own decision, which the joint states need not confirm.
+        """
         ...
 
     def paused(self) -> bool: ...

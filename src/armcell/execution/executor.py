@@ -163,7 +163,7 @@ class _Execution:
             return refused
         if (outcome := self._fault()) is None and (outcome := source.start(blend)) is None:
             outcome = yield from self._move(source)
-        if not outcome.ok:
+        if not (outcome.ok or source.over):
             self.driver.stop()
         source.end(outcome)
         off = self.driver.joint_state().positions[source.columns] - self.trajectory.positions[-1]
@@ -211,11 +211,11 @@ class _Execution:
                 return outcome
 
     def _check(self, source: SetpointSource) -> Outcome | None:
-        """Compare the arm with the setpoints; return the reason to stop the arm, or None."""
+        """Compare the arm with the setpoints; return the outcome that ends the motion, or None."""
         found = source.tracking_error()
         if found is not None:
             self.tracking = max(self.tracking, found[0])
-        if (outcome := source.failure()) is not None or found is None:
+        if (outcome := source.ended()) is not None or found is None:
             return outcome
         if found[0] > self.settings.path_tolerance:
             return self._off(found, f"left the path by {found[0]:.3f} at {source.clock:.2f} s", "path")

@@ -29,7 +29,7 @@ SCALING_RATE = 2.0  # [1/s] limit on the speed scaling's rate: a pause brakes wi
 class SetpointSource(ABC):
     """Base class of the setpoint sources; an object sends the setpoints of one motion.
 
-    The executor calls `start` once, then for each driver period `send`, `tracking_error` and `failure`.
+    The executor calls `start` once, then for each driver period `send`, `tracking_error` and `ended`.
 
     Attributes:
         blends: True if the source can add the remaining motion of an arm that is not at rest.
@@ -37,6 +37,7 @@ class SetpointSource(ABC):
         clock: time on the trajectory [s] of the latest setpoint.
         goal: (n,) position [rad or m] at which the arm must come to rest.
         complete: True once the last setpoint is sent; the arm then has the settling time to come to rest.
+        over: True if the robot itself has ended the motion, so that it needs no stop.
     """
 
     blends = False
@@ -46,7 +47,7 @@ class SetpointSource(ABC):
         self.names, self.duration = trajectory.joint_names, trajectory.duration
         self.columns = np.array(driver.joint_state().columns(self.names), dtype=int)
         self.clock, self.goal = 0.0, cast(Array, trajectory.positions[-1])
-        self.complete = False
+        self.complete = self.over = False
         self._completed_at: float | None = None  # [s]
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
@@ -65,8 +66,8 @@ class SetpointSource(ABC):
     def tracking_error(self) -> tuple[float, int] | None:
         """Return the setpoints' largest tracking error [rad or m] and its column; None: only goals count."""
 
-    def failure(self) -> Outcome | None:
-        """Return the reason to stop the motion, other than a violated tolerance, or None."""
+    def ended(self) -> Outcome | None:
+        """Return the outcome that ends the motion, other than a violated tolerance, or None."""
         return None
 
     def settling_time(self) -> float:
@@ -184,7 +185,11 @@ class RobotPlayback(SetpointSource):
 
     def tracking_error(self) -> tuple[float, int] | None:
         handle = self._playing()
-        self.clock = t = handle.clock()
+        t = handle.clock()
+        if t is None:
+            self.clock = min(self.driver.now - self._advanced_at, self.duration)
+            return None
+        self.clock = t
         if t > self._furthest or handle.paused():
             self._furthest, self._advanced_at = max(t, self._furthest), self.driver.now
         q = self.driver.joint_state().positions[self.columns]
@@ -192,10 +197,14 @@ class RobotPlayback(SetpointSource):
         planned = [self.trajectory.sample(self._first + max(t - lag, 0.0))[0] for lag in lags]
         return largest(np.min(np.abs(q - np.array(planned)), axis=0))
 
-    def failure(self) -> Outcome | None:
+    def ended(self) -> Outcome | None:
         state = self._playing().state()
+        if isinstance(state, Outcome):
+            self.over = True
+            return state
         self.complete = state == "done"
-        if state == "running" and self.driver.now - self._advanced_at > self.settings.stall_time:
+        stalled = self.driver.now - self._advanced_at > self.settings.stall_time
+        if state == "running" and stalled and self._playing().clock() is not None:
             text = (
                 f"no progress for {self.settings.stall_time:g} s at {self.clock:.2f} of {self.duration:.2f} s"
             )
@@ -211,7 +220,9 @@ class RobotPlayback(SetpointSource):
     def halted(self) -> bool:
         if self._handle is None:
             return True
-        return self._handle.state() != "running" and max_speed(self.driver, self.columns) < AT_REST
+        state = self._handle.state()
+        self.over = isinstance(state, Outcome)
+        return self.over or (state != "running" and max_speed(self.driver, self.columns) < AT_REST)
 
     def _playing(self) -> Following:
         if self._handle is None:
@@ -272,7 +283,7 @@ class CoupledSetpoints(SetpointSource):
         q = self.driver.joint_state().positions[self.columns]
         return largest(np.abs(q - self._recent.nearest(q, self.goal, self.driver.now)))
 
-    def failure(self) -> Outcome | None:
+    def ended(self) -> Outcome | None:
         return None if self._watch is None else self._watch()
 
     def end(self, outcome: Outcome) -> None:

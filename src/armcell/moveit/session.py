@@ -44,7 +44,7 @@ class Session:
     ):  # fmt: skip
         self.bus = Bus() if bus is None else bus
         self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down, (NAME,))
-        self.served: ServedCell | ServedPlanner
+        self.served: ServedCell
         if isinstance(cell, LiveCell):
             self.served, seed = ServedCell(cell, self.bus, rate, auto_grip=auto_grip), cell.ctx.seed
             cell.ctx.observers.append(_Warnings(self))
@@ -167,7 +167,7 @@ class Session:
 
     def watch_other_end(self) -> None:
         """Log a hint, once, if the external simulator or robot sends no more joint states."""
-        if isinstance(self.served, ServedPlanner) and self.served.cell.silence > SILENT:
+        if isinstance(self.served, ServedPlanner) and self.served.driver.silence > SILENT:
             self.hint(
                 "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "
                 "connection, its clock stands still, and the script waits; Ctrl-C ends it",

@@ -248,7 +248,8 @@ class TaskContext:
 
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:
         scene = replace(self.base, positions=self.driver.joint_state().positions)
-        return scene.frame_pose(gripper.tcp_link).inv() @ self.driver.object_poses()[item]
+        T_world_object = self.driver.object_poses().get(item, scene.object(item).T_world_object)
+        return scene.frame_pose(gripper.tcp_link).inv() @ T_world_object
 
     # --- coordination with the other arm ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:

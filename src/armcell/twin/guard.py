@@ -158,18 +158,18 @@ class Watched:
         self._before: dict[str, float] = {}  # slider values before slowing
         self._stopped = self._told = False
 
-    def clock(self) -> float:
+    def clock(self) -> float | None:
         t = self._following.clock()
-        if t > 0.0 and self._following.state() == "running":
+        if t is not None and t > 0.0 and self._following.state() == "running":
             for arm in self._arms:
                 self._look(arm, t)
         return t
 
-    def state(self) -> str:
+    def state(self) -> str | Outcome:
         found = self._following.state()
         if found != "running" and not self._told:
             self._told = True
-            self._end(found)
+            self._end(str(found))
         return found
 
     def paused(self) -> bool:

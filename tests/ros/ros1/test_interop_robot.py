@@ -93,7 +93,7 @@ def planner(tmp_path):
 
 def move(served, turn, cancel=False):
     """A move_group goal of the first joint, by `turn` [rad] from where it is."""
-    state = served.cell.joints()
+    state = served.cell.scene().state
     values = dict(zip(state.joint_names, state.positions + turn * np.eye(6)[0]))
     new = lambda name, *v, **f: S.new(f"moveit_msgs/{name}", *v, **f)  # noqa: E731
     joints = [new("JointConstraint", n, float(v), 1e-4, 1e-4, 1.0) for n, v in values.items()]
@@ -112,14 +112,16 @@ def move(served, turn, cancel=False):
 
 
 def test_a_plan_drives_the_robots_action_in_its_namespace(planner):
-    start = planner.cell.joints().positions
+    start = planner.cell.scene().state.positions
     done = move(planner, 0.3)
     assert done.state is State.SUCCEEDED, done.text
     end = start + 0.3 * np.eye(6)[0]
-    eventually(lambda: np.allclose(planner.cell.joints().positions, end, atol=1e-3))  # states come at 50 Hz
+    eventually(
+        lambda: np.allclose(planner.cell.scene().state.positions, end, atol=1e-3)
+    )  # states come at 50 Hz
     done = move(planner, -0.9, cancel=True)
     assert done.state is State.PREEMPTED
-    assert start[0] - 0.6 < planner.cell.joints().positions[0] < start[0] + 0.3  # on the way
+    assert start[0] - 0.6 < planner.cell.scene().state.positions[0] < start[0] + 0.3  # on the way
     done = move(planner, 1.5)
     assert done.state is State.ABORTED
     assert "PATH_TOLERANCE_VIOLATED: the elbow left its path" in done.result.error_code.message

@@ -34,7 +34,7 @@ def planner(reach, peer, tmp_path):
 def move(served, turn, scaling=1.0, cancel=False):
     """A move_group goal of the first joint, by `turn` [rad] from where it is."""
     group = served.cell.model.group("arm")
-    state = served.cell.joints().reindexed(group.joint_names)
+    state = served.cell.scene().state.reindexed(group.joint_names)
     values = dict(zip(state.joint_names, state.positions + turn * np.eye(len(state.joint_names))[0]))
     new = lambda name, *v, **f: S.new(f"moveit_msgs/{name}", *v, **f)  # noqa: E731
     joints = [new("JointConstraint", n, float(v), 1e-4, 1e-4, 1.0) for n, v in values.items()]
@@ -53,15 +53,17 @@ def move(served, turn, scaling=1.0, cancel=False):
 
 
 def test_a_plan_drives_the_robots_action_and_a_cancel_reaches_it(planner, peer):
-    start = planner.cell.joints()
+    start = planner.cell.scene().state
     done = move(planner, 0.3)
     assert done.state is State.SUCCEEDED, done.text
     joints, points = peer.goals_taken()[0]
     assert joints == list(start.joint_names) and points >= 2
     end = start.positions + 0.3 * np.eye(6)[0]
-    eventually(lambda: np.allclose(planner.cell.joints().positions, end, atol=1e-3))  # states come at 50 Hz
+    eventually(
+        lambda: np.allclose(planner.cell.scene().state.positions, end, atol=1e-3)
+    )  # states come at 50 Hz
     done = move(planner, -1.5, scaling=0.05, cancel=True)
     assert done.state is State.PREEMPTED and done.result.error_code.val == -7
-    now = planner.cell.joints().positions[0]
+    now = planner.cell.scene().state.positions[0]
     assert start.positions[0] + 0.3 - 1.0 < now < start.positions[0] + 0.3  # on the way
     assert len(peer.goals_taken()) == 2

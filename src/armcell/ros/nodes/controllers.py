@@ -6,8 +6,8 @@ moveit_simple_controller_manager (division of a trajectory's joints among contro
 
 from __future__ import annotations
 
-import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
@@ -17,12 +17,13 @@ import numpy as np
 from armcell.cell import Controller
 from armcell.core import (
     ErrorCode,
-    ExecutionResult,
     InputError,
     JointState,
     JointTrajectory,
+    Outcome,
     UnknownNameError,
 )
+from armcell.drivers.following import RUNNING
 from armcell.model import Gripper
 from armcell.ros.actions import ActionClient, SentGoal, State
 from armcell.ros.bus import Bus
@@ -37,7 +38,7 @@ GONE = 2.0  # [s] for which an action server may be unreachable
 ARRIVED = 0.01  # [rad or m] maximum distance from the trajectory's end
 AT_REST = 0.02  # [rad/s or m/s] maximum joint speed at rest
 HOLD = 0.2  # [s] for a controller with a command topic to come to rest
-POLL = 0.01  # [s]
+CANCELLED = Outcome(ErrorCode.PREEMPTED, "cancelled")
 CODES = {
     -1: "INVALID_GOAL", -2: "INVALID_JOINTS", -3: "OLD_HEADER_TIMESTAMP", -4: "PATH_TOLERANCE_VIOLATED",
     -5: "GOAL_TOLERANCE_VIOLATED",
@@ -74,15 +75,15 @@ def chosen(
 class Outlet(Protocol):
     """Connection to one external ROS controller, of an action or topic interface."""
 
-    def begin(self, trajectory: JointTrajectory) -> Any:
-        """Send a motion to the controller; return the handle that `ended` and `cancel` require.
-
-        Raises:
-            InputError: the controller is not available.
-        """
+    def missing(self, timeout: float) -> InputError | None:
+        """Wait up to `timeout` [s] for the controller; return the error if it is not available."""
         ...
 
-    def ended(self, running: Any) -> ExecutionResult | None: ...
+    def begin(self, trajectory: JointTrajectory) -> Any:
+        """Send a motion to the controller; return the handle that `ended` and `cancel` require."""
+        ...
+
+    def ended(self, running: Any) -> Outcome | None: ...
 
     def cancel(self, running: Any) -> None: ...
 
@@ -90,7 +91,7 @@ class Outlet(Protocol):
 
 
 class Controllers:
-    """Clients of a cell's external controllers, which are located on first use.
+    """Clients of a cell's external controllers.
 
     Args:
         bus: the message bus.
@@ -121,63 +122,41 @@ class Controllers:
     def __bool__(self) -> bool:
         return bool(self._by_name)
 
-    # --- trajectories ---
-    def follow(
-        self, trajectory: JointTrajectory, cancel: threading.Event, names: Sequence[str] = ()
-    ) -> ExecutionResult:
-        """Execute a trajectory with the controllers of its joints and wait until it ends.
+    def find(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
+        """Wait until the controllers of some joints are available.
 
         Args:
-            trajectory: the motion.
-            cancel: event that stops the motion.
             names: controllers to use; empty means all controllers of the joints.
         Raises:
             InputError: no controller moves one of the joints, or a controller is not available.
         """
-        using = chosen({n: self.joints[n] for n in self._outlets}, names, trajectory.joint_names)
-        running: dict[str, Any] = {}
-        results: dict[str, ExecutionResult] = {}
-        try:
-            for name in using:
-                running[name] = self._outlets[name].begin(self._part(trajectory, self.joints[name]))
-            give_up = time.monotonic() + FACTOR * trajectory.duration + GRACE
-            while len(results) < len(using):
-                for name in set(running) - set(results):
-                    if (result := self._outlets[name].ended(running[name])) is not None:
-                        results[name] = result
-                if cancel.is_set() or any(not r.ok for r in results.values()):
-                    return self._stopped(using, running, results, cancel)
-                if time.monotonic() > give_up:
-                    late = ", ".join(sorted(set(using) - set(results)))
-                    text = f"{late}: no result {GRACE:g} s after {FACTOR:g} times the motion's duration"
-                    return ExecutionResult(ErrorCode.CONTROL_FAILED, text)
-                time.sleep(POLL)
-            return ExecutionResult(ErrorCode.SUCCESS)
-        finally:
-            for name in set(running) - set(results):
-                self._outlets[name].cancel(running[name])
+        arms = [j for j in joints if j not in self._grippers]
+        missing = [self._outlets[name].missing(FIND) for name in self._using(arms, names)]
+        missing += [_missing(c, client, FIND) for j, (c, client) in self._grippers.items() if j in joints]
+        for error in missing:
+            if error is not None:
+                raise error
 
-    def _stopped(
-        self, using: Sequence[str], running: dict[str, Any], results: dict[str, ExecutionResult],
-        cancel: threading.Event,
-    ) -> ExecutionResult:  # fmt: skip
-        """Cancel the remaining motions, wait until they end, and return the cause of the stop.
+    def _using(self, joints: Sequence[str], names: Sequence[str]) -> list[str]:
+        return chosen({n: self.joints[n] for n in self._outlets}, names, joints) if joints else []
 
-        Returns:
-            The first failure of a controller, or PREEMPTED if the caller canceled the motion.
+    # --- trajectories ---
+    def follow(self, trajectory: JointTrajectory, names: Sequence[str] = ()) -> ControllerMotion:
+        """Execute a trajectory with the controllers of its joints.
+
+        Args:
+            names: controllers to use; empty means all controllers of the joints.
         """
-        first = next((r for r in results.values() if not r.ok), None)
-        for name in set(using) - set(results):
-            self._outlets[name].cancel(running[name])
-        give_up = time.monotonic() + GONE
-        while set(using) - set(results) and time.monotonic() < give_up:
-            for name in set(using) - set(results):
-                if (result := self._outlets[name].ended(running[name])) is not None:
-                    results[name] = result
-            time.sleep(POLL)
-        if first is not None and not (cancel.is_set() and first.code is ErrorCode.PREEMPTED):
-            return first
-        return ExecutionResult(ErrorCode.PREEMPTED, "cancelled")
+        outlets = {name: self._outlets[name] for name in self._using(trajectory.joint_names, names)}
+        running: dict[str, Any] = {}
+        try:
+            for name, outlet in outlets.items():
+                running[name] = outlet.begin(self._part(trajectory, self.joints[name]))
+        except InputError:
+            for name in running:
+                outlets[name].cancel(running[name])
+            raise
+        return ControllerMotion(outlets, running, FACTOR * trajectory.duration + GRACE)
 
     def _part(self, trajectory: JointTrajectory, joints: Sequence[str]) -> JointTrajectory:
         """Return the part of a trajectory for one external controller's joints.
@@ -193,7 +172,7 @@ class Controllers:
         """Return True if one of the external controllers moves the gripper's fingers."""
         return gripper.joint_name in {j for joints in self.joints.values() for j in joints}
 
-    def grip(self, gripper: Gripper, width: float, force: float) -> Callable[[], ExecutionResult | None]:
+    def grip(self, gripper: Gripper, width: float, force: float) -> Callable[[], Outcome | None]:
         """Send a gripper command and return a function that polls its result.
 
         The function returns None until the command has ended.
@@ -202,29 +181,26 @@ class Controllers:
             gripper: the gripper.
             width: target width between the fingers [m].
             force: force per finger [N].
-        Raises:
-            InputError: the controller is not available.
         """
         if gripper.joint_name not in self._grippers:
             return self._finger_motion(gripper, width)
         controller, client = self._grippers[gripper.joint_name]
-        _find(client, controller)
         goal = self._bus.schema.new(f"{GRIPPER_COMMAND}Goal")
         goal.command.position = width if controller.gives_width else gripper.joint_position(width)
         goal.command.max_effort = force
         sent = client.send(goal)
 
-        def ended() -> ExecutionResult | None:
+        def ended() -> Outcome | None:
             if not sent.wait(0):
                 return None
             stopped_by_object = bool(getattr(sent.result, "stalled", False))
             if sent.state is State.SUCCEEDED or stopped_by_object:
-                return ExecutionResult(ErrorCode.SUCCESS, evidence={"stalled": stopped_by_object})
-            return ExecutionResult(ErrorCode.CONTROL_FAILED, f"{controller.name}: {_why(sent)}")
+                return Outcome(ErrorCode.SUCCESS)
+            return Outcome(ErrorCode.CONTROL_FAILED, f"{controller.name}: {_why(sent)}")
 
         return ended
 
-    def _finger_motion(self, gripper: Gripper, width: float) -> Callable[[], ExecutionResult | None]:
+    def _finger_motion(self, gripper: Gripper, width: float) -> Callable[[], Outcome | None]:
         """Move the fingers with a trajectory controller; return a function that polls for success.
 
         The caller must detect from the joint states whether an object stops the fingers.
@@ -237,11 +213,87 @@ class Controllers:
         outlet = self._outlets[name]
         running = outlet.begin(self._part(motion, self.joints[name]))
 
-        def ended() -> ExecutionResult | None:
+        def ended() -> Outcome | None:
             result = outlet.ended(running)
             return result if result is not None and result.ok else None
 
         return ended
+
+
+class ReportedMotion(ABC):
+    """A `Following` of a robot that reports not its progress, but the outcome."""
+
+    _outcome: Outcome | None = None
+
+    def clock(self) -> None:
+        return None
+
+    def paused(self) -> bool:
+        return False
+
+    def state(self) -> str | Outcome:
+        if self._outcome is None:
+            self._outcome = self._poll()
+        return RUNNING if self._outcome is None else self._outcome
+
+    @abstractmethod
+    def cancel(self) -> None: ...
+
+    @abstractmethod
+    def _poll(self) -> Outcome | None:
+        """Return the outcome, or None while the robot moves."""
+
+
+class ControllerMotion(ReportedMotion):
+    """Motion that external controllers execute together.
+
+    If one controller fails, the other controllers are canceled.
+
+    Args:
+        outlets: the controllers by name.
+        running: the handle that each controller's `begin` returned.
+        timeout: time limit [s, wall clock].
+    """
+
+    def __init__(self, outlets: Mapping[str, Outlet], running: Mapping[str, Any], timeout: float):
+        self._outlets, self._running = outlets, running
+        self._give_up = time.monotonic() + timeout
+        self._results: dict[str, Outcome] = {}
+        self._cancelled = False
+        self._stopping: float | None = None  # [s, monotonic] of the cancellation
+
+    def cancel(self) -> None:
+        self._cancelled = True
+        self._stop()
+
+    @property
+    def _left(self) -> list[str]:
+        return [name for name in self._running if name not in self._results]
+
+    def _stop(self) -> None:
+        if self._stopping is None:
+            self._stopping = time.monotonic()
+            for name in self._left:
+                self._outlets[name].cancel(self._running[name])
+
+    def _poll(self) -> Outcome | None:
+        """Return the outcome: the first failure of a controller, or PREEMPTED after `cancel`."""
+        for name in self._left:
+            if (result := self._outlets[name].ended(self._running[name])) is not None:
+                self._results[name] = result
+        first = next((r for r in self._results.values() if not r.ok), None)
+        if first is not None:
+            self._stop()
+        now, left = time.monotonic(), self._left
+        if not left or (self._stopping is not None and now > self._stopping + GONE):
+            if first is not None and not (self._cancelled and first.code is ErrorCode.PREEMPTED):
+                return first
+            return CANCELLED if self._cancelled else Outcome(ErrorCode.SUCCESS)
+        if self._stopping is None and now > self._give_up:
+            self._stop()
+            text = f"{', '.join(left)}: no result {GRACE:g} s after {FACTOR:g} times the motion's duration"
+            return Outcome(ErrorCode.CONTROL_FAILED, text)
+        return None
 
 
 class _Action:
@@ -255,26 +307,28 @@ class _Action:
     def close(self) -> None:
         self._client.close()
 
+    def missing(self, timeout: float) -> InputError | None:
+        return _missing(self._controller, self._client, timeout)
+
     def begin(self, trajectory: JointTrajectory) -> SentGoal:
-        _find(self._client, self._controller)
         self._seen = time.monotonic()
         now = self._bus.schema.new("std_msgs/Header")  # a stamp of zero starts the motion immediately
         goal = self._bus.schema.new(f"{FOLLOW}Goal", trajectory_message(self._bus.schema, now, trajectory))
         return self._client.send(goal)
 
-    def ended(self, running: SentGoal) -> ExecutionResult | None:
+    def ended(self, running: SentGoal) -> Outcome | None:
         name = self._controller.name
         if not running.wait(0):
             if self._client.wait_for_server(0):
                 self._seen = time.monotonic()
             elif time.monotonic() - self._seen > GONE:
-                return ExecutionResult(ErrorCode.CONTROL_FAILED, f"controller {name} has left")
+                return Outcome(ErrorCode.CONTROL_FAILED, f"controller {name} has left")
             return None
         if running.state is State.SUCCEEDED:
-            return ExecutionResult(ErrorCode.SUCCESS)
+            return Outcome(ErrorCode.SUCCESS)
         stopped = running.state in (State.PREEMPTED, State.RECALLED)
         code = ErrorCode.PREEMPTED if stopped else ErrorCode.CONTROL_FAILED
-        return ExecutionResult(code, f"{name}: {_why(running)}")
+        return Outcome(code, f"{name}: {_why(running)}")
 
     def cancel(self, running: SentGoal) -> None:
         running.cancel()
@@ -290,9 +344,12 @@ class _Topic:
     def close(self) -> None:
         self._publisher.close()
 
+    def missing(self, timeout: float) -> InputError | None:
+        if self._publisher.subscribers:
+            return None
+        return _absent(self._controller, f"no subscriber of {self._controller.topic}")
+
     def begin(self, trajectory: JointTrajectory) -> tuple[float, JointTrajectory]:
-        if not self._publisher.subscribers:
-            raise _absent(self._controller, f"no subscriber of {self._controller.topic}")
         self._publish(trajectory)
         return time.monotonic(), trajectory
 
@@ -300,7 +357,7 @@ class _Topic:
         header = self._bus.schema.new("std_msgs/Header")
         self._publisher.publish(trajectory_message(self._bus.schema, header, trajectory))
 
-    def ended(self, running: tuple[float, JointTrajectory]) -> ExecutionResult | None:
+    def ended(self, running: tuple[float, JointTrajectory]) -> Outcome | None:
         began, trajectory = running
         passed = time.monotonic() - began
         if passed < trajectory.duration:
@@ -309,10 +366,10 @@ class _Topic:
         error = float(np.max(np.abs(state.positions - trajectory.positions[-1])))
         rests = state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
         if error <= ARRIVED and rests:
-            return ExecutionResult(ErrorCode.SUCCESS, final_error=error)
+            return Outcome(ErrorCode.SUCCESS)
         if passed > trajectory.duration + GRACE and rests:
             text = f"{self._controller.name}: the joints rest {error:.3f} from the end of the motion"
-            return ExecutionResult(ErrorCode.CONTROL_FAILED, text, final_error=error)
+            return Outcome(ErrorCode.CONTROL_FAILED, text)
         return None
 
     def cancel(self, running: tuple[float, JointTrajectory]) -> None:
@@ -322,9 +379,10 @@ class _Topic:
         self._publish(replace(hold, accelerations=None))
 
 
-def _find(client: ActionClient, controller: Controller) -> None:
-    if not client.wait_for_server(FIND):
-        raise _absent(controller, f"no action server {controller.topic}")
+def _missing(controller: Controller, client: ActionClient, timeout: float) -> InputError | None:
+    if client.wait_for_server(timeout):
+        return None
+    return _absent(controller, f"no action server {controller.topic}")
 
 
 def _absent(controller: Controller, what: str) -> InputError:

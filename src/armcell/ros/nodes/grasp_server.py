@@ -19,7 +19,7 @@ from armcell.core.checks import require
 from armcell.ros.actions import ActionClient, State
 from armcell.ros.bus import Bus
 from armcell.ros.convert import pose_message
-from armcell.ros.nodes.access import CellAccess
+from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.scene import WORLD, CollisionObject, PlanningScene
 
 logger = logging.getLogger(__name__)
@@ -49,7 +49,7 @@ class GraspServer:
     cause of a failure.
     """
 
-    def __init__(self, cell: CellAccess, bus: Bus, settings: GraspServerSettings = GraspServerSettings()):
+    def __init__(self, cell: CellMotions, bus: Bus, settings: GraspServerSettings = GraspServerSettings()):
         self._cell, self._bus, self._settings = cell, bus, settings
         self._turn = threading.Lock()
         self._status = bus.advertise(STATUS, "std_msgs/String", latch=True)

@@ -38,7 +38,7 @@ REST_TIME = 0.1  # [s] that an arm must rest before automatic closing
 
 
 def gripping(
-    driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
+    driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event, patience: float = 1.0
 ) -> ExecutionSteps:
     """Move a ROS-commanded gripper until it reaches the target width or an object stops it.
 
@@ -51,10 +51,12 @@ def gripping(
         width: target width [m].
         force: force per finger [N].
         cancel: event that ends the motion early.
+        patience: factor on the time after which fingers count as stalled, and on the time limit.
     Returns:
-        SUCCESS with the evidence "stalled", "held" and "width" [m], or PREEMPTED with the current "width"
-            [m].
+        SUCCESS with the evidence "stalled", "held" and "width" [m], PREEMPTED with the current "width" [m],
+            or CONTROL_FAILED with the gripper's reason.
     """
+    stall_time, timeout = STALL_TIME * patience, TIMEOUT * patience
     driver.command_gripper(gripper.name, width, force)
     began = still = driver.now
     last = driver.gripper(gripper.name).width
@@ -66,13 +68,16 @@ def gripping(
             if not reading.held:
                 driver.command_gripper(gripper.name, reading.width, force)
             return ExecutionResult(ErrorCode.PREEMPTED, "cancelled", {"width": reading.width}, began, now)
+        if reading.fault:
+            return ExecutionResult(ErrorCode.CONTROL_FAILED, reading.fault, {}, began, now)
         if abs(reading.width - last) > STANDS * max(now - still, driver.period):
             last, still = reading.width, now
         arrived = abs(reading.width - width) <= ARRIVED
-        stalled = now - still >= STALL_TIME and now - began > 2 * STALL_TIME
+        stalled = now - still >= stall_time and now - began > 2 * stall_time
         # A held object must be pressed with the full force before the arm moves.
-        pressed = not reading.held or reading.force_per_finger >= 0.8 * force or now - began > TIMEOUT
-        if (arrived and not reading.held) or (stalled and pressed) or now - began > TIMEOUT:
+        late = now - began > timeout
+        pressed = not reading.held or reading.force_per_finger >= 0.8 * force or late
+        if (arrived and not reading.held) or (stalled and pressed) or late:
             evidence = {"stalled": not arrived, "held": reading.held, "width": reading.width}
             text = f"holds {reading.held}" if reading.held else f"stands at {reading.width * 1000:.1f} mm"
             return ExecutionResult(ErrorCode.SUCCESS, text, evidence, began, now)
@@ -118,46 +123,25 @@ def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[G
     return [(fingers[n], max(fingers[n].width(q), 0.0)) for n, q in trajectory.end.as_dict().items()]
 
 
-class GripperNode:
-    """Node that serves the grippers of a cell by a topic and an action for each gripper.
+def topics(model: RobotModel) -> dict[str, str]:
+    """Return the command topic of each gripper, by gripper name."""
+    return {g: TOPIC if len(model.grippers) == 1 else f"/{g}{TOPIC}" for g in model.grippers}
 
-    The topic is /gripper_command, or /<gripper>/gripper_command if the cell has several grippers. The action
-    is /<gripper>_controller/gripper_cmd.
+
+class GripperMotions:
+    """Motions of the grippers of a cell, with the finger contacts that they cause.
 
     Args:
         live: the cell.
-        bus: the message bus.
         conductor: the queue of motions.
-        say: receives a text for each rejected command and each automatic action.
-        auto_grip: if True, a gripper closes when its arm has come to rest with an object between the open
-            fingers.
+        patience: see `gripping`.
     """
 
-    def __init__(
-        self, live: LiveCell, bus: Bus, conductor: Conductor, say: Callable[[str], None], auto_grip: bool
-    ):
-        self._live, self._bus, self._conductor, self._say = live, bus, conductor, say
-        self._auto = auto_grip
-        self._next, self._rests_since = 0.0, dict.fromkeys(live.model.grippers, np.inf)
-        self._moved: dict[str, bool] = dict.fromkeys(live.model.grippers, False)
-        grippers = list(live.model.grippers.values())
+    def __init__(self, live: LiveCell, conductor: Conductor, patience: float = 1.0):
+        self._live, self._conductor, self._patience = live, conductor, patience
         self._expected: dict[str, set[str]] = {g: set() for g in live.model.grippers}
         self.has_closed = False
         """True if a client has commanded a gripper to close."""
-        self._members: list[Any] = []
-        for gripper in grippers:
-            topic = TOPIC if len(grippers) == 1 else f"/{gripper.name}{TOPIC}"
-            self._members.append(bus.subscribe(topic, "std_msgs/Float64", self._commanded(gripper)))
-            name = f"/{gripper.name}_controller/gripper_cmd"
-            self._members.append(ActionServer(bus, name, ACTION, self._action(gripper), accepts=False))
-
-    @property
-    def closes_by_itself(self) -> bool:
-        return self._auto
-
-    def close(self) -> None:
-        for member in self._members:
-            member.close()
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
         """Start to open or close a gripper on the bus; a force of 0 means its maximum force.
@@ -190,7 +174,67 @@ class GripperNode:
         if width < driver.gripper(gripper.name).width:
             self.has_closed = True
             self._expect_contact(gripper)
-        return gripping(driver, gripper, width, force, cancel)
+        return gripping(driver, gripper, width, force, cancel, self._patience)
+
+    def _expect_contact(self, gripper: Gripper) -> None:
+        """Declare contacts between the fingers and the objects near the tcp as expected."""
+        for item in around_tcp(self._live.scene(), gripper, NEAR):
+            self._live.ctx.expect_contact(item.name, gripper.finger_links)
+            self._expected[gripper.name].add(item.name)
+
+    def moved(self, joints: Iterable[str]) -> None:
+        """Revoke expected finger contacts with objects that an arm has left at the end of a motion."""
+        driver = self._live.driver
+        for gripper in self._live.model.grippers.values():
+            expected = self._expected[gripper.name]
+            arm = self._live.model.group(gripper.arm_group).joint_names
+            if not expected or not set(arm) & set(joints):
+                continue
+            near = {item.name for item in around_tcp(self._live.scene(), gripper, NEAR)}
+            for name in expected - near - {driver.gripper(gripper.name).held}:
+                self._live.ctx.expect_contact(name, gripper.finger_links, expected=False)
+                expected.discard(name)
+
+
+class GripperNode(GripperMotions):
+    """Node that serves the grippers of a cell by a topic and an action for each gripper.
+
+    The topic is /gripper_command, or /<gripper>/gripper_command if the cell has several grippers. The action
+    is /<gripper>_controller/gripper_cmd.
+
+    Args:
+        live: the cell.
+        bus: the message bus.
+        conductor: the queue of motions.
+        say: receives a text for each rejected command and each automatic action.
+        auto_grip: if True, a gripper closes when its arm has come to rest with an object between the open
+            fingers.
+    """
+
+    def __init__(
+        self, live: LiveCell, bus: Bus, conductor: Conductor, say: Callable[[str], None], auto_grip: bool
+    ):
+        super().__init__(live, conductor)
+        self._bus, self._say, self._auto = bus, say, auto_grip
+        self._next, self._rests_since = 0.0, dict.fromkeys(live.model.grippers, np.inf)
+        self._moved: dict[str, bool] = dict.fromkeys(live.model.grippers, False)
+        self._members: list[Any] = []
+        for name, topic in topics(live.model).items():
+            gripper = live.model.gripper(name)
+            self._members += [
+                bus.subscribe(topic, "std_msgs/Float64", self._commanded(gripper)),
+                ActionServer(
+                    bus, f"/{name}_controller/gripper_cmd", ACTION, self._action(gripper), accepts=False
+                ),
+            ]
+
+    @property
+    def closes_by_itself(self) -> bool:
+        return self._auto
+
+    def close(self) -> None:
+        for member in self._members:
+            member.close()
 
     def _commanded(self, gripper: Gripper) -> Callable[[Any], None]:
         def command(message: Any) -> None:
@@ -264,22 +308,3 @@ class GripperNode:
             self._say(f"{text}, but: {error}")
         else:
             self._say(f"{text}: the gripper closes")
-
-    def _expect_contact(self, gripper: Gripper) -> None:
-        """Declare contacts between the fingers and the objects near the tcp as expected."""
-        for item in around_tcp(self._live.scene(), gripper, NEAR):
-            self._live.ctx.expect_contact(item.name, gripper.finger_links)
-            self._expected[gripper.name].add(item.name)
-
-    def moved(self, joints: Iterable[str]) -> None:
-        """Revoke expected finger contacts with objects that an arm has left at the end of a motion."""
-        driver = self._live.driver
-        for gripper in self._live.model.grippers.values():
-            expected = self._expected[gripper.name]
-            arm = self._live.model.group(gripper.arm_group).joint_names
-            if not expected or not set(arm) & set(joints):
-                continue
-            near = {item.name for item in around_tcp(self._live.scene(), gripper, NEAR)}
-            for name in expected - near - {driver.gripper(gripper.name).held}:
-                self._live.ctx.expect_contact(name, gripper.finger_links, expected=False)
-                expected.discard(name)

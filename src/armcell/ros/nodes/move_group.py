@@ -33,7 +33,7 @@ from armcell.ros.moveit_convert import (
     robot_trajectory_message,
 )
 from armcell.ros.moveit_convert.objects import frame_of
-from armcell.ros.nodes.access import CellAccess
+from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.ros.nodes.conductor import Work
 from armcell.ros.nodes.gripping import with_finger_contacts
 from armcell.ros.nodes.scene_node import SceneNode
@@ -61,7 +61,7 @@ class MoveGroupNode:
             request without a planner uses the group's default.
     """
 
-    def __init__(self, cell: CellAccess, bus: Bus, planner_configs: Mapping[str, Any] | None = None):
+    def __init__(self, cell: CellMotions, bus: Bus, planner_configs: Mapping[str, Any] | None = None):
         self.cell, self.bus = cell, bus
         self._planner_configs = planner_configs or {}
         self.scene_node = SceneNode(cell, bus)

@@ -18,7 +18,7 @@ from armcell.ros.moveit_convert import (
     scene_message,
     world_from_message,
 )
-from armcell.ros.nodes.access import CellAccess
+from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.scene import OCTOMAP, WORLD, PlanningScene, SceneDiff, SetOctomap
 
 logger = logging.getLogger(__name__)
@@ -35,7 +35,7 @@ class SceneNode:
     /move_group/monitored_planning_scene and /monitored_planning_scene.
     """
 
-    def __init__(self, cell: CellAccess, bus: Bus):
+    def __init__(self, cell: CellMotions, bus: Bus):
         self._cell, self._bus = cell, bus
         self._stop, self._changed = threading.Event(), threading.Event()
         self._complaints = Complaints()

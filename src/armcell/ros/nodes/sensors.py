@@ -17,7 +17,7 @@ from armcell.ros.bus import Bus, Publisher
 from armcell.ros.complaints import Complaints
 from armcell.ros.convert import cloud_message, pose_from_message
 from armcell.ros.moveit_convert.states import joint_state_from_message
-from armcell.ros.nodes.access import CellAccess
+from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.ros.nodes.scene_node import SceneNode
 from armcell.scene import PlanningScene
 
@@ -36,7 +36,7 @@ class SensorNode:
     /tf_static connects with one. The robot's joint positions are those at the time stamp of the message.
     """
 
-    def __init__(self, cell: CellAccess, bus: Bus, scene_node: SceneNode, sensors: Sensors3d):
+    def __init__(self, cell: CellMotions, bus: Bus, scene_node: SceneNode, sensors: Sensors3d):
         self._cell, self._bus, self._scene_node = cell, bus, scene_node
         self._map = SensorMap(sensors.resolution)
         self._lock, self._complaints = threading.Lock(), Complaints()

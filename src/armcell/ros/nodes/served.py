@@ -13,17 +13,15 @@ import numpy as np
 from armcell.cell import Cell, LiveCell
 from armcell.core import InputError
 from armcell.perception import Sensors3d
-from armcell.planning import prepare, warm_up
 from armcell.ros.bus import Bus
-from armcell.ros.nodes.access import CellAccess
+from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.ros.nodes.cell_node import CellNode
 from armcell.ros.nodes.conductor import SETTLE
 from armcell.ros.nodes.description import describe
 from armcell.ros.nodes.grasp_server import GraspServer
-from armcell.ros.nodes.local_cell import LocalCell
 from armcell.ros.nodes.move_group import MoveGroupNode
 from armcell.ros.nodes.pick_place import PickPlaceNode
-from armcell.ros.nodes.remote_cell import RemoteCell
+from armcell.ros.nodes.remote_driver import RemoteDriver, RemoteMotions
 from armcell.ros.nodes.sensors import SensorNode
 from armcell.ros.nodes.states import RATE
 from armcell.tasks import TaskSettings
@@ -34,7 +32,7 @@ AT_REST, STILL = 0.01, 0.2  # speed [rad/s or m/s] and its duration [s]: a stopp
 
 
 def _serve_planner(
-    cell: CellAccess, bus: Bus, settings: TaskSettings, stack: ExitStack, sensors: Sensors3d | None,
+    cell: CellMotions, bus: Bus, settings: TaskSettings, stack: ExitStack, sensors: Sensors3d | None,
     planner_configs: Mapping[str, Any],
 ) -> None:  # fmt: skip
     group = MoveGroupNode(cell, bus, planner_configs)
@@ -66,9 +64,13 @@ class ServedCell:
         self, live: LiveCell, bus: Bus, rate: float = RATE, plan: bool = True, auto_grip: bool = False,
         sensors: Sensors3d | None = None,
     ):  # fmt: skip
-        self.bus, self.live = bus, live
         self.node = CellNode(live, bus, rate, auto_grip)
-        self.cell = LocalCell(self.node)
+        self._set_up(live, bus, self.node, plan, sensors)
+
+    def _set_up(
+        self, live: LiveCell, bus: Bus, cell: CellMotions, plan: bool, sensors: Sensors3d | None
+    ) -> None:
+        self.bus, self.live, self.cell = bus, live, cell
         self._plan, self._sensors = plan, sensors or live.sensors
         self._stack = ExitStack()
         self.failure: BaseException | None = None
@@ -78,7 +80,7 @@ class ServedCell:
 
     def _run(self) -> None:
         try:
-            self.node.run()
+            self.cell.run()
         except BaseException as error:  # the thread that waits for this one reports it
             self.failure = error
         finally:
@@ -106,10 +108,11 @@ class ServedCell:
         self._stack.callback(describe(self.bus, self.live.model).close)
         with layer("drivers"):
             self.thread.start()
-            while not self.node.ready.wait(poll):
+            while not self.cell.ready.wait(poll):
                 if not self.is_running:
                     raise self.failure or RuntimeError("the cell ended before it was ready")
-        self._stack.callback(self.bus.serve(RESUME, "std_srvs/Trigger", self._on_resume).close)
+        if isinstance(self.cell, CellNode):
+            self._stack.callback(self.bus.serve(RESUME, "std_srvs/Trigger", self._on_resume).close)
         with layer("planner"):
             if self._plan:
                 live = self.live
@@ -128,7 +131,7 @@ class ServedCell:
         """
         if self.is_running:
             try:
-                return self.node.conductor.call(function)
+                return self.cell.conductor.call(function)
             except InputError:
                 if not self.over.wait(1.0):
                     raise
@@ -136,7 +139,7 @@ class ServedCell:
 
     def rest(self) -> None:
         """Stop all motions for good, wait until the arms rest, and update the held objects."""
-        self.node.conductor.stop(for_good=True)
+        self.cell.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)
         moved = time.monotonic()
@@ -154,7 +157,7 @@ class ServedCell:
     def close(self) -> None:
         """Stop all motions of a served cell and remove its nodes from the bus."""
         self._stack.close()
-        self.node.close()
+        self.cell.close()
         if self.thread.ident is not None:
             self.over.wait(5.0)
             self.thread.join(1.0)
@@ -171,51 +174,27 @@ class ServedCell:
         self.close()
 
 
-class ServedPlanner:
-    """Planner and grasp server for a cell whose simulator is another program on the bus."""
+class ServedPlanner(ServedCell):
+    """Planner and grasp server for a cell whose simulator or robot is another program on the bus.
+
+    The driver of the cell is a `RemoteDriver`.
+    """
 
     def __init__(self, cell: Cell, bus: Bus, seed: int = 0, sensors: Sensors3d | None = None):
-        self.bus, self._sensors = bus, sensors or cell.sensors
-        self._scene, self._settings = cell.scene(seed), cell.settings
-        self._planner_configs = cell.planner_configs
-        self.cell = RemoteCell(bus, self._scene, cell.controllers)
-        self._stack = ExitStack()
-        self.failure: BaseException | None = None
-        self.is_running = True  # until `close`
+        scene = cell.scene(seed)
+        self.driver = RemoteDriver(bus, scene, cell.controllers)
+        live = LiveCell(cell.name, scene, self.driver, cell.settings, (), seed)
+        live.sensors, live.planner_configs = cell.sensors, cell.planner_configs
+        self._set_up(live, bus, RemoteMotions(live, self.driver), True, sensors)
 
     @property
     def has_closed(self) -> bool:
         """Return whether a gripper was commanded to close or was closed by the simulator."""
-        return self.cell.has_closed
+        return self.driver.has_closed
 
     def rest(self) -> None:
         """Stop the motions of a remote cell behind a served planner and wait until they have ended."""
         works = self.cell.works()
-        for work in works:
-            work.cancel.set()
+        self.cell.stop()
         for work in works:
             work.wait(SETTLE)
-
-    def call(self, function: Callable[[], T]) -> T:
-        """Run a function in the caller's thread, because this process has no driver thread."""
-        return function()
-
-    def start(self) -> None:
-        self._stack.callback(describe(self.bus, self._scene.model).close)
-        warm_up()
-        for group in self._scene.model.groups.values():
-            if group.tip_link:
-                prepare(self._scene, group.name)
-        _serve_planner(self.cell, self.bus, self._settings, self._stack, self._sensors, self._planner_configs)
-
-    def close(self) -> None:
-        self.is_running = False
-        self._stack.close()
-        self.cell.close()
-
-    def __enter__(self) -> ServedPlanner:
-        self.start()
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

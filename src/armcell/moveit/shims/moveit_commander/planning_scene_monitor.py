@@ -13,7 +13,7 @@ from typing import Any
 from armcell.core import InputError
 from armcell.moveit.session import CHECK, current_session
 from armcell.moveit.tutorial_names import CLASSES
-from armcell.ros.nodes import ServedCell
+from armcell.ros.nodes import ServedPlanner
 
 NAME = "PlanningSceneMonitor"
 FIRST_IMAGE = 90.0  # [s, wall clock] for the first images: a render process that hangs ends after 60 s
@@ -34,7 +34,7 @@ class PlanningSceneMonitor:
         The camera `overview`, which renders the report's pictures, is used only if it is the only camera.
         """
         served = self._session.served
-        if not isinstance(served, ServedCell):
+        if isinstance(served, ServedPlanner):
             self._session.say(
                 "WARN", "startWorldGeometryMonitor: the cameras are at the other end of the wire"
             )

@@ -1,0 +1,343 @@
+"""Motions, held objects and planning scene of a live cell that clients share.
+
+Only one thread, `run`, uses the driver; other threads access it through the conductor.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from armcell.cell import LiveCell
+from armcell.collision.motion_proof import Moving, first_conflict
+from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
+from armcell.drivers import Driver
+from armcell.execution import (
+    NOT_STARTED,
+    ExecutionSettings,
+    ExecutionSteps,
+    GuardedMotion,
+    execution_steps,
+)
+from armcell.model import Gripper, RobotModel
+from armcell.ros.convert import trajectory_from_message
+from armcell.ros.nodes.conductor import STOPPED, Conductor, Work
+from armcell.ros.nodes.controllers import chosen
+from armcell.ros.nodes.gripping import LOOK_PERIOD, GripperMotions, finger_goals
+from armcell.scene import PlanningScene
+from armcell.tasks.context import Holding
+
+logger = logging.getLogger(__name__)
+SHIFT = 0.15  # [s] timing tolerance between motions that clients start independently
+LET_GO = 0.004  # [m] fingers that opened by more since the grasp have released the object
+FALLEN = 0.03  # [m] an object that slipped by more from its grasp has fallen
+
+
+class CellMotions:
+    """Interface to observe, edit and move a live cell from any thread while `run` executes.
+
+    An object between closed fingers is attached to the hand automatically, no matter which client closed
+    them, and returns to the world when the fingers open. Clients need not attach or detach grasped objects in
+    the planning scene.
+
+    Motions of different arms run at the same time if they are proven collision-free; otherwise one of them
+    waits.
+
+    Args:
+        live: the cell; `run` connects it, and its time scale sets the pace.
+        controllers: joint names of each controller that clients may select, by controller name.
+    """
+
+    def __init__(self, live: LiveCell, controllers: Mapping[str, tuple[str, ...]]):
+        self.live, self.controllers = live, controllers
+        self.conductor = Conductor(live.driver, self._after_step)
+        live.ctx.driver = self.conductor  # tasks share the driver with clients
+        live.ctx.gate.shift = SHIFT
+        self.grippers = GripperMotions(live, self.conductor)
+        self.ready = threading.Event()
+        """Set as soon as the cell is connected."""
+        self.executed = 0
+        self._stop, self._putting = threading.Event(), threading.Lock()
+        self._next_look = 0.0  # [s]
+        self._widths: dict[str, float] = {}  # finger width at the grasp [m], by object
+
+    @property
+    def model(self) -> RobotModel:
+        return self.live.model
+
+    # --- the driver's thread ---
+    def run(self) -> None:
+        """Step the cell and execute commands until `close`."""
+        try:
+            with self.live:
+                self._connected()
+                self.ready.set()
+                while not self._stop.is_set():
+                    self.conductor.turn()
+                self.conductor.settle()
+        finally:
+            self.conductor.close()
+
+    def _connected(self) -> None:
+        """Act on the connected cell before its first step."""
+
+    def _after_step(self) -> None:
+        if self.live.driver.now >= self._next_look:
+            self._next_look = self.live.driver.now + LOOK_PERIOD
+            self.look_at_hands()
+        self.live.ctx.observe()
+
+    def start(self) -> threading.Thread:
+        """Start the node in a new thread and return the thread."""
+        thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
+        thread.start()
+        return thread
+
+    def close(self) -> None:
+        """Stop the running motions and request the end of `run`."""
+        self._stop.set()
+        self.conductor.stop()
+
+    def say(self, text: str) -> None:
+        """Report the progress of a motion."""
+        logger.info("trajectory: %s", text)
+
+    # --- scene and held objects ---
+    def scene(self) -> PlanningScene:
+        """Return the measured scene with the objects that clients added and the grippers hold."""
+        return self.conductor.call(self.now)
+
+    def now(self) -> PlanningScene:
+        """Return the measured scene, like `scene()`; call this only in the driver's thread."""
+        self.look_at_hands()
+        return self.live.ctx.scene()
+
+    def look_at_hands(self) -> None:
+        """Update which objects the grippers hold; call this only in the driver's thread."""
+        ctx = self.live.ctx
+        world = ctx.base
+        for gripper in self.model.grippers.values():
+            reading = ctx.driver.gripper(gripper.name)
+            mine = [h for h in ctx.holding.values() if h.gripper.name == gripper.name]
+            for held in mine:
+                opened = reading.width > self._widths.get(held.object, reading.width) + LET_GO
+                if reading.held == held.object:
+                    continue
+                if opened:
+                    del ctx.holding[held.object]
+                elif ctx.slip_of(held) > FALLEN:
+                    ctx.lose(held.object, f"{held.object} fell out of {gripper.name}")
+            if reading.held is None or reading.held in ctx.holding or reading.held not in world.objects:
+                continue
+            T = ctx.T_tcp_object(reading.held, gripper)
+            ctx.take(Holding(reading.held, gripper, T))
+            self._widths[reading.held] = reading.width
+
+    def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
+        """Edit the world with the function `make` and return the resulting scene.
+
+        Raises:
+            InputError: `make` raised it; the world is unchanged.
+        """
+        self.scene()  # update the held objects from the grippers first
+        self.live.ctx.change_scene(make)  # in this thread, because a large mesh takes time
+        return self.scene()
+
+    def held(self, gripper: Gripper) -> str | None:
+        """Return the name of the object between a gripper's fingers, or None."""
+        return self.conductor.call(lambda: self.live.driver.gripper(gripper.name).held)
+
+    def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
+        """Declare contacts of `body` with `others` as part of the task, or revoke a declaration."""
+        others = tuple(others)
+        self.conductor.call(lambda: self.live.ctx.expect_contact(body, others, expected))
+
+    def tell(self, kind: str, text: str, **data: Any) -> None:
+        """Queue an event for the cell's observers."""
+        self.conductor.soon(lambda: self.live.ctx.emit(kind, text, **data))
+
+    # --- motions ---
+    def works(self, joints: Iterable[str] | None = None) -> list[Work]:
+        """Return the waiting and running motions, optionally only motions of given joints."""
+        return self.conductor.works(joints)
+
+    def stop(self) -> None:
+        """Stop every motion of the cell."""
+        self.conductor.stop()
+
+    def drive(self, gripper: Gripper, width: float, force: float) -> Work:
+        """Start to open or close a gripper and return a handle to the motion.
+
+        Args:
+            gripper: the gripper.
+            width: target width between the fingers [m].
+            force: force per finger [N]; 0 means the gripper's maximum force.
+        """
+        return self.grippers.drive(gripper, width, force)
+
+    def play(
+        self,
+        message: Any,
+        settings: ExecutionSettings = ExecutionSettings(),
+        planned_in: PlanningScene | None = None,
+        controllers: Sequence[str] = (),
+    ) -> Work:
+        """Start a trajectory_msgs/JointTrajectory once earlier motions of its joints have ended.
+
+        `say` reports the progress. A trajectory without points stops its joints, or all joints if it names
+        none. The motion gate certifies the motion when it starts, with the contacts that `planned_in` allows.
+        The motion stops if a change of the scene obstructs the rest of its path.
+
+        Args:
+            message: the JointTrajectory message.
+            settings: tolerances and limits of the execution.
+            planned_in: the scene in which the motion was planned; default: the current scene.
+            controllers: names of the only controllers that may move the joints; default: all controllers of
+                the joints.
+        Returns:
+            A handle to the motion.
+        Raises:
+            InputError: the message is invalid; the error states the cause.
+        """
+        model = self.model
+        state = self.conductor.call(self.live.driver.joint_state)
+        try:
+            trajectory = trajectory_from_message(message, model, state)
+        except ArmcellError as error:
+            self.say(f"refused: {error}")
+            raise
+        if not len(trajectory.times):
+            return self._halt(trajectory)
+        self._find(trajectory.joint_names, controllers)
+        if goals := finger_goals(model, trajectory):
+            return self._close_or_open(trajectory, goals)
+
+        def steps(driver: Any, cancel: threading.Event) -> ExecutionSteps:
+            # The robot may have moved since the message arrived: start from its current state.
+            now = trajectory_from_message(message, model, driver.joint_state())
+            work.trajectory = now
+            driver = self._restricted(driver, controllers)
+            return (yield from execution_steps(driver, _Announced(self, now, planned_in, cancel), settings))
+
+        work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
+        return self._put_beside(work, trajectory)
+
+    def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
+        """Check that the named controllers move the joints."""
+        if controllers:
+            chosen(self.controllers, controllers, joints)
+
+    def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
+        """Return a view of the driver that moves only through the named controllers, if any."""
+        return driver
+
+    def _halt(self, trajectory: JointTrajectory) -> Work:
+        joints = trajectory.joint_names or self.model.joint_names
+
+        def steps(driver: Any, cancel: threading.Event) -> Any:
+            self.say("stop")
+            nothing = replace(trajectory, joint_names=joints, positions=np.zeros((0, len(joints))))
+            return execution_steps(driver, self.live.ctx.gate.motion(nothing))
+
+        return self.conductor.put(Work("stop", joints, steps).then(self._ended))
+
+    def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> Work:
+        """Move fingers to their target widths [m]; fingers that an object stops count as success."""
+
+        def steps(driver: Any, cancel: threading.Event) -> Any:
+            self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
+            result = ExecutionResult(ErrorCode.SUCCESS)
+            for gripper, width in goals:
+                result = yield from self.grippers.closing(driver, gripper, width, gripper.max_force, cancel)
+            return result
+
+        return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
+
+    def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
+        """Queue a motion; wait for other arms to arrive if their motions conflict with it.
+
+        Raises:
+            InputError: the cell is closed, or too many motions wait.
+        """
+        while not self._stop.is_set():
+            others = self._others(work)
+            if (late := self._not_begun(work, others)) is not None:
+                late.wait(self.live.driver.period)  # the proof needs the start time of the other motion
+                continue
+            if contact := self._in_passing(others, trajectory):
+                self.say(f"waits until the other arm has arrived: {contact}")
+                while not self._stop.is_set() and not all(w.wait(0.05) for w in others):
+                    pass
+                continue
+            with self._putting:  # a motion that another thread has queued since then is not in the proof
+                if set(self._others(work)) <= set(others):
+                    return self.conductor.put(work)
+        raise InputError("the cell is closed")
+
+    def _others(self, work: Work) -> list[Work]:
+        """Return the queued and running motions that share no joint with the motion `work`."""
+        works = self.conductor.works()
+        return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
+
+    def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
+        """Return a motion that must start or end before `work` can be checked, or None."""
+        before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
+        late = [w for w in others if w.began is None]
+        return next((w for w in (*before, *late) if not w.is_over), None)
+
+    def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
+        """Describe a motion's conflict with running motions if the conflict ends with them.
+
+        Returns an empty string if there is no such conflict.
+        """
+        running = [w.trajectory for w in others if w.trajectory is not None and not w.is_over]
+        if not running:
+            return ""
+        scene, gate, motion = self.conductor.call(self.live.scene), self.live.ctx.gate, Moving(new)
+        now = gate.conflict(motion, scene)
+        if now is None:
+            return ""
+        for trajectory in running:
+            scene = scene.with_state(trajectory.end)
+        if first_conflict(scene, motion) is not None:
+            return ""  # waiting does not help: the motion gate rejects this motion
+        return "the motions meet" if now.contact is None else now.contact.describe()
+
+    def _ended(self, work: Work) -> None:
+        self.executed += 1
+        if not self._stop.is_set():
+            with suppress(InputError):  # the robot's state is unknown
+                self.grippers.moved(work.joints)
+        if work.error is not None:
+            self.say(f"refused: {work.error}")
+            return
+        result = STOPPED if work.result is None else work.result  # same texts as Unity's player
+        what = "done" if result.ok else "stopped" if result.code is ErrorCode.PREEMPTED else "failed"
+        if result.evidence.get(NOT_STARTED):
+            what = "refused"
+        self.say(f"{what}: {result.message or f'final error {result.final_error:.4f}'}")
+
+
+class _Announced(GuardedMotion):
+    """A guarded motion that reports its start after certification."""
+
+    def __init__(
+        self, cell: CellMotions, trajectory: JointTrajectory, planned_in: PlanningScene | None,
+        cancel: threading.Event,
+    ):  # fmt: skip
+        super().__init__(cell.live.ctx.gate, trajectory, planned_in, cancel)
+        self._cell = cell
+
+    def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
+        self._cell.look_at_hands()
+        refused = super().begin(blend)
+        if refused is None:
+            self._cell.say(f"executing {len(self.trajectory.times)} points, {self.trajectory.duration:.2f} s")
+            self._cell.live.ctx.announce(self.trajectory)
+        return refused
