@@ -101,7 +101,6 @@ class Controllers:
 
     def __init__(self, bus: Bus, controllers: Sequence[Controller], joints: Callable[[], JointState]):
         self._bus, self._measured = bus, joints
-        self._by_name = {c.name: c for c in controllers}
         self.joints = {c.name: c.joints for c in controllers}
         makers = {"FollowJointTrajectory": _Action, "JointTrajectory": _Topic}
         self._outlets: dict[str, Outlet] = {
@@ -118,9 +117,6 @@ class Controllers:
             outlet.close()
         for _, client in self._grippers.values():
             client.close()
-
-    def __bool__(self) -> bool:
-        return bool(self._by_name)
 
     def find(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
         """Wait until the controllers of some joints are available.
@@ -218,6 +214,13 @@ class Controllers:
             return result if result is not None and result.ok else None
 
         return ended
+
+
+def off_goal(state: JointState, trajectory: JointTrajectory) -> tuple[float, bool]:
+    """Return the largest distance from a trajectory's end [rad or m], and whether its joints rest."""
+    state = state.reindexed(trajectory.joint_names)
+    error = float(np.max(np.abs(state.positions - trajectory.positions[-1])))
+    return error, state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
 
 
 class ReportedMotion(ABC):
@@ -362,9 +365,7 @@ class _Topic:
         passed = time.monotonic() - began
         if passed < trajectory.duration:
             return None
-        state = self._measured().reindexed(trajectory.joint_names)
-        error = float(np.max(np.abs(state.positions - trajectory.positions[-1])))
-        rests = state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
+        error, rests = off_goal(self._measured(), trajectory)
         if error <= ARRIVED and rests:
             return Outcome(ErrorCode.SUCCESS)
         if passed > trajectory.duration + GRACE and rests:

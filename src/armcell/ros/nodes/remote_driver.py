@@ -32,12 +32,12 @@ from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
 from armcell.ros.nodes.conductor import Work
 from armcell.ros.nodes.controllers import (
     ARRIVED,
-    AT_REST,
     CANCELLED,
     FACTOR,
     GRACE,
     Controllers,
     ReportedMotion,
+    off_goal,
 )
 from armcell.ros.nodes.gripping import GripperMotions, around_tcp, topics
 from armcell.ros.units import check_near, unit_fault
@@ -302,7 +302,7 @@ class RemoteDriver(Driver):
         Raises:
             InputError: a controller cannot execute the trajectory.
         """
-        if self._controllers:
+        if self.controllers:
             return self._controllers.follow(trajectory, controllers)
         with self.lock:
             self._said.clear()
@@ -385,22 +385,19 @@ class _Played(ReportedMotion):
             self._outcome = CANCELLED
 
     def _poll(self) -> Outcome | None:
-        driver, end = self._driver, self._trajectory.positions[-1]
+        driver = self._driver
         with driver.lock:
             said, announces = list(driver._said), driver._announces
         if (result := _result_of(said, begun=not announces)) is not None:
             return result
         if said and time.monotonic() < self._give_up:
             return None
-        state = driver.joint_state().reindexed(self._trajectory.joint_names)
-        error = float(np.max(np.abs(state.positions - end)))
-        rests = state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
+        error, rests = off_goal(driver.joint_state(), self._trajectory)
         if error <= ARRIVED and rests and not said:  # the simulator reports no status
             return Outcome(ErrorCode.SUCCESS)
         if time.monotonic() < self._give_up:
             return None
-        text = f"the simulator did not arrive: {error:.3f} from the end"
-        return Outcome(ErrorCode.CONTROL_FAILED, text)
+        return Outcome(ErrorCode.CONTROL_FAILED, f"the simulator did not arrive: {error:.3f} from the end")
 
 
 def _result_of(said: list[str], begun: bool) -> Outcome | None:
