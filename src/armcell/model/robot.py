@@ -179,7 +179,7 @@ class EndEffector:
 @dataclass(frozen=True)
 @checked()
 class Gripper:
-    """A parallel gripper: two fingers that move symmetrically along the y axis of the tcp frame.
+    """A robot's parallel gripper: two fingers that move symmetrically along the y axis of the tcp frame.
 
     The z axis of the tcp frame points out of the hand, between the fingertips. `width` [m] is the gap between
     the finger pads: `width = width_per_joint * q + width_offset`, with `q` the position of the driven joint.

@@ -140,7 +140,7 @@ def _next_movable(model: RobotModel, link: str) -> list[Joint]:
 
 
 def _depth(model: RobotModel, joint: Joint) -> int:
-    """Return the number of movable joints on the longest branch below a joint, inclusive."""
+    """Detect arm chains: return the number of movable joints on a joint's longest branch, inclusive."""
     return 1 + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
 
 

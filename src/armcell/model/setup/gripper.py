@@ -21,7 +21,7 @@ STRAIGHT = 0.99  # cosine between the fingers' direction and the tcp frame's y
 
 
 def find_grippers(model: RobotModel) -> RobotModel:
-    """Return the robot with a `Gripper` for each end effector that is a parallel gripper.
+    """Detect grippers: return the robot with a `Gripper` for each end effector that is a parallel gripper.
 
     A parallel gripper has two fingers that slide along the y axis of a frame fixed to the palm; the z axis of
     this frame points out of the hand. The user must describe other grippers.
@@ -53,7 +53,7 @@ def _parallel(model: RobotModel, end: EndEffector) -> Gripper | None:
 
 
 def _frames(model: RobotModel, palm: str) -> list[str]:
-    """Return a palm's fixed links without collision geometry, which may be the tcp."""
+    """Return a detected gripper palm's fixed links without collision geometry, which may be the tcp."""
     rigid = next(links for links in model.rigid_groups if palm in links)
     return [n for n in model.subtree(palm) if n in rigid and n != palm and not model.links[n].collisions]
 
@@ -101,7 +101,7 @@ def _measured(
 
 
 def _pose(model: RobotModel, base: str, tip: str) -> SE3:
-    """Return the pose of link `tip` in the frame of link `base`, with all joints at zero."""
+    """Return link `tip`'s pose in link `base`'s frame at zero joints, to detect a gripper."""
     T = SE3.identity()
     for joint in model.chain(base, tip):
         T = T @ joint.T_parent_joint
@@ -109,7 +109,7 @@ def _pose(model: RobotModel, base: str, tip: str) -> SE3:
 
 
 def _corners(model: RobotModel, link: str, T: SE3) -> Array:
-    """Return points (n, 3) [m] that bound a link's collision shapes, transformed by `T`.
+    """Return points (n, 3) [m] that bound a link's shapes, transformed by `T`, to detect a gripper.
 
     A mesh contributes its vertices, another shape the corners of its bounding box.
     """

@@ -32,7 +32,7 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANC
 
 
 class CellNode(CellMotions):
-    """Node that serves a live cell on the bus while `run` executes.
+    """Cell node: serves a live cell on the bus, publishes its states and executes trajectories.
 
     Input topics:
 
@@ -95,7 +95,7 @@ class CellNode(CellMotions):
         super()._after_step()
 
     def say(self, text: str) -> None:
-        """Publish a text on /trajectory_status."""
+        """Publish a text on the cell node's topic /trajectory_status."""
         super().say(text)
         if not self._status.closed:
             self._status.publish(self.bus.schema.new("std_msgs/String", text))

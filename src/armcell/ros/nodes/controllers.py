@@ -76,11 +76,13 @@ class Outlet(Protocol):
     """Connection to one external ROS controller, of an action or topic interface."""
 
     def missing(self, timeout: float) -> InputError | None:
-        """Wait up to `timeout` [s] for the controller; return the error if it is not available."""
+        """Wait up to `timeout` [s] for an external ROS controller; return the error if it is not
+        available.
+        """
         ...
 
     def begin(self, trajectory: JointTrajectory) -> Any:
-        """Send a motion to the controller; return the handle that `ended` and `cancel` require."""
+        """Send a motion to an external controller; return the handle that `ended` and `cancel` require."""
         ...
 
     def ended(self, running: Any) -> Outcome | None: ...
@@ -91,7 +93,7 @@ class Outlet(Protocol):
 
 
 class Controllers:
-    """Clients of a cell's external controllers.
+    """Clients of a cell's external ROS controllers.
 
     Args:
         bus: the message bus.
@@ -119,7 +121,7 @@ class Controllers:
             client.close()
 
     def find(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
-        """Wait until the controllers of some joints are available.
+        """Wait until the external ROS controllers of some joints are available.
 
         Args:
             names: controllers to use; empty means all controllers of the joints.
@@ -138,7 +140,7 @@ class Controllers:
 
     # --- trajectories ---
     def follow(self, trajectory: JointTrajectory, names: Sequence[str] = ()) -> ControllerMotion:
-        """Execute a trajectory with the controllers of its joints.
+        """Execute a trajectory with the external ROS controllers of its joints.
 
         Args:
             names: controllers to use; empty means all controllers of the joints.
@@ -169,7 +171,7 @@ class Controllers:
         return gripper.joint_name in {j for joints in self.joints.values() for j in joints}
 
     def grip(self, gripper: Gripper, width: float, force: float) -> Callable[[], Outcome | None]:
-        """Send a gripper command and return a function that polls its result.
+        """Send a gripper command to an external controller and return a function that polls its result.
 
         The function returns None until the command has ended.
 
@@ -197,7 +199,7 @@ class Controllers:
         return ended
 
     def _finger_motion(self, gripper: Gripper, width: float) -> Callable[[], Outcome | None]:
-        """Move the fingers with a trajectory controller; return a function that polls for success.
+        """Move the fingers with an external trajectory controller; return a function that polls for success.
 
         The caller must detect from the joint states whether an object stops the fingers.
         """
@@ -280,7 +282,9 @@ class ControllerMotion(ReportedMotion):
                 self._outlets[name].cancel(self._running[name])
 
     def _poll(self) -> Outcome | None:
-        """Return the outcome: the first failure of a controller, or PREEMPTED after `cancel`."""
+        """Return the first failure of an external controller, PREEMPTED after `cancel`, or another
+        outcome.
+        """
         for name in self._left:
             if (result := self._outlets[name].ended(self._running[name])) is not None:
                 self._results[name] = result
