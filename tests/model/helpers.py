@@ -12,7 +12,8 @@ import yaml
 from armcell.core import SE3
 from armcell.model import Part, RobotModel, compose, installed_robots, load_robot, load_urdf, parse_urdf
 from armcell.model.assets import installed_share, resolve_uri
-from armcell.model.loader import LIBRARY
+from armcell.model.loader import LIBRARY, xacro_texts
+from armcell.model.urdf import urdf_text
 
 MBM = Path(__file__).parents[3].joinpath("shared", "data", "mbm", "robots").resolve()  # may be a link
 EXAMPLES = next((s / "example-robot-data" / "robots" for s in installed_share()), Path("/nowhere"))
@@ -94,7 +95,8 @@ def pin_library(name: str) -> pin.Model:
     """A library robot as pinocchio reads it: its URDF, or its parts put together."""
     data = yaml.safe_load((LIBRARY / name / "robot.yaml").read_text())
     if "urdf" in data:
-        return pin.buildModelFromUrdf(str(resolve_uri(data["urdf"], LIBRARY / name)))
+        file, args = resolve_uri(data["urdf"], LIBRARY / name), data.get("xacro_args")
+        return pin.buildModelFromXML(urdf_text(file, None, LIBRARY / name, xacro_texts(args, file)))
     model = pin.Model()
     if sum("parent_link" not in part for part in data["parts"]) > 1:  # ours get a root of their own
         model.addFrame(pin.Frame("world", 0, 0, pin.SE3.Identity(), pin.FrameType.BODY))
