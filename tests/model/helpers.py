@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -49,6 +50,13 @@ def robot(*elements: str) -> str:
 
 def model_of(*elements: str, file: Path = Path("/tmp/r.urdf")) -> RobotModel:
     return parse_urdf(robot(*elements), file)
+
+
+def with_limits(model: RobotModel, velocity: float = 2.0, acceleration: float = 5.0) -> RobotModel:
+    """With velocity and acceleration limits for all joints, which a URDF does not have."""
+    more = {"velocity": velocity, "acceleration": acceleration}
+    joints = {n: replace(j, limits=replace(j.limits, **more)) for n, j in model.joints.items()}
+    return replace(model, joints=joints)
 
 
 def chain_of(*joints: str) -> RobotModel:
