@@ -6,6 +6,7 @@ files are on this machine. `pytest -m slow tests/cell/test_arm_contract.py` meas
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from pathlib import Path
 
@@ -29,7 +30,7 @@ SOLVED = 0.995  # of random reachable poses
 
 @pytest.fixture(autouse=True)
 def _descriptions(monkeypatch):
-    monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED), prepend=os.pathsep)
 
 
 @lru_cache

@@ -111,7 +111,9 @@ def pin_library(name: str) -> pin.Model:
     for part in data["parts"]:
         placed = SE3.from_mapping(part.get("pose", [0, 0, 0]))
         frame = model.getFrameId(part["parent_link"], pin.FrameType.BODY) if "parent_link" in part else 0
-        other = _named(pin_library(part["robot"]), part.get("prefix", ""))
+        own = LIBRARY / name / part["robot"]
+        alone = pin.buildModelFromUrdf(str(own)) if own.is_file() else pin_library(part["robot"])
+        other = _named(alone, part.get("prefix", ""))
         model = pin.appendModel(
             model, other, frame, pin.SE3(placed.rotation.matrix, np.array(placed.translation))
         )

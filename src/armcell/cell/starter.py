@@ -107,7 +107,10 @@ def _inline(values: dict[str, str]) -> str:
 
 
 def _arms(model: RobotModel) -> list[Group]:
-    return [g for g in model.groups.values() if g.tip_link and g.joint_names]
+    """Return the arms of the task: those that carry a gripper, else all."""
+    arms = [g for g in model.groups.values() if g.tip_link and g.joint_names]
+    carrying = {g.arm_group for g in model.grippers.values()}
+    return [g for g in arms if g.name in carrying] or arms
 
 
 def _reach(model: RobotModel) -> float:
@@ -116,8 +119,10 @@ def _reach(model: RobotModel) -> float:
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
     tips = [g.tip_link for g in _arms(model) if g.tip_link] or [list(model.links)[-1]]
-    far = 0.0
-    for q in rng.uniform(low, high, (SAMPLES, model.dof)):
+    moved = model.columns(n for g in _arms(model) for n in g.joint_names)
+    far, q = 0.0, model.default_positions()
+    for values in rng.uniform(low, high, (SAMPLES, model.dof)):
+        q[moved] = values[moved]
         far = max(far, *(float(np.hypot(*tree.link_pose(q, tip).translation[:2])) for tip in tips))
     return far
 
