@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from armcell.cli.console import console
+
+if TYPE_CHECKING:
+    from armcell.model import RobotModel
 
 EXAMPLES = """
 Examples:
@@ -26,12 +30,10 @@ def new(
     force: bool = typer.Option(False, "--force", help="Write into a folder that is not empty."),
 ) -> int:
     """Write a commented cell with table, object, camera and task that runs at once."""
-    from armcell.cell.starter import starter_cells
     from armcell.core import InputError
     from armcell.model.known_robots import robot_names
     from armcell.model.loader import load_robot
-    from armcell.model.options import xacro_args
-    from armcell.model.setup import check_folder, write_folder
+    from armcell.model.setup import check_folder
 
     check_folder(folder, force)
     model = load_robot(robot)
@@ -42,13 +44,28 @@ def new(
         )
     named = robot in robot_names()
     path = robot if named else os.path.relpath(Path(robot).resolve(), folder.resolve())
+    write_starter(model, path, folder)
+    console.print(f"written: {folder}/cell.yaml", markup=False)
+    console.print(f"next:    armcell run {folder}   (or: armcell view {folder})", markup=False)
+    return 0
+
+
+def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
+    """Write the first starter cell that `armcell check` accepts; return whether its task is a pick.
+
+    Args:
+        path: how the cell names the robot.
+    """
+    from armcell.cell.starter import starter_cells
+    from armcell.model.options import xacro_args
+    from armcell.model.setup import write_folder
+
+    text = ""
     for text in starter_cells(model, path, xacro_args()):
         write_folder(folder, {"cell.yaml": text}, force=True)
         if "pick: cube" not in text or _passes(folder):
             break
-    console.print(f"written: {folder}/cell.yaml", markup=False)
-    console.print(f"next:    armcell run {folder}   (or: armcell view {folder})", markup=False)
-    return 0
+    return "pick: cube" in text
 
 
 def _passes(folder: Path) -> bool:
