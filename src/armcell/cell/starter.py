@@ -16,6 +16,7 @@ from armcell.model import Group, RobotModel
 from armcell.scene import CollisionObject, PlanningScene
 
 SAMPLES = 2000  # random states that measure the arm's reach
+SMALL = 0.6  # [m] arms with a smaller reach move less up and down
 GAP = 0.002  # [m] between the robot's base and the table
 HEIGHTS = (0.0, 0.1, 0.2, 0.4, 0.8)  # [m] tried heights of the robot's base above the table
 DISTANCES = (0.5, 0.6, 0.4, 0.7, 0.3)  # tried distances of the object, as fractions of the reach
@@ -27,7 +28,7 @@ description: {name} {does}.
 robot: {robot}
 {xacro}start: {start}
 padding: 0.005          # [m] kept between the robot and objects where possible
-
+{settings}
 objects:
   table:                # fixed, since it is not movable
     box: [{side}, {side}, 0.04]
@@ -76,6 +77,7 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
     common = {
         "name": model.name, "robot": robot, "start": _inline(start), "side": round(2.4 * reach, 2),
         "table": round(table - 0.02, 4), "eye": round(1.8 * reach, 2), "up": round(1.3 * reach, 2),
+        "settings": _settings(reach),
         "xacro": f"xacro_args: {_inline(xacro_args)}\n" if xacro_args else "",
     }  # fmt: skip
     moves = "".join(f"  - move: {state}\n" for state in states) or "  - hold: 1.0\n"
@@ -95,6 +97,15 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
                 task = PICK.replace("  - move: home\n", home)
                 yield TEXT.format(**common, does="picks a cube", objects=objects, task=task)
     yield TEXT.format(**common, does="moves between its states", objects="", task=moves)
+
+
+def _settings(reach: float) -> str:
+    """Return the block `settings` of a small arm's cell: straight motions of a tenth of its reach."""
+    if reach >= SMALL:
+        return ""
+    names = ("approach_distance", "lift_distance", "lower_distance", "retreat_distance")
+    entries = ", ".join(f"{name}: {reach / 10:.3f}" for name in names)
+    return f"settings: {{{entries}}}   # [m] of a small arm\n"
 
 
 def _at(distance: float, angle_deg: float) -> tuple[float, float]:

@@ -51,7 +51,7 @@ def new(
 
 
 def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
-    """Write the first starter cell that `armcell check` accepts; return whether its task is a pick.
+    """Write the first starter cell whose task succeeds without physics; return whether its task is a pick.
 
     Args:
         path: how the cell names the robot.
@@ -69,6 +69,12 @@ def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
 
 
 def _passes(folder: Path) -> bool:
+    """Return whether the checks of a cell pass and its task succeeds with arms that follow perfectly."""
+    from armcell.cell import load, run_task
     from armcell.cli.check import findings
 
-    return all(passed for passed, _, _ in findings(str(folder)))
+    if not all(passed for passed, _, _ in findings(str(folder))):
+        return False
+    cell = load(folder)
+    with cell.connect("fake", seed=0) as live:
+        return bool(run_task(cell, live, 0, "fake")["success"])

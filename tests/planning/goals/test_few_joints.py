@@ -1,4 +1,4 @@
-"""Goals of arms with four and five joints: reached exactly, reduced by tolerances, or refused with a reason."""
+"""Goals of arms with four and five joints: reached, reduced by tolerances, or refused with a reason."""
 
 from __future__ import annotations
 

@@ -26,6 +26,7 @@ FLAT = 0.0015  # [m] depth of the surface that counts as a pad, behind its forem
 LONGEST_PAD = 0.024  # [m] of a longer pad, the outer end is used
 STRAIGHT = 0.99  # cosine between the closing direction and the y axis of an existing tool frame
 SNAP = 0.9986  # cosine of 3 degrees: directions nearer to an axis of the palm's frame are that axis
+NEAR_ROLL = np.cos(np.deg2rad(20))  # largest angle between a single jaw's pad and the last joint's axis
 CENTERED = 2e-4  # [m] a grip center that moves less is fixed
 LINEAR = 2e-4  # [m] an opening that deviates less from a straight line is one
 WIDEST_TURN = np.deg2rad(40)  # a jaw that turns farther does not hold an object between its pads
@@ -86,8 +87,8 @@ def _with_gripper(model: RobotModel, end: EndEffector) -> RobotModel:
     group = model.groups[end.group]
     if len(group.joint_names) != 1:
         raise NotRecognized(
-            f"{len(group.joint_names)} driven joints ({', '.join(group.joint_names) or 'the jaws are fixed'}); "
-            "one driven joint must move the jaws, the others must mimic it"
+            f"{len(group.joint_names)} driven joints ({', '.join(group.joint_names) or 'fixed jaws'}), "
+            "but one must move the jaws and the others mimic it"
         )
     driver = model.joints[group.joint_names[0]]
     if not (np.isfinite(driver.limits.lower) and np.isfinite(driver.limits.upper)):
@@ -202,9 +203,24 @@ class _Hand:
         outer = cells[:, 1] > cells[:, 1].max() - LONGEST_PAD
         z, y = cells[outer, 1], minus[outer]
         slope = float(np.polyfit(z, y, 1)[0]) if np.ptp(z) > 2 * SPACING else 0.0
-        if abs(slope) > np.tan(WIDEST_TURN):
-            return axes
-        return self._axes(axes[1] - slope * axes[2], axes[2] + slope * axes[1])
+        z = axes[2] + (slope if abs(slope) < np.tan(WIDEST_TURN) else 0.0) * axes[1]
+        z = z / np.linalg.norm(z)
+        roll = self._last_axis()
+        if roll is not None and abs(roll @ z) > NEAR_ROLL:  # an arm with five joints then reaches from above
+            z = np.sign(roll @ z) * roll
+        return self._axes(axes[1] - (axes[1] @ z) * z, z)
+
+    def _last_axis(self) -> Array | None:
+        """Return the axis of the arm's last joint in the palm's frame, or None without an arm."""
+        link = self.palm
+        while (joint := self.model.parent_joint.get(link)) is not None and not joint.movable:
+            link = joint.parent
+        if joint is None:
+            return None
+        R = SE3.identity()
+        for fixed in self.model.chain(joint.child, self.palm):
+            R = R @ fixed.T_parent_joint
+        return R.rotation.matrix.T @ np.asarray(joint.axis)
 
     def _nearest(self, fixed: tuple[str, ...], jaw: tuple[str, ...], q: float, pivot: Array) -> float:
         """Return the distance [m] of the jaw's far end from the fixed jaw."""
@@ -219,7 +235,7 @@ class _Hand:
 
     @staticmethod
     def _axes(y: Array, out: Array) -> Array:
-        """Return the hand's axes (3, 3) as rows from the closing direction and a direction out of the hand."""
+        """Return the hand's axes (3, 3) as rows, from the closing direction and the direction out of it."""
         y = _snapped(y / np.linalg.norm(y))
         z = out - (out @ y) * y
         if np.linalg.norm(z) < 1e-6:
@@ -267,7 +283,7 @@ class _Hand:
         model, axes = self.model, jaws.axes
         single = jaws.minus == self.rigid[self.palm]
         at = jaws.closed
-        gap, cells, plus, minus = self._gap(jaws.plus, jaws.minus, axes, at)
+        _, cells, plus, minus = self._gap(jaws.plus, jaws.minus, axes, at)
         if not len(cells):
             raise NotRecognized("its jaws do not face each other when it is closed")
         tip = float(min((self.at(p, at) @ axes[2]).max() for p in (jaws.plus, jaws.minus)))
@@ -307,10 +323,11 @@ class _Hand:
             model = with_tip(model, end.parent_group, tcp)
         fingers = (jaws.plus, jaws.minus) if turned > 0 else (jaws.minus, jaws.plus)
         slope = (curve[-1, 1] - curve[0, 1]) / (curve[-1, 0] - curve[0, 0])
-        straight = bool(np.abs(np.interp(curve[:, 1], curve[[0, -1], 1], curve[[0, -1], 0]) - curve[:, 0]).max()
-                        * abs(slope) < LINEAR)  # fmt: skip
+        line = np.interp(curve[:, 1], curve[[0, -1], 1], curve[[0, -1], 0])
+        straight = bool(np.abs(line - curve[:, 0]).max() * abs(slope) < LINEAR)
         fixed = straight and bool(max(np.abs(curve[:, 2]).max(), np.ptp(curve[:, 3])) < CENTERED)
         offset = float(curve[0, 1] - slope * curve[0, 0])
+        corners = (low[0] - x, low[1] - z, high[0] - x, high[1] - z)
         gripper = Gripper(
             name=end.name,
             arm_group=str(end.parent_group),
@@ -326,8 +343,8 @@ class _Hand:
             finger_depth=round(self._depth(jaws, axes, z), 6),
             pad_depth=round(reach, 6),
             curve=() if fixed else tuple(tuple(round(float(v), 6) for v in row) for row in curve[::2]),
-            pad=() if fixed else tuple(round(float(v), 6) for v in (low[0] - x, low[1] - z, high[0] - x, high[1] - z)),
-        )  # fmt: skip
+            pad=() if fixed else tuple(round(float(v), 6) for v in corners),
+        )
         return replace(model, grippers={**model.grippers, end.name: gripper})
 
     def _pad_points(
@@ -358,8 +375,9 @@ class _Hand:
         before = [self.pose(p[0], jaws.closed).rotation for p in (jaws.plus, jaws.minus)]
         for q in np.linspace(jaws.closed, jaws.opened, STEPS):
             ends = [
-                np.concatenate([self.pose(n, q).apply(p) for n, p in pad.items()]) @ jaws.axes.T for pad in pads
-            ]  # fmt: skip
+                np.concatenate([self.pose(n, q).apply(p) for n, p in pad.items()]) @ jaws.axes.T
+                for pad in pads
+            ]
             width = float(ends[0][:, 1].min() - ends[1][:, 1].max())
             turns = [
                 np.linalg.norm((b.inv() @ self.pose(p[0], q).rotation).log())
@@ -372,8 +390,8 @@ class _Hand:
             rows.append([float(q), width, y, z])
         if len(rows) < 3:
             raise NotRecognized(
-                f"its jaws do not open: joint {self.driver.name} moves from {jaws.closed:g} to {jaws.opened:g}, "
-                "but the pads do not separate"
+                f"its jaws do not open: joint {self.driver.name} moves from {jaws.closed:g} to "
+                f"{jaws.opened:g}, but the pads do not separate"
             )
         curve = np.array(rows)
         if curve[0, 1] < -LINEAR:  # the meshes overlap when it is closed: the opening is zero earlier
