@@ -96,7 +96,7 @@ def propose(
         name, text = merged_urdf(parts, name)
         model = parse_urdf(text, parts[0].file)
     tell("groups and poses", 0)
-    model = find_grippers(with_groups(model, [p.prefix for p in parts]))
+    model = find_grippers(with_groups(model, [p.prefix for p in parts]), tips=True)
     model = with_keyframes(with_poses(model, seed))
     text = with_frames_text(text, model)
     tell("pairs of links", 0)

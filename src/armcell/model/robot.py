@@ -201,7 +201,7 @@ class Gripper:
     finger_depth: float = 0.02  # [m] usable finger length from the tcp toward the palm
     pad_depth: float = 0.01  # [m] finger length beyond the tcp
     # Rows, from closed to open: joint position, width [m], y and z of the grip center in the tcp frame [m].
-    curve: tuple[tuple[float, float, float, float], ...] = ()
+    curve: tuple[tuple[float, ...], ...] = ()
     pad: tuple[float, ...] = ()  # [m] lowest x and z, highest x and z of the pads; empty: from the meshes
 
     @cached_property

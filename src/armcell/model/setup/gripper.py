@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, SO3, Mesh
-from armcell.core.geometry import local_bounds
+from armcell.core import SE3, SO3
 from armcell.model.robot import EndEffector, Gripper, Joint, Link, RobotModel
+from armcell.model.setup.surface_points import surface_points
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -38,17 +38,23 @@ class NotRecognized(Exception):
     """A gripper that armcell cannot describe; the text states the reason."""
 
 
-def find_grippers(model: RobotModel) -> RobotModel:
+def find_grippers(model: RobotModel, tips: bool = False) -> RobotModel:
     """Return the robot with a `Gripper` for each end effector that has two jaws and one driven joint.
 
-    If no frame of the robot is at the pads' center, the robot gets a link `<end effector>_tcp` there, which
-    becomes the tip of the arm's group. Log messages state why an end effector has no gripper.
+    If no frame of the robot is at the pads' center, the robot gets a link `<end effector>_tcp` there. Log
+    messages state why an end effector has no gripper.
+
+    Args:
+        tips: whether the tool center becomes the tip of the arm's group.
     """
     for end in model.end_effectors.values():
         if end.name in model.grippers or end.parent_group is None:
             continue
         try:
             model = _with_gripper(model, end)
+            gripper = model.grippers[end.name]
+            if tips and model.groups[gripper.arm_group].tip_link != gripper.tcp_link:
+                model = with_tip(model, gripper.arm_group, gripper.tcp_link)
         except NotRecognized as reason:
             logger.warning("end effector %s: no gripper found: %s", end.name, reason)
     return model
@@ -109,7 +115,9 @@ class _Hand:
         self.palm = self.moving[0].parent
         self.rigid = {link: tuple(links) for links in model.rigid_groups for link in links}
         self.points = {
-            name: _surface(link) for name, link in model.links.items() if name in model.subtree(self.palm)
+            name: surface_points(link, SPACING)
+            for name, link in model.links.items()
+            if name in model.subtree(self.palm)
         }
 
     def pose(self, link: str, q: float) -> SE3:
@@ -197,7 +205,7 @@ class _Hand:
 
     def _along_pad(self, a: tuple[str, ...], b: tuple[str, ...], axes: Array, q: float) -> Array:
         """Return the axes turned about x so that z is along the pad of the fixed jaw."""
-        cells, minus = self._gap(a, b, axes, q)[1::2]
+        _, cells, _, minus = self._gap(a, b, axes, q)
         if not len(cells):
             return axes
         outer = cells[:, 1] > cells[:, 1].max() - LONGEST_PAD
@@ -319,8 +327,6 @@ class _Hand:
             offset = T_frame_tcp.translation
             curve = curve * [1.0, 1.0, turned, 1.0] + [0.0, 0.0, offset[1], offset[2]]
             reach += float(offset[2])
-        if end.parent_group is not None and model.groups[end.parent_group].tip_link != tcp:
-            model = with_tip(model, end.parent_group, tcp)
         fingers = (jaws.plus, jaws.minus) if turned > 0 else (jaws.minus, jaws.plus)
         slope = (curve[-1, 1] - curve[0, 1]) / (curve[-1, 0] - curve[0, 0])
         line = np.interp(curve[:, 1], curve[[0, -1], 1], curve[[0, -1], 0])
@@ -494,37 +500,3 @@ def _snapped(direction: Array) -> Array:
     """Return the nearest axis of the frame if a unit direction is within 3 degrees of it."""
     k = int(np.argmax(np.abs(direction)))
     return np.sign(direction[k]) * np.eye(3)[k] if abs(direction[k]) > SNAP else direction
-
-
-def _surface(link: Link) -> Array:
-    """Return points (n, 3) [m] on the surface of a link's collision shapes, denser than `SPACING`."""
-    found = [np.zeros((0, 3))]
-    for collision in link.collisions:
-        shape = collision.shape
-        if isinstance(shape, Mesh):
-            corners = np.asarray(shape.vertices, dtype=float)[np.asarray(shape.faces)]
-        else:
-            center, half = local_bounds(shape)
-            corners = _box(center, half)
-        found.append(collision.T_link_shape.apply(_spread(corners)))
-    return np.concatenate(found)
-
-
-def _spread(corners: Array) -> Array:
-    """Return points on triangles (n, 3, 3): the corners, and random points where triangles are large."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    count = np.minimum(np.ceil(3 * area / SPACING**2), 3000).astype(int)
-    which = np.repeat(np.arange(len(corners)), count)
-    u, v = np.random.default_rng(0).random((2, len(which)))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    inner = a[which] + u[:, None] * (b - a)[which] + v[:, None] * (c - a)[which]
-    return np.concatenate([corners.reshape(-1, 3), inner])
-
-
-def _box(center: Array, half: Array) -> Array:
-    """Return the triangles (12, 3, 3) of a box."""
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    v = np.asarray(center) + signs * np.asarray(half)
-    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
-    return np.array([v[list(t)] for q in quads for t in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))])
