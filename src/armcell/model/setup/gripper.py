@@ -340,8 +340,8 @@ class _Hand:
             group=end.group,
             joint_name=self.driver.name,
             tcp_link=tcp,
-            finger_links=tuple(self._solid(part) for part in fingers),
-            hand_links=self._hand_links(single),
+            finger_links=tuple(max(part, key=lambda n: len(self.points.get(n, ()))) for part in fingers),
+            hand_links=self._hand_links(),
             width_per_joint=round(float(slope), 6),
             width_offset=round(offset if abs(offset) > 1e-5 else 0.0, 6),
             max_width=round(float(curve[:, 1].max()), 6),
@@ -426,10 +426,7 @@ class _Hand:
                 return name, T, float(np.sign(R[1, 1]))
         return None, SE3.identity(), 1.0
 
-    def _solid(self, part: tuple[str, ...]) -> str:
-        return max(part, key=lambda n: len(self.points.get(n, ())))
-
-    def _hand_links(self, single: bool) -> tuple[str, ...]:
+    def _hand_links(self) -> tuple[str, ...]:
         below = [n for n in self.model.subtree(self.palm) if self.model.links[n].collisions]
         return tuple(dict.fromkeys([self.palm, *below]))
 
@@ -443,9 +440,9 @@ class _Hand:
     def _depth(self, jaws: _Jaws, axes: Array, z: float) -> float:
         """Return the length of the jaws [m] from the tcp to the palm."""
         moving = {n for j in self.moving for n in self.model.subtree(j.child)}
-        body = [n for n in self._hand_links(False) if n not in moving]
+        body = [n for n in self._hand_links() if n not in moving]
         if jaws.minus == self.rigid[self.palm]:  # the palm is a jaw
-            return 2 * LONGEST_PAD / 2
+            return LONGEST_PAD
         points = self.at(tuple(body), 0.0)
         depth = z - float((points @ axes[2]).max()) - PALM_MARGIN if len(points) else 0.02
         return max(depth, PALM_MARGIN)
