@@ -17,7 +17,7 @@ import numpy as np
 
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Outcome
 from armcell.drivers import Capability, Driver
-from armcell.execution.gate import Executable, executable
+from armcell.execution.gate import NOT_STARTED, Executable, executable
 from armcell.execution.setpoints import (
     CANCEL_TIME,
     Correction,
@@ -182,7 +182,8 @@ class _Execution:
             "the robot moved since it was planned; plan again from the current state"
         )
         return ExecutionResult(
-            code, text, {"joint": self.names[column], "error": error}, self.began, self.began,
+            code, text, {"joint": self.names[column], "error": error, NOT_STARTED: True},
+            self.began, self.began,
             explainer=partial(explain_start, measured, self.trajectory.start, tolerance, code, text),
         )  # fmt: skip
 
