@@ -99,7 +99,9 @@ class JointState:
         return _columns(self.joint_names, joint_names)
 
     def updated(self, other: JointState) -> JointState:
-        """Return a copy of a joint state in which another state provides the positions of its joints."""
+        """Return a copy of a joint state with the positions of some joints replaced by those in another
+        state.
+        """
         positions = self.positions.copy()
         positions[_columns(self.joint_names, other.joint_names)] = other.positions
         return JointState(self.joint_names, positions, time=other.time or self.time)

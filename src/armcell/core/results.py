@@ -86,9 +86,7 @@ class PlanResult(Outcome):
 
 @dataclass(frozen=True)
 class ExecutionResult(Outcome):
-    """Result of executing a motion, with times [s] on the driver's clock and the deviations from the
-    motion.
-    """
+    """Result of executing a motion, with times [s] on the driver's clock and the tracking errors."""
 
     started: float = 0.0
     finished: float = 0.0

@@ -46,8 +46,8 @@ class Format(StrEnum):
 
 @dataclass(frozen=True)
 class SolidPrimitive:
-    """Entry of the shape table for shape_msgs/SolidPrimitive: the `type` of a shape and the order of its
-    `dimensions`.
+    """Entry of the shape table that describes a shape as shape_msgs/SolidPrimitive: its `type` and the order
+    of its `dimensions`.
     """
 
     type: int
@@ -56,8 +56,8 @@ class SolidPrimitive:
 
 @dataclass(frozen=True, eq=False)
 class SizedMesh(Mesh):
-    """Shape in the shape table that is a mesh, which a function registered with `register_shape` creates from
-    sizes.
+    """Mesh shape in the shape table, which is created from sizes by a function that was registered with
+    `register_shape`.
 
     Attributes:
         name: name of the shape in the table.
@@ -106,8 +106,8 @@ class ShapeKind:
     def from_named(
         self, number: Callable[[str], float], vector: Callable[[str, int], Sequence[float]]
     ) -> Shape:
-        """Create a shape of one kind in the shape table, reading its sizes from a format that stores them by
-        name.
+        """Create a shape of this kind in the shape table; its sizes are read from a format that stores them
+        by name.
 
         Args:
             number: reads one number by name.
