@@ -152,7 +152,9 @@ class _Execution:
         self.tracking = 0.0  # [rad or m] largest tracking error so far
 
     def run(self, make_source: Source) -> ExecutionSteps:
-        """Execute a motion as a generator that yields once per driver period (`ExecutionSteps`)."""
+        """Run the execution of a motion as a generator, which yields once per driver period
+        (`ExecutionSteps`).
+        """
         measured = self.driver.joint_state().reindexed(self.names)
         if len(self.trajectory.times) == 0:
             self.driver.stop()  # ROS: an empty trajectory means stop
