@@ -67,8 +67,8 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class ArmBands:
-    """Residual thresholds (bands) of one arm, by joint, with the fitted model that predicts motor currents
-    from the simulated twin.
+    """Residual thresholds (bands) for each joint of one arm, with the fitted model that predicts its motor
+    currents from the simulated twin.
     """
 
     lag: float  # [s]
@@ -169,9 +169,7 @@ class ArmBands:
 @dataclass(frozen=True, eq=False)
 class TwinBands:
     """Residual thresholds (bands) for comparing all arms of a cell with their twin. They are valid only for
-    the robot, physics and calibration that they store.
-
-    Other identities (robot, physics, calibration) make the thresholds invalid.
+    the robot, physics and calibration with which they are stored.
     """
 
     arms: Mapping[str, ArmBands]
@@ -303,8 +301,8 @@ def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
 
 
 def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest residual (n,) that persists for LASTING consecutive samples of a motion, to derive a
-    twin's thresholds (bands).
+    """Return the largest residual (n,) that persists for LASTING consecutive samples of a motion. The twin's
+    thresholds (bands) are derived from it.
 
     A shorter peak does not count, because it would not slow the arm either.
     """
@@ -319,8 +317,8 @@ def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest mean residual (n,) over SMOOTHED consecutive samples of a motion, to derive a twin's
-    thresholds (bands).
+    """Return the largest mean residual (n,) over SMOOTHED consecutive samples of a motion. The twin's
+    thresholds (bands) are derived from it.
     """
     largest, first = np.zeros(left.shape[1]), 0
     for length in lengths:
@@ -333,8 +331,8 @@ def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_load(left: Array, kilo: Array, spread: Array, lengths: Sequence[int]) -> float:
-    """Return the largest flange mass [kg] that would explain the samples in a time window, to derive the
-    twin's load threshold (band).
+    """Return the largest flange mass [kg] that would explain the samples in a time window. The twin's load
+    threshold (band) is derived from it.
 
     A window contains the last SMOOTHED samples; at the start of a motion, at least FEWEST.
     """

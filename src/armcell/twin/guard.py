@@ -44,7 +44,7 @@ class Motion:
 
 
 class TwinGuard:
-    """Guard that compares all arms of a driver with their simulated twin while they move.
+    """Guard that compares the moving arms of a driver with their simulated twin.
 
     Args:
         stage: simulation in which motions are dry-run.

@@ -33,8 +33,8 @@ class Demand:
 
 
 def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Demand:
-    """Return the joint efforts of a trajectory at times (k,) [s] that are due to the load and to
-    acceleration, to estimate the mass on the flange.
+    """Return the joint efforts that load and acceleration cause in a trajectory at times (k,) [s], from which
+    the load on the flange is estimated.
 
     The load is a point mass at the origin of each arm's last link. `swing` excludes held objects.
     """
