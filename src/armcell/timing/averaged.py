@@ -23,7 +23,7 @@ def averaged_pieces(
     joint_names: tuple[str, ...], times: ArrayLike, points: ArrayLike, acceleration: ArrayLike,
     longest: float = 4.0,
 ) -> JointTrajectory:  # fmt: skip
-    """Smooth a piecewise linear motion by a moving average, and return it as a trajectory that keeps the
+    """Smooth a piecewise linear motion by a moving average, and return it as a trajectory within the
     acceleration limits.
 
     The trajectory is as fast as the given motion and takes one averaging window longer. Its time 0 is half a

@@ -26,8 +26,8 @@ def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
 
 
 def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
-    """Return a trajectory's times, positions, velocities and accelerations as arrays, and a number for its
-    kind of interpolation, to compute chords.
+    """Return the times, positions, velocities and accelerations of a trajectory as arrays for computing
+    chords, and a number for its kind of interpolation.
 
     The kind is 0 for positions only, 1 with velocities, 2 with velocities and accelerations.
     """

@@ -111,7 +111,7 @@ def resting(joint_names: Iterable[str], positions: ArrayLike, time: float = 0.0)
 
 
 def started_from(state: JointState, trajectory: JointTrajectory) -> JointTrajectory:
-    """Extend a trajectory at its beginning by a point at time 0, with the positions and velocities of a given
+    """Add a point at time 0 to the beginning of a trajectory, with the positions and velocities of a given
     state.
 
     Args:
@@ -134,7 +134,7 @@ def started_from(state: JointState, trajectory: JointTrajectory) -> JointTraject
 
 
 def section(trajectory: JointTrajectory, begin: float, end: float, apart: float = 0.0) -> JointTrajectory:
-    """Cut out the part of a trajectory between two times [s]. Its points keep their times.
+    """Return the part of a trajectory between two times [s]; the time stamps of its points stay the same.
 
     Args:
         trajectory: with velocities and accelerations.

@@ -63,7 +63,7 @@ def _fastest(v0, v1, a, j, length, most):
     """Return the highest speed, at most `most`, that a jerk-limited motion can reach on a line between the
     speeds v0 and v1. It is at least max(v0, v1).
 
-    v1 < 0: the line may end at the highest speed.
+    If v1 < 0, the line may end at the highest speed.
     """
     low, high = max(v0, v1), most
     v = most
@@ -187,8 +187,7 @@ def jerk_limited(
     jerk: ArrayLike,
     settings: TimingSettings = TimingSettings(),
 ) -> JointTrajectory:
-    """Return a trajectory that follows a path exactly and keeps the limits of velocity, acceleration and
-    jerk.
+    """Return a trajectory that follows a path exactly, within the limits of velocity, acceleration and jerk.
 
     The path must have smooth corners. The trajectory has points at the changes of the path jerk and, between
     them, every `settings.sample_time`.

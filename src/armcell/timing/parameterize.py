@@ -53,7 +53,7 @@ class TorqueModel(Protocol):
 
     @property
     def limits(self) -> Array:
-        """Torque limits (n,) of the joints [Nm or N], which the time parameterization keeps."""
+        """Torque limits (n,) of the joints [Nm or N], which the time parameterization respects."""
         ...
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
@@ -183,8 +183,8 @@ def fastest_motion(
 
 
 def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
-    """Return the factor by which a trajectory must be slowed down to keep the torque limits after time
-    parameterization.
+    """Return the factor by which a trajectory must be slowed down after time parameterization, so that it
+    respects the torque limits.
 
     The part of a torque beyond the torque for holding still is proportional to the squared speed.
     """

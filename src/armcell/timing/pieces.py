@@ -39,8 +39,8 @@ def coefficients(kind, length, radius, s):
 
 @njit(cache=True)
 def distinct(points):
-    """Return a mask that selects points (k, n) which are more than `MIN_EDGE` apart, to build path pieces
-    through them.
+    """Return a mask that selects points (k, n) which are more than `MIN_EDGE` apart; the pieces of a path are
+    built through these points.
 
     The last point is kept in any case.
     """

@@ -17,8 +17,8 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
-    """Sample a motion at given times: its position, velocity, and the integral of its position (m, n), from
-    which moving averages are computed.
+    """Sample a motion at given times: return the integral of the position, the position and the velocity (m,
+    n), from which moving averages are computed.
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.
@@ -120,7 +120,7 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
 
 @njit(cache=True)
 def _largest_cubic(b0, b1, b2, b3):
-    """Return the largest absolute value that a cubic in Bernstein form reaches on [0, 1], to find the peaks
+    """Return the largest absolute value that a cubic in Bernstein form reaches on [0, 1]; it bounds the peaks
     of a trajectory.
     """
     best = max(abs(b0), abs(b3))
