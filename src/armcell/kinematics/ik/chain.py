@@ -116,8 +116,8 @@ def _reach(table: Array, bounds: Array) -> float:
 
 @njit(cache=True, error_model="numpy")
 def goal_in_base(inverse_base, T, goal):
-    """Convert the desired tip pose of an IK chain from the root frame to the chain's base frame, into `goal`
-    (12,). Return whether it is finite.
+    """Convert the desired tip pose of an IK chain from the root frame to the chain's base frame, and write it
+    to `goal` (12,). Return whether it is finite.
     """
     total = 0.0
     for i in range(3):
@@ -132,8 +132,8 @@ def goal_in_base(inverse_base, T, goal):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def tip_pose(table, q, axes, T):
-    """Compute the tip pose of an IK chain at joint positions q (n,) into T (12,), and the joint axes into
-    `axes` (m, 6).
+    """Compute the tip pose and the joint axes of an IK chain at joint positions q (n,), and write them to T
+    (12,) and `axes` (m, 6).
 
     A row of `axes` contains a joint's direction and origin.
     """
@@ -175,8 +175,8 @@ def tip_pose(table, q, axes, T):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def pose_error(T, goal, e):
-    """Compute the error between the tip pose T of an IK chain and its goal into e (6,). Return the position
-    error and the rotation error.
+    """Compute the error between the tip pose T of an IK chain and the goal, and write it to e (6,). Return
+    the position error and the rotation error.
 
     e contains the position error [m] and the rotation vector [rad].
     """

@@ -56,7 +56,7 @@ def sampling_range(chain: Chain) -> tuple[Array, Array]:
 
 
 def halton(count: int, dimensions: int) -> Array:
-    """Return the first `count` points of Halton's low-discrepancy sequence in [0, 1) for the given number of
+    """Return `count` points of Halton's low-discrepancy sequence in [0, 1) for the given number of
     dimensions, to place IK seeds.
 
     The sequence's first point is omitted. Dimensions from the 17th on are random.
