@@ -33,8 +33,7 @@ def skew(v: ArrayLike) -> Array:
 
 
 def _length(v: Array) -> float:
-    """Return the Euclidean length of a vector (n,) in a third of the time that `np.linalg.norm` takes, for
-    transforms.
+    """Return the Euclidean length of a vector (n,) for transforms, three times as fast as `np.linalg.norm`.
 
     Both results have the same bits.
     """
