@@ -168,8 +168,8 @@ class ArmBands:
 
 @dataclass(frozen=True, eq=False)
 class TwinBands:
-    """Residual thresholds (bands) for comparing all arms of a cell with their twin. They are valid only for
-    the robot, physics and calibration with which they are stored.
+    """Residual thresholds (bands) for comparing all arms of a cell with their twin, with the identities of
+    the robot, physics and calibration for which they are valid.
     """
 
     arms: Mapping[str, ArmBands]
