@@ -153,8 +153,8 @@ def section(trajectory: JointTrajectory, begin: float, end: float, apart: float 
 
 
 def _point(trajectory: JointTrajectory, t: float) -> tuple[Array, Array, Array]:
-    """Return the position, velocity and acceleration (n,) of a trajectory at a time [s], for use when a
-    trajectory is edited.
+    """Return the position, velocity and acceleration (n,) of a trajectory at a time [s], as needed for
+    editing the trajectory.
 
     Unlike `JointTrajectory.sample`, the function does not assume rest at the trajectory's ends.
     """

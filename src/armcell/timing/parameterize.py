@@ -100,8 +100,8 @@ def parameterize(
     settings: TimingSettings = TimingSettings(),
     torque: TorqueModel | None = None,
 ) -> JointTrajectory:
-    """Compute the fastest trajectory along a path within the joint limits and, optionally, torque limits
-    (time parameterization).
+    """Compute the time parameterization of a path: the fastest trajectory along it within the joint limits
+    and, optionally, torque limits.
 
     The trajectory is at rest at both ends and at the path's sharp corners. Its velocities and accelerations
     are within the limits at all times of its (quintic) interpolation. The trajectory follows the path except
@@ -151,7 +151,7 @@ def fastest_motion(
     settings: TimingSettings,
     torque: TorqueModel | None = None,
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Compute the time-optimal motion along a path (time parameterization), without smoothing and sampling.
+    """Compute the time-optimal parameterization of a path, without smoothing and sampling.
 
     Returns:
         The arrays that `topp.fastest` returns.

@@ -142,8 +142,8 @@ def _largest_cubic(b0, b1, b2, b3):
 
 @njit(cache=True)
 def peaks(times, q, v, a, velocity, acceleration):
-    """Return the largest ratios |velocity| / limit and |acceleration| / limit that a sampled trajectory
-    reaches (peaks).
+    """Return the peaks of a sampled trajectory: the largest ratios |velocity| / limit and |acceleration| /
+    limit.
 
     The ratios hold at any time of the quintic interpolation.
 
