@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 
 
 def fingerprint(*values: Any) -> str:
-    """Return a hash of the content of values (32 hexadecimal digits), which serves as a key in the plan
+    """Return a hash (32 hexadecimal digits) of the content of values, which serves as a key in the plan
     library.
 
     Equal robots, scenes and goals give equal hashes. File locations do not count.

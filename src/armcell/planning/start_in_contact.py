@@ -44,7 +44,7 @@ CLEARANCE = 2e-3  # [m] beyond the padding that a sampled start keeps from objec
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """Motion that leads from a start state (n,) in contact to a collision-free state nearby (departure).
+    """Departure motion, which leads from a start state (n,) in contact to a collision-free state nearby.
 
     Attributes:
         points: (k, n) from the start to a free state.
@@ -94,7 +94,7 @@ def find_departure(
 
 
 def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> ValidatedRequest | Outcome:
-    """Move the start of a plan out of resting contact, and store the motion there as the plan's `lead_in`; or
+    """Move the start of a plan out of resting contact and store this motion as the plan's `lead_in`, or
     refuse the start.
 
     `start_repaired` in the evidence reports the distance between the old and the new start.

@@ -123,8 +123,8 @@ class ConstraintManifold:
         return at
 
     def _resolve(self, name: str | None) -> tuple[str, SE3]:
-        """Find the link that carries the constrained frame (a link, a tip or an attached object), and the
-        pose of the frame in this link, for the manifold.
+        """Find the link that carries a frame constrained by the manifold (a link, a tip or an attached
+        object), and the pose of the frame in this link.
         """
         scene = self._scene
         if name is None:
@@ -361,8 +361,8 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Return an upper bound (dof,) [m] on the distance of a constrained point from the axis of each joint,
-    for the constraint manifold.
+    """Return an upper bound (dof,) [m] on the distance of a constrained point of the manifold from the axis
+    of each joint.
 
     The bounds hold in all configurations.
     """

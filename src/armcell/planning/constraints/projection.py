@@ -81,8 +81,8 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """Write the Jacobian row and the residual for a constrained point along a direction of a shape, for
-    projection onto the constraints.
+    """Write the Jacobian row and the residual with which a constrained point is projected along a direction
+    of a shape.
     """
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]
@@ -115,7 +115,7 @@ def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
 
 @njit(cache=True)
 def rows(n, c, x):
-    """Write the Jacobian rows and residuals of all violated constraint tolerances, for projection onto the
+    """Write the Jacobian rows and residuals with which joint positions are projected onto all violated
     constraints.
 
     Return the row count.

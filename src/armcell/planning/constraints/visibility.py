@@ -168,8 +168,8 @@ class _View:
 
 
 def _farthest(scene: PlanningScene, link: str) -> float:
-    """Return an upper bound [m] on the distance of a sensor link's origin from the bodies of the link, for
-    visibility constraints.
+    """Return how far [m] the bodies of a sensor link in a visibility constraint extend from the origin of the
+    link.
     """
     far, scale = 0.0, scene.link_scale.get(link, 1.0)
     for part in scene.model.links[link].collisions:
@@ -194,8 +194,8 @@ def _carriers(scene: PlanningScene, names: tuple[str, ...], link: str) -> set[in
 
 
 def _multipliers(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
-    """Return for each joint (dof,) how far it can rotate the sensor or target link per radian, for visibility
-    constraints.
+    """Return for each joint (dof,) how far one radian of it can rotate the sensor or target link of a
+    visibility constraint.
     """
     total = np.zeros(len(names))
     for k, multiplier in _moving(scene, names, link):

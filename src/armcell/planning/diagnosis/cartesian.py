@@ -155,7 +155,9 @@ def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, 
 
 
 def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) -> None:
-    """Find how much of the last rotation the tip can make so that the Cartesian path is still completed."""
+    """Find the largest part of the last rotation that the tip can make so that the Cartesian path is still
+    completed.
+    """
     before = [here, *request.waypoints][-2]
     goal = request.waypoints[-1]
     total = before.distance_to(goal)[1]
@@ -258,8 +260,8 @@ def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, numbe
 
 
 def _full(diagnosis: Diagnosis, q: np.ndarray) -> np.ndarray:
-    """Return the positions (dof,) of all joints, with those of the group at q (n,), for the diagnosis of a
-    Cartesian path.
+    """Return all joint positions (dof,) for the diagnosis of a Cartesian path, with the joints of the group
+    at q (n,).
     """
     full = diagnosis.start_scene.positions.copy()
     full[diagnosis.columns] = q

@@ -93,8 +93,8 @@ class Diagnosis:
         return checker
 
     def nearest_free(self, q: Array) -> Array | None:
-        """Find the collision-free configuration (n,) that is nearest to q, with a small margin if possible,
-        for a diagnosis.
+        """Find the collision-free configuration (n,) nearest to q that a diagnosis can suggest, with a small
+        margin if possible.
         """
         lower, upper = self.scene.model.lower[self.columns], self.scene.model.upper[self.columns]
         roomy = self.start_scene.with_padding(
@@ -107,7 +107,7 @@ class Diagnosis:
         return None
 
     def tip_distance(self, a: Array, b: Array) -> float | None:
-        """Return how far the tip moves [m] between two configurations (n,), for a diagnosis.
+        """Return how far the tip moves [m] between two configurations (n,) of a diagnosis.
 
         Return None if the group has no tip.
         """

@@ -269,8 +269,7 @@ def _rotation(
 def _point(
     scene: PlanningScene, c: PositionConstraint, present: Array, rng: np.random.Generator, keep: bool
 ) -> Array:
-    """Sample a point in the world from the region of a position constraint, for a goal that is defined by
-    constraints.
+    """Sample a point in the world from the region of a position constraint that belongs to a goal.
 
     The result is the current point if it is inside the region, otherwise a random point of the region.
     """

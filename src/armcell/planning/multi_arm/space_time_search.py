@@ -48,8 +48,8 @@ class SpaceTimeProblem:
     upper: Array
 
     def quickest(self, p: Array, q: Array) -> float:
-        """Return the shortest time [s] in which the joints can move between two positions, for a search in
-        space and time.
+        """Return the shortest time [s] that a motion between two joint positions needs in a search in space
+        and time.
         """
         return float(np.max(np.abs(q - p) / self.speed))
 

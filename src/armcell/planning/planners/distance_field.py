@@ -121,8 +121,8 @@ def _bounds(T_world_shape, shape: Shape) -> tuple[Array, Array]:
 
 
 def _outside(over: Array) -> Array:
-    """Combine the signed distances of a point from the faces of a solid (..., k) [m] into its signed distance
-    from the solid, for a distance field.
+    """Compute the signed distance [m] of points from a solid for a distance field, given their signed
+    distances from its faces (..., k).
     """
     return np.linalg.norm(np.maximum(over, 0.0), axis=-1) + np.minimum(over.max(axis=-1), 0.0)
 

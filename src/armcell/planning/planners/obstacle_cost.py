@@ -120,8 +120,8 @@ class RobotSpheres:
 
 
 class SelfCollisionPairs:
-    """Pairs of sphere groups on the robot that could collide with each other, for the part of the obstacle
-    cost due to self-collision.
+    """Pairs of sphere groups on the robot that could collide with each other; the obstacle cost includes such
+    self-collisions.
     """
 
     def __init__(self, checker: KernelChecker, spheres: RobotSpheres):

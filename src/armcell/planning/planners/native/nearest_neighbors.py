@@ -82,8 +82,7 @@ def reset_leaves(ints, capacity):
 
 @inner_njit
 def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, at, room):
-    """Find the node of a search tree that is nearest to q[at:], among its first `count` nodes (nearest
-    neighbor).
+    """Find the nearest neighbor of q[at:] among the first `count` nodes of a search tree.
 
     New nodes join their leaves first.
 

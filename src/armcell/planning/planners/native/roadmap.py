@@ -30,7 +30,8 @@ VERTICES, EDGES, VERTEX_CHECKS, EDGE_CHECKS, SEARCHES, COUNTS = range(6)
 
 @inner_njit
 def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
-    """Find the k vertices of a PRM roadmap that are nearest to q[at:], sorted by distance (compiled kernel).
+    """Find in a compiled kernel the k vertices of a PRM roadmap that are nearest to q[at:], sorted by
+    distance.
 
     Write their numbers to ids and their squared distances to near. Return the count.
     """
@@ -281,7 +282,7 @@ def _shortest(nodes, dof, head, following, to, lengths, vertex_stamps, edge_stam
 def query(handle, nodes, head, following, to, lengths, vertex_stamps,
           edge_stamps, counts, stamp, start, goals, step, mark, cost, came, keys, items, ends, route, path,
           stop):  # fmt: skip
-    """Find the shortest collision-free path on a PRM roadmap (compiled kernel), and write it to `path` (m,
+    """Find the shortest collision-free path on a PRM roadmap in a compiled kernel, and write it to `path` (m,
     dof).
 
     The path is free at samples `step` [rad] apart.
