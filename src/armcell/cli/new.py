@@ -25,7 +25,7 @@ def new(
     ),
     force: bool = typer.Option(False, "--force", help="Write into a folder that is not empty."),
 ) -> int:
-    """Write a commented cell with table, object, camera and task that runs at once."""
+    """Write a commented cell that runs at once, with a table, an object, a camera and a task."""
     from armcell.cell.starter import starter_cells
     from armcell.core import InputError
     from armcell.model.known_robots import robot_names

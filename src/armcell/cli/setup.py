@@ -71,7 +71,8 @@ def setup(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """Set up a robot: create a cell and a MoveIt package from a URDF, with groups, gripper, poses, pairs.
+    """Set up a robot: create a cell and a MoveIt package from a URDF, with groups, gripper, poses and the
+    pairs of links that need no collision check.
 
     Exit status 0 if the folder was written.
     """
@@ -137,7 +138,7 @@ def numbers(option: str, text: str) -> tuple[float, float, float]:
 
 @contextmanager
 def _progress(samples: int) -> Iterator[Callable[[str, int], None]]:
-    """Show `armcell setup`'s progress bar on standard error if it is a terminal."""
+    """Show the progress bar of `armcell setup` on standard error, if that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda what, done: None
         return
