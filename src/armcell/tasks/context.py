@@ -41,7 +41,8 @@ class World:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """Return a task's changed scene in which all measured values are reset to those of the base scene.
+    """Return the changed scene of a task's context,
+    in which measured values are reset to those of the base scene.
 
     Args:
         base: the scene before the change.
@@ -131,16 +132,16 @@ class TaskContext:
 
     # --- measured state ---
     def scene(self) -> PlanningScene:
-        """Return the planning scene of a task's context, with measured joint
-        positions and object poses, and with held objects attached.
+        """Return the planning scene of a task's context, with measured joint positions and object poses,
+        and with held objects attached.
 
         Safe to call from any thread, like `whole_scene` and `change_scene`.
         """
         return self.whole_scene()
 
     def belief(self, name: str) -> str:
-        """Return as text where a task's context assumes an object to be
-        and, on real arms, how to correct this pose.
+        """Return as text where a task's context assumes an object to be and,
+        on real arms, how to correct this pose.
         """
         x, y, z = self.scene().object(name).T_world_object.translation
         text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
@@ -209,8 +210,8 @@ class TaskContext:
         return self.scene()
 
     def _tell_changes(self) -> None:
-        """Report scene changes of a task's context to the observers
-        in order, from only one thread at a time.
+        """Report scene changes of a task's context to the observers in order,
+        from only one thread at a time.
         """
         while self.world.news and self.world.telling.acquire(blocking=False):
             try:
@@ -228,8 +229,8 @@ class TaskContext:
                 self.world.telling.release()
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Allow contacts of a body with others in a task's context, both in
-        physics and in the motion gate, or forbid them.
+        """Allow contacts of a body with others in a task's context,
+        both in physics and in the motion gate, or forbid them.
         """
         others = tuple(others)
         pairs = {frozenset((body, other)) for other in others}
@@ -264,8 +265,8 @@ class TaskContext:
 
     # --- coordination with the other arm ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:
-        """Return the trajectory of a motion if the task's context allows
-        it to start, else the reason why it must not.
+        """Return the trajectory of a motion if the task's context allows it to start,
+        else the reason why it must not.
 
         A single arm may always start.
 
@@ -308,8 +309,8 @@ class TaskContext:
 
     @property
     def progress(self) -> Callable[[float], None] | None:
-        """Return the function that motion commands of a task's context call
-        to report progress, or None without observers.
+        """Return the function that motion commands of a task's context call to report progress,
+        or None without observers.
         """
         return (lambda _: self.observe()) if self.observers else None
 
@@ -381,8 +382,8 @@ class TaskContext:
 
 @dataclass
 class Rejections:
-    """Reasons for rejected candidates in a task's context: counts by
-    stage and reason, and the first texts in full.
+    """Reasons for rejected candidates in a task's context: counts by stage and reason,
+    and the first texts in full.
     """
 
     counts: dict[tuple[str, str], int] = field(default_factory=dict)

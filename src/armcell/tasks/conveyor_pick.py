@@ -124,7 +124,7 @@ class _MovingPick(Pick):
 def _measured_velocity(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float, SE3]:
     """Measure the velocity (3,) [m/s] of an object on a conveyor belt.
 
-    Returns also the last time [s] and T_world_object.
+    Also returns the last time [s] and T_world_object.
     """
     before, began = ctx.driver.object_poses()[item], ctx.driver.now
     ctx.advance(s.watch)
@@ -193,8 +193,8 @@ class _Along:
 @stage_types.register("move_along")
 @dataclass(frozen=True, eq=False)
 class MoveAlong:
-    """Stage of a conveyor pick in which the hand descends to the
-    moving object, moves along with it and lifts it.
+    """Stage of a conveyor pick in which the hand descends to the moving object,
+    moves along with it and lifts it.
     """
 
     item: str
@@ -252,16 +252,16 @@ JUMP = 0.15  # [rad] maximum joint step between these points
 
 
 def _smooth(u: Array) -> Array:
-    """Return the quintic blend from 0 to 1, at rest at both ends, with
-    which the hand joins the motion of a conveyor.
+    """Return the quintic blend from 0 to 1, at rest at both ends,
+    with which the hand joins the motion of a conveyor.
     """
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _carried(times: Array, blend: float, end: float) -> Array:
-    """Return how far the hand has moved along with a conveyor belt at
-    given times, expressed as seconds of belt motion.
+    """Return how far the hand has moved along with a conveyor belt at given times,
+    expressed as seconds of belt motion.
 
     The hand accelerates to the belt speed within `blend` [s] and decelerates in the last `blend` [s].
     """

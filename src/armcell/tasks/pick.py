@@ -43,7 +43,7 @@ WIDER = 4  # factor on the number of grasps if later stages reject many
 
 
 class Pick(ABC):
-    """Sequence of every pick recipe: plan an attempt and perform it.
+    """Sequence that every pick recipe follows: plan an attempt and perform it.
     If the attempt fails, try the next grasp.
 
     Args:
@@ -286,8 +286,8 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
 
 # --- leaving an object ---
 def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Straight:
-    """Return the stage of a pick that retreats straight, against the
-    hand's approach direction, by a distance [m].
+    """Return the stage of a pick that retreats straight,
+    against the hand's approach direction, by a distance [m].
 
     Contact of the hand with the object is allowed during the retreat.
     """

@@ -117,8 +117,8 @@ def _noisy(item: CollisionObject, grasp: Grasp, count: int, noise: Noise, seed: 
 def as_it_may_be(
     item: CollisionObject, count: int, rng: np.random.Generator, noise: Noise = NOISE
 ) -> list[CollisionObject]:
-    """Sample variants of an object for the trials that prove its
-    grasps: the pose, the friction and the mass vary.
+    """Sample variants of an object for the trials that prove its grasps:
+    the pose, the friction and the mass vary.
 
     The pose varies along the support and about the vertical. The first variant is the nominal object.
     """
@@ -132,8 +132,8 @@ def as_it_may_be(
 
 
 def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """Return the best clearly different grasps to prove in physics.
-    If there are too few, the next best ones are added.
+    """Return the best grasps that differ clearly from each other, to prove them in physics.
+    If there are too few, add the next best ones.
     """
     chosen: list[Grasp] = []
     rest: list[Grasp] = []
@@ -145,8 +145,8 @@ def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
 
 
 def _alike(a: Grasp, b: Grasp) -> bool:
-    """Return whether two grasps that could be proven are almost equal,
-    where a half turn of the hand does not count.
+    """Return whether two grasps are so similar that only one needs a proof in physics.
+    A half turn of the hand does not count.
     """
     if np.linalg.norm(a.T_object_tcp.translation - b.T_object_tcp.translation) > SAME_PLACE:
         return False

@@ -34,8 +34,8 @@ Look = Callable[[], Outcome]
 @dataclass(frozen=True)
 @checked()
 class RecoverySettings:
-    """Limits for recovery from failures during a transfer, and
-    tolerances within which the transfer counts as a success.
+    """Limits for recovery from failures during a transfer,
+    and tolerances within which the transfer counts as a success.
     """
 
     tries: int = 5  # picks of one object
@@ -158,8 +158,8 @@ def _once(
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Return whether the failed transfer found a grasp that leads to the
-    goal, so that recovery lacks only a motion to that grasp.
+    """Return whether the failed transfer found a grasp that leads to the goal,
+    so that recovery lacks only a motion to that grasp.
     """
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 

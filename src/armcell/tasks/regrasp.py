@@ -61,8 +61,8 @@ class RegraspStep:
 
 @dataclass(frozen=True, eq=False)
 class PlacementGoal:
-    """Goal for an object that is regrasped: its support, a point on the
-    support, and the direction that must point upward.
+    """Goal for an object that is regrasped: its support, a point on the support,
+    and the direction that must point upward.
     """
 
     object: str
@@ -97,7 +97,7 @@ def _breadth_first(
     goals: tuple[RestingPose, ...], planning: Planning, most: int, seen: set[int],
 ) -> Iterator[tuple[RegraspStep, ...]]:  # fmt: skip
     """Yield regrasp sequences by a breadth-first search.
-    Sequences over sides with a grasp that reaches the goal come first.
+    Those through a resting side from which a grasp reaches the goal come first.
 
     Adds the ids of reachable poses to `seen`.
     """
@@ -180,8 +180,8 @@ def _sides(scene: PlanningScene, goal: PlacementGoal) -> dict[Vector, list[Resti
 
 
 def _all_over(scene: PlanningScene, name: str, on: str, now: np.ndarray) -> Iterator[Placement]:
-    """Yield intermediate placements for regrasping on all stable sides of the
-    object: first near the object, then all over the support.
+    """Yield intermediate placements for regrasping on all stable sides of the object:
+    first near the object, then all over the support.
     """
     item, support = scene.object(name), scene.object(on)
     try:
@@ -223,7 +223,7 @@ class _Hands:
             self._as_held = Grasp("current grasp", T_object_tcp, width, width, 0.0)
 
     def grasps(self, pose: RestingPose) -> list[Grasp]:
-        """Return the candidate grasps of an object that rests at a pose in a regrasp."""
+        """Return the candidate grasps for regrasping an object that rests at a given pose."""
         if pose is self.start and self._as_held is not None:
             return [self._as_held]
         side = _rounded(pose.up)
@@ -301,8 +301,8 @@ class _Hands:
         self.rejections.setdefault(side, Rejections()).add("", candidate, reason)
 
     def why(self, side: Vector, most: int = 2) -> str:
-        """Return the most frequent reasons why grasps of a regrasp
-        fail on one side of the object, with counts.
+        """Return the most frequent reasons, with counts,
+        why grasps for regrasping fail while the object rests on a given side.
 
         Also returns the first reason in full.
         """

@@ -30,8 +30,8 @@ CANCEL_PERIOD = 0.02  # [s] between checks for cancellation while threads evalua
 
 @dataclass(frozen=True, eq=False)
 class PartialSolution:
-    """Partial solution in the search for a task's plan: the resulting
-    scene, the steps so far, and data for later stages.
+    """Partial solution in the search for a task's plan: the resulting scene,
+    the steps so far, and data for later stages.
     """
 
     scene: PlanningScene
@@ -182,8 +182,8 @@ def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
 def solutions(
     stages: Sequence[Stage], start: PartialSolution, planning: Planning
 ) -> Iterator[PartialSolution]:
-    """Yield complete solutions of a task search lazily, so that only
-    as many candidates as needed are evaluated.
+    """Yield complete solutions of a task search lazily,
+    so that only as many candidates as needed are evaluated.
     """
     if planning.hopeless:
         return
@@ -210,8 +210,8 @@ Branch = Callable[[Planning], Iterator[PartialSolution]]
 
 
 def in_order(branches: Iterable[Branch], planning: Planning) -> Iterator[PartialSolution]:
-    """Yield the solutions of one search branch after the other, until
-    it is useless to continue planning the task.
+    """Yield the solutions of one search branch after the other,
+    until it is useless to continue planning the task.
 
     If `planning` has threads, they search the next branches in parallel.
     """

@@ -170,8 +170,8 @@ def _carry(ctx: TaskContext, gripper: Gripper, item: str, place_on: str) -> Outc
 
 
 def _spots(scene: PlanningScene, item: str, place_on: str) -> list[tuple[float, float]]:
-    """Return candidate points for an object on the surface of a sorting
-    target, those with the largest free margin first.
+    """Return candidate points for an object on the surface of a sorting target,
+    those with the largest free margin first.
 
     On an empty target the first point is a corner, which leaves space for other objects.
 

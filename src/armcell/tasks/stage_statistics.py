@@ -23,8 +23,8 @@ class Tally:
         return sum(self.reasons.values())
 
     def rejected(self, part: str, candidate: str, reason: str) -> None:
-        """Count a candidate that a stage has rejected. `part` names the
-        stage, or a motion planned for the candidate.
+        """Count a candidate that a stage has rejected. `part` names the stage,
+        or a motion planned for the candidate.
         """
         short = reason_in_short(reason)
         key = short if part == self.path[-1] else f"{part}: {short}"
@@ -67,8 +67,8 @@ def stage_rows(tallies: Mapping[tuple[str, ...], Tally]) -> list[dict[str, Any]]
 
 
 def stage_table(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Format the statistics of stages as a text table, in which the
-    inner stages of a container are indented.
+    """Format the statistics of stages as a text table,
+    in which the inner stages of a container are indented.
     """
     lines = [("stage", "tried", "gave", "failed", "time", "best near miss")]
     for row in rows:

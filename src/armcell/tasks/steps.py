@@ -84,8 +84,8 @@ class _Watch(GuardedMotion):
                 self.lost = held
 
     def dropped(self, where: str) -> Outcome:
-        """Record that a hand has lost its object during a step of a
-        task, and return the outcome of the motion.
+        """Record that a hand has lost its object during a step of a task,
+        and return the outcome of the motion.
         """
         assert self.lost is not None
         item = self.lost.object
@@ -276,8 +276,8 @@ class StillHeld:
 
 @dataclass(frozen=True, eq=False)
 class Dwell:
-    """Step of a task that keeps the arm still for a duration [s], and
-    reports how far a held object slips meanwhile.
+    """Step of a task that keeps the arm still for a duration [s],
+    and reports how far a held object slips meanwhile.
     """
 
     name: str

@@ -23,7 +23,7 @@ from armcell.tasks.steps import DONE
 
 @dataclass(frozen=True)
 class TaskPlan(Outcome):
-    """Plans of a task: complete solutions of its stages, cheapest first.
+    """Outcome of planning a task: the complete solutions of its stages, cheapest first.
 
     Evidence: `stages`, the statistics of each stage; `rejections`, every rejected candidate (stage,
     candidate, reason).

@@ -39,8 +39,8 @@ class CarryRecord:
 
 
 class Carrying:
-    """Task in which two arms carry an object: they grasp both of its
-    ends, move it, put it down and release it.
+    """Task in which two arms carry an object: they grasp both of its ends,
+    move it, put it down and release it.
 
     Every method returns an `Outcome`; the first failure stops both arms.
 
@@ -100,8 +100,8 @@ class Carrying:
     def shift(
         self, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0, name: str = "carry"
     ):
-        """Carry an object with two arms by an offset [m] along the
-        world axes, and rotate it about the vertical.
+        """Carry an object with two arms by an offset [m] along the world axes,
+        and rotate it about the vertical.
         """
         here = self._object_pose(self._known())
         return self.move(shifted(here, x, y, z, turn_deg), name=name)
@@ -163,8 +163,8 @@ class Carrying:
         return self._corrected(q, offset), v
 
     def _corrected(self, q: Array, offset: Array) -> Array:
-        """Return the joint setpoints of two arms that carry an object, corrected
-        so that the second hand moves by an offset (3,) [m].
+        """Return the joint setpoints of two arms that carry an object,
+        corrected so that the second hand moves by an offset (3,) [m].
         """
         if not offset.any():
             return q
@@ -212,8 +212,8 @@ class Carrying:
 
 
 def shifted(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
-    """Return the pose of an object that two arms carry, moved along
-    the world axes and rotated about the vertical.
+    """Return the pose of an object that two arms carry,
+    moved along the world axes and rotated about the vertical.
     """
     turn = SO3.exp((0.0, 0.0, np.deg2rad(turn_deg)))
     return SE3(turn @ T.rotation, T.translation + np.array([x, y, z]))

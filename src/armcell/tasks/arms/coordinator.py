@@ -66,8 +66,8 @@ class MotionCoordinator:
 
     # --- motions ---
     def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
-        """Wait until the coordinator allows an arm's motion, or a detour to the
-        same goal, to start, and return the allowed motion.
+        """Wait until the coordinator allows an arm's motion, or a detour to the same goal,
+        to start, and return the allowed motion.
         """
         me, straight = ctx.group, motion.planner == "cartesian"
         began = ctx.driver.now
@@ -188,8 +188,8 @@ class MotionCoordinator:
         return (theirs[0], self.groups.index(self.other(me))) < (mine[0], self.groups.index(me))
 
     def _resolve_wait(self, ctx: ArmContext) -> None:
-        """Resolve a deadlock of two coordinated arms: yield to the other arm if
-        it has priority, or ask it to yield if it is idle.
+        """Resolve a deadlock of two coordinated arms: yield to the other arm if it has priority,
+        or ask it to yield if it is idle.
         """
         me, other = ctx.group, self.other(ctx.group)
         if self._has_lower_priority(me) or me in self.asked:

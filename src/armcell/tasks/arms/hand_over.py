@@ -62,8 +62,8 @@ def hand_over(ctx: TaskContext, item: str, receiver: Gripper, at: Sequence[SE3] 
 
 
 def _half_way(scene: PlanningScene, item: str, giver: Gripper, receiver: Gripper) -> tuple[SE3, ...]:
-    """Return candidate poses of an object at which one arm can hand it to
-    another, halfway between the bases of the two arms.
+    """Return candidate poses of an object at which one arm can hand it to another,
+    halfway between the bases of the two arms.
 
     The candidates have several rotations and heights.
     """
@@ -129,8 +129,8 @@ class OfferObject:
 @stage_types.register("open_giver")
 @dataclass(frozen=True, eq=False)
 class OpenGiver:
-    """Handover stage that opens the giver's gripper a little once the
-    receiver holds the object, so that the giver can retreat.
+    """Handover stage that opens the giver's gripper a little once the receiver holds the object,
+    so that the giver can retreat.
     """
 
     object: str

@@ -118,8 +118,8 @@ def _changed(order: Order) -> Iterator[Order]:
 
 
 def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
-    """Schedule the tour segments [s] of arms that take objects in a given order.
-    Each zone serves only one arm at a time.
+    """Schedule arms that take objects in a given order: return the times [s] of each tour segment. Each zone
+    serves only one arm at a time.
 
     Arms get a zone in the order of their arrival.
     """
@@ -142,8 +142,8 @@ def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
 def detours(
     arms: tuple[Tour, Tour], tables: Sequence[Sequence[Span]], conflicts: ConflictCache
 ) -> list[float]:
-    """Return the time [s] that each arm loses by detours around the other
-    arm at work, if it takes the objects in a given order.
+    """Return the time [s] that each arm loses by detours around the other arm at work,
+    if it takes the objects in a given order.
     """
     lost = [0.0, 0.0]
     for k in (0, 1):
@@ -178,8 +178,8 @@ class ConflictCache:
         self._known: dict[tuple[int, bytes], tuple[float, float] | None] = {}
 
     def share(self, arm: int, segment: TourSegment, other: TourSegment) -> tuple[float, float] | None:
-        """Return the section of an arm's motion (from, to, in 0..1) that is
-        close to the other arm at work, to compare object orders.
+        """Return the section of an arm's motion (from, to, in 0..1) that is close to the other arm at work,
+        to compare object orders.
 
         Args:
             arm: index of the moving arm, 0 or 1.

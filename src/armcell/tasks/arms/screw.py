@@ -108,8 +108,8 @@ def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> J
 
 
 class _Turning:
-    """Admittance control that keeps the pressing force on a screw
-    along the tool axis, measured in every cycle.
+    """Admittance control of the force that presses a screw along the tool axis.
+    The force is measured in every cycle.
     """
 
     def __init__(self, ctx, item, force, settings, names, gripper, tip):

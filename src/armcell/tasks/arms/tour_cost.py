@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CycleTimes:
-    """Cycle times for estimating the cost of a tour: the estimated
-    durations of grasping and of placing an object.
+    """Cycle times for estimating the cost of a tour:
+    the estimated durations of grasping and of placing an object.
 
     The defaults are means of 64 picks and 64 placements of two UR10 at a task's default speeds.
     """
@@ -84,8 +84,8 @@ class TourEstimator:
         return (*segments, TourSegment(seconds, motion_ends=(q, self._start)))
 
     def _fetched(self, order: tuple[str, ...]) -> tuple[tuple[TourSegment, ...], Array]:
-        """Return an arm's tour segments until the last object is
-        placed, and the joint positions (n,) at that time.
+        """Return an arm's tour segments until the last object is placed,
+        and the joint positions (n,) at that time.
         """
         if not order:
             return (), self._start

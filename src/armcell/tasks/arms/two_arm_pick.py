@@ -129,8 +129,8 @@ class ChooseGraspPair:
         )  # fmt: skip
 
     def _along_route(self, scene: PlanningScene, pair: GraspPair, seconds: float) -> PlanResult:
-        """Plan the motion that carries the object of a two-arm pick along
-        the route, held with a given pair of grasps.
+        """Plan the motion that carries the object of a two-arm pick along the route,
+        held with a given pair of grasps.
         """
         hands = self.hands
         trial = hands.attached(scene.with_state(pair.at_grasp))
@@ -139,8 +139,8 @@ class ChooseGraspPair:
         return hands.plan(trial, carried, start, self.route, seconds)
 
     def _pairs(self, scene: PlanningScene, planning: Planning) -> Iterator[GraspPair]:
-        """Yield simultaneous approaches of both arms for a two-arm
-        pick, those nearest to the present state first.
+        """Yield simultaneous approaches of both arms for a two-arm pick,
+        those nearest to the present state first.
         """
         hands, item = self.hands, scene.object(self.hands.item)
         options = {}
@@ -276,7 +276,9 @@ class _Approach:
 
 @dataclass(frozen=True, eq=False)
 class _HoldWithBoth:
-    """Step of a two-arm pick that checks that both hands hold the object, and measures how."""
+    """Step of a two-arm pick that checks that both hands hold the object,
+    and records the poses of hands and object.
+    """
 
     hands: HandPair
     pair: GraspPair
@@ -314,8 +316,8 @@ def _with_open_hands(hands: HandPair, scene: PlanningScene) -> PlanningScene:
 
 
 def _opening(hands: HandPair, group: str) -> float:
-    """Return the width [m] to which one gripper opens in a two-arm
-    pick, before it closes on its end of the object.
+    """Return the width [m] to which one gripper opens in a two-arm pick,
+    before it closes on its end of the object.
     """
     item, gripper = hands.ctx.scene().object(hands.item), hands.grippers[group]
     width = item.extent(item.subframes[hands.ends[group]].rotation.matrix[:, 1])

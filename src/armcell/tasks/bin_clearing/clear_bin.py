@@ -140,8 +140,8 @@ class _BinClearing:
         return Outcome(code, message, self.counts.as_dict())
 
     def retreat(self, opening: float) -> None:
-        """Retreat while clearing a bin: open the fingers, move straight up
-        as far as possible, and leave the camera's view.
+        """Retreat while clearing a bin: open the fingers, move straight up as far as possible,
+        and leave the camera's view.
 
         The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
         the hand or the neighboring pieces may have moved since.
@@ -169,8 +169,8 @@ class _BinClearing:
             perform_all(self.ctx, solution.steps)
 
     def _leave_view(self) -> None:
-        """Move the arm that clears a bin out of the camera's view, to
-        the first named state that it can reach.
+        """Move the arm that clears a bin out of the camera's view,
+        to the first named state that it can reach.
         """
         ctx, group = self.ctx, self.gripper.arm_group
         for name in ctx.base.model.named_states.get(group, {}):
@@ -286,8 +286,8 @@ class _PickFromHeap(Pick):
 
 
 def _closer(settings: AboveSettings, times: int) -> AboveSettings:
-    """Return grasp settings for clearing a bin near its walls: a smaller
-    margin, more orientations, and grasps at corners.
+    """Return grasp settings for clearing a bin near its walls: a smaller margin,
+    more orientations, and grasps at corners.
     """
     return replace(
         settings,

@@ -35,8 +35,8 @@ WIDEST = 0.06  # [m] largest assumed half length of a held object
 @stage_types.register("choose_from_heap")
 @dataclass(frozen=True, eq=False)
 class ChooseFromHeap:
-    """Stage of bin clearing that proposes reachable grasps of objects
-    in a heap, each with a straight descent.
+    """Stage of bin clearing that proposes reachable grasps of objects in a heap,
+    each with a straight descent.
 
     The order of the given grasps is kept.
     """
@@ -87,8 +87,8 @@ class CloseOnHeap:
 
 
 def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return how far [m] a height in the heap (world z) is below the
-    TCP at a grasp, for the stages of bin clearing.
+    """Return how far [m] a height in the heap (world z) is below the TCP at a grasp,
+    for the stages of bin clearing.
     """
     return float(grasp.T_object_tcp.translation[2]) - z
 

@@ -121,8 +121,8 @@ class ExplicitPlacement:
 @stage_types.register("use_placements")
 @dataclass(frozen=True, eq=False)
 class UsePlacements:
-    """Stage that proposes the caller's explicit placements in list
-    order, if a straight descent to them is free.
+    """Stage that proposes the caller's explicit placements in list order,
+    if a straight descent to them is free.
     """
 
     object: str

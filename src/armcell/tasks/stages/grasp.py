@@ -33,8 +33,8 @@ SECONDS_BESIDES = 3.0  # [s] of a pick that do not depend on the grasp (approach
 @stage_types.register("choose_grasp")
 @dataclass(frozen=True, eq=False)
 class ChooseGrasp:
-    """Stage of a pick that proposes grasps with a free straight
-    approach, which is planned backward from the grasp.
+    """Stage of a pick that proposes grasps with a free straight approach,
+    which is planned backward from the grasp.
     """
 
     object: str

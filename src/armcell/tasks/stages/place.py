@@ -151,8 +151,8 @@ def descents(
     solution: PartialSolution, planning: Planning, scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3,
     stage: str, candidate: str, up: Callable[[PlanningScene], PlanResult], *steps: Step, **data: Any,
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield solutions for placing an object by a straight descent, one
-    for each arm state that reaches the placement.
+    """Yield solutions for placing an object by a straight descent,
+    one for each arm state that reaches the placement.
 
     Arm states without a descent are rejected with a reason.
 
@@ -222,8 +222,8 @@ class Open:
 @stage_types.register("expect_support")
 @dataclass(frozen=True, eq=False)
 class ExpectSupport:
-    """Stage before placing an object that checks that the hand holds
-    it, and allows contact with its support.
+    """Stage before placing an object that checks that the hand holds it,
+    and allows contact with its support.
     """
 
     object: str

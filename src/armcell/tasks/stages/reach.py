@@ -23,7 +23,8 @@ ALIKE = 0.02  # score difference below which grasps count as equally good
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Way an arm reaches a grasp: its joint positions (n,) before the approach, and the travel time to them.
+    """Estimate of how an arm reaches a grasp: its joint positions (n,) before the approach,
+    and the travel time to them.
 
     The time ignores obstacles.
     """

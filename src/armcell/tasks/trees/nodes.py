@@ -77,8 +77,8 @@ class Act(Behaviour):
 
 
 class Check(Behaviour):
-    """Node of a behavior tree whose result is immediate, such as a
-    query of the scene or a look with a camera.
+    """Node of a behavior tree whose result is immediate,
+    such as a query of the scene or a look with a camera.
     """
 
     def __init__(self, name: str, ask: Callable[[], Outcome]):

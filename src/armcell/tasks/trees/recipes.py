@@ -57,7 +57,7 @@ def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequ
 
 
 def looking(name: str, look: Look) -> Check:
-    """Return a behavior tree check, for use among recipes, that looks with a camera.
+    """Return a behavior tree node that looks with a camera, as a check between recipes.
 
     Example: `looking("look", lambda: cell.look("above"))`.
     """
@@ -65,8 +65,8 @@ def looking(name: str, look: Look) -> Check:
 
 
 def held(ctx: TaskContext, item: str) -> Check:
-    """Return a behavior tree check, for use among recipes, that both the
-    task and the gripper's sensors report an object as held.
+    """Return a behavior tree node that checks, between recipes,
+    that both the task and the gripper's sensors report an object as held.
     """
 
     def ask() -> Outcome:
@@ -81,8 +81,8 @@ def held(ctx: TaskContext, item: str) -> Check:
 def rests_on(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, tolerance: float = 0.015
 ) -> Check:
-    """Return a behavior tree check, for use among recipes, that an
-    object rests on another one, near a given point [m].
+    """Return a behavior tree node that checks, between recipes,
+    that an object rests on another one, near a given point [m].
     """
 
     def ask() -> Outcome:
