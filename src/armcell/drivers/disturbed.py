@@ -106,8 +106,8 @@ class DisturbedSim(SteppedSim):
         self._pacer.wait_until(self.world.time)
 
     def _events(self) -> Iterator[int]:
-        """Yield the steps of the disturbed simulation at which a
-        command, push or displacement takes effect.
+        """Yield the steps of the disturbed simulation at which a command,
+        push or displacement takes effect.
         """
         if self._late:
             yield self._late[0][0]

@@ -140,8 +140,8 @@ class Driver(ABC):
         """
 
     def targets(self) -> JointState | None:
-        """Return the joint positions that the driver last commanded to
-        the arms, or None before the first command.
+        """Return the joint positions that the driver last commanded to the arms,
+        or None before the first command.
         """
         return None
 
@@ -233,8 +233,8 @@ class Driver(ABC):
 
     # --- forces: Capability.MEASURE_FORCE ---
     def wrench(self, gripper: str) -> Array:
-        """Return the external wrench (6,) on a gripper as a driver
-        measures it: the force [N], then the torque [Nm].
+        """Return the external wrench (6,) on a gripper as a driver measures it:
+        the force [N], then the torque [Nm].
 
         The torque is about the TCP, the axes are the world's, and the hand's own weight is excluded. The
         wrench is zero for a robot without force sensing.
@@ -290,8 +290,8 @@ class Driver(ABC):
 
     @property
     def tick(self) -> float:
-        """Return the driver's time [s] for the next command, which is
-        the total duration passed to `advance`.
+        """Return the driver's time [s] for the next command,
+        which is the total duration passed to `advance`.
         """
         raise self._incapable(Capability.ROBOT_CLOCK)
 
@@ -302,8 +302,8 @@ class Driver(ABC):
 
     # --- modes: Capability.REPORT_MODES ---
     def arm_modes(self) -> Mapping[str, tuple[int, int]]:
-        """Return the robot mode and safety mode of each arm of a
-        driver, as numbers of `ur_dashboard_msgs`.
+        """Return the robot mode and safety mode of each arm of a driver,
+        as numbers of `ur_dashboard_msgs`.
         """
         raise self._incapable(Capability.REPORT_MODES)
 

@@ -26,8 +26,8 @@ class Following(Protocol):
         ...
 
     def state(self) -> str | Outcome:
-        """Return the state of the followed trajectory: "running",
-        "done", "cancelled", or the reason for an abort.
+        """Return the state of the followed trajectory: "running", "done", "cancelled",
+        or the reason for an abort.
 
         An outcome is the robot's own decision, which the joint states need not confirm.
         """
@@ -49,8 +49,8 @@ class SentClock:
         self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
 
     def sent(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
-        """Record a setpoint that was streamed to follow a trajectory, with the
-        time when it is due and its time on the trajectory.
+        """Record a setpoint that was streamed to follow a trajectory,
+        with the time when it is due and its time on the trajectory.
 
         Args:
             when: monotonic time [s] at which the point is due.

@@ -38,8 +38,8 @@ class Fault:
 
 
 def cannot_resume(reason: str, hint: str | None) -> InputError:
-    """Return the error for a `resume()` that the safety supervisor
-    refuses, with the reason and the remedy.
+    """Return the error for a `resume()` that the safety supervisor refuses,
+    with the reason and the remedy.
     """
     if hint and "start armcell" in hint:  # resuming cannot help
         return InputError(f"cannot resume: {reason}", hint=hint)

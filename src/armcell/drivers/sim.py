@@ -147,8 +147,8 @@ class SimDriver(SteppedSim):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Play a part of a trajectory with the simulation driver, until a
-        given time or until the tracking error is too large.
+        """Play a part of a trajectory with the simulation driver,
+        until a given time or until the tracking error is too large.
         """
         if self._played is None or self._played[:2] != (playback, began):
             self._played = playback, began, self._targets_of(playback, began)

@@ -16,8 +16,8 @@ TIMEOUT = 2.0  # [s] for an answer
 
 
 class FciError(ArmcellError):
-    """Error of a client of the Franka Control Interface: the robot does not
-    answer, or it rejects the connection or a command.
+    """Error of a client of the Franka Control Interface: the robot does not answer,
+    or it rejects the connection or a command.
 
     Attributes:
         kind: "refused", "unreachable", "closed", "version" or "protocol".
@@ -55,8 +55,8 @@ class FciClient:
             )  # fmt: skip
 
     def _open(self, port: int) -> int:
-        """Connect the Franka client, and return the protocol version that
-        the robot accepts, or else the one that it speaks.
+        """Connect the Franka client, and return the protocol version that the robot accepts,
+        or else the one that it speaks.
         """
         self._identifier, self._received = 0, bytearray()
         self._robot: tuple[str, int] | None = None  # address from which the robot sends its states
@@ -90,16 +90,16 @@ class FciClient:
         return wanted if status == ConnectStatus.SUCCESS else version
 
     def send(self, command: Command, payload: bytes = b"") -> int:
-        """Send a request to the robot through the Franka Control
-        Interface, and return the identifier of the request.
+        """Send a request to the robot through the Franka Control Interface,
+        and return the identifier of the request.
         """
         self._identifier += 1
         self.tcp.sendall(wire.message(self.protocol.code(command), self._identifier, payload))
         return self._identifier
 
     def answers(self) -> list[tuple[int, bytes]]:
-        """Read once from the Franka client's connection, and return all
-        complete answers as (identifier, payload).
+        """Read once from the Franka client's connection,
+        and return all complete answers as (identifier, payload).
 
         Raises:
             FciError: the robot closed the connection, or sends another protocol.

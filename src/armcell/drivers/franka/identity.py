@@ -133,8 +133,7 @@ def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> 
 
 
 def check_load(name: str, arm: FrankaArmSettings) -> None:
-    """Check that a Franka robot can carry its payload in addition to
-    its hand, before its identity is accepted.
+    """Check, when a Franka robot is identified, that it can carry its payload in addition to its hand.
 
     Raises:
         InputError: the arm cannot carry it.

@@ -53,8 +53,8 @@ class WorkerLink:
         self._socket: socket.socket | None = None
 
     def start(self) -> None:
-        """Start the worker process of a Franka arm over the link, let it
-        connect to the robot, and wait for the first state.
+        """Start the worker process of a Franka arm over the link, let it connect to the robot,
+        and wait for the first state.
 
         Raises:
             InputError: the connection failed.
@@ -81,8 +81,8 @@ class WorkerLink:
             )
 
     def close(self) -> None:
-        """Close the link to the worker of a Franka arm and end the
-        worker process, which stops a moving arm.
+        """Close the link to the worker of a Franka arm and end the worker process,
+        which stops a moving arm.
         """
         process, self._process = self._process, None
         if process is None or self._socket is None:
@@ -151,8 +151,8 @@ class WorkerLink:
         self._on_state()
 
     def ask(self, command: Command, payload: bytes = b"") -> int:
-        """Send a command to the Franka robot over the link to its
-        worker, and return the status in the answer.
+        """Send a command to the Franka robot over the link to its worker,
+        and return the status in the answer.
 
         Raises:
             InputError: no answer arrives.
@@ -177,8 +177,8 @@ class WorkerLink:
         self._order(do="pace", pace=pace)
 
     def play(self, rows: Array) -> int:
-        """Send positions (n, 7) [rad] in steps of 1 ms over a Franka arm's worker link to be played, and
-        return the number of the motion.
+        """Play positions (n, 7) [rad] in steps of 1 ms over the worker link of a Franka arm,
+        and return the number of the motion.
         """
         self._number += 1
         with self._news:
@@ -195,8 +195,8 @@ class WorkerLink:
         self._order(do="cancel")
 
     def result(self, number: int) -> str:
-        """Return the state of a motion from the Franka worker link:
-        running, done, cancelled, or the reason why it failed.
+        """Return the state of a motion from the Franka worker link: running, done,
+        cancelled, or the reason why it failed.
         """
         return self._results.get(number, self.error or "cancelled")
 

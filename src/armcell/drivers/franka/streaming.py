@@ -46,8 +46,8 @@ class Rows:
         return self._rows[0]
 
     def next(self, pace: float, now: float) -> Array:
-        """Advance a streamed Franka trajectory by 1 ms at a given
-        pace (0 to 1), and return the positions (7,).
+        """Advance a streamed Franka trajectory by 1 ms at a given pace (0 to 1),
+        and return the positions (7,).
         """
         self.clock = min(self.clock + pace * TICK, (len(self._rows) - 1) * TICK)
         at = self.clock / TICK
@@ -71,16 +71,16 @@ class Decay:
         self._coefficients = np.stack([off, rate * T, 0.5 * change * T**2, a, b, c])
 
     def at(self, t: float) -> Array | None:
-        """Return the deviation (7,) of the streamed Franka setpoints
-        at time t [s], or None once it has decayed.
+        """Return the deviation (7,) of the streamed Franka setpoints at time t [s],
+        or None once it has decayed.
         """
         x = t / self._duration
         return None if x >= 1.0 else np.power(x, np.arange(6)) @ self._coefficients
 
 
 class Points:
-    """Setpoints that are streamed to a Franka arm, each with the time when
-    it is due, and interpolated by cubic polynomials.
+    """Setpoints that are streamed to a Franka arm, each with the time when it is due,
+    and interpolated by cubic polynomials.
 
     The setpoints' time follows the wall time, but at an even rate: states arrive with jitter, which would
     turn into steps of speed.
@@ -101,8 +101,8 @@ class Points:
         return self._points[0][1]
 
     def add(self, due: float, q: Array, v: Array) -> None:
-        """Add a streamed setpoint for a Franka arm: the time [s, monotonic]
-        when it is due, and positions and velocities (7,).
+        """Add a streamed setpoint for a Franka arm: the time [s, monotonic] when it is due,
+        and positions and velocities (7,).
         """
         self._points.append((due, q, v))
 
@@ -243,8 +243,8 @@ class Setpoints:
         self._settled = self._settled + 1 if self.source.ended else 0
 
     def _rejoin(self, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
-        """Let the streamed Franka setpoints rejoin the plan: the
-        deviation from it decays with smooth acceleration.
+        """Let the streamed Franka setpoints rejoin the plan:
+        the deviation from it decays with smooth acceleration.
         """
         p0, p1, p2 = self._plan
         off = q_d - p2

@@ -44,8 +44,8 @@ REJECTED = {
 
 
 class Worker:
-    """Worker of one Franka arm, which receives orders, commands the
-    robot in every cycle and reports the states.
+    """Worker of one Franka arm, which receives orders,
+    commands the robot in every cycle and reports the states.
     """
 
     def __init__(self, link: socket.socket, client: FciClient, watchdog: float):
@@ -164,8 +164,8 @@ class Worker:
             self._points.add(*point)
 
     def _start(self, state: RobotState, since: float, source: Rows | Points) -> None:
-        """Start the motion that waits in the Franka worker since a time
-        `since` [s, monotonic], once the robot is idle.
+        """Start the motion that has waited in the Franka worker since the
+        time `since` [s, monotonic], once the robot is idle.
         """
         if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
             if time.monotonic() - since > START_TIME:

@@ -113,8 +113,8 @@ class RealArm(ABC):
 
     @abstractmethod
     def measured_at(self, when: float) -> tuple[Array, Array]:
-        """Return the positions [rad] and velocities [rad/s], each
-        (n,), measured on a real arm at a given time.
+        """Return the positions [rad] and velocities [rad/s], each (n,),
+        measured on a real arm at a given time.
 
         The time is monotonic [s]. Values are interpolated between two states and clamped at the ends of the
         history.

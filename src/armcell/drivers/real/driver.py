@@ -453,8 +453,8 @@ class RealDriver(Driver):
         return self.arms[group]
 
     def _carry(self, gripper: str, q: NDArray[np.float64]) -> None:
-        """Move an object that a real gripper holds along with the
-        gripper, among the object poses of the driver.
+        """Move an object that a real gripper holds along with the gripper,
+        among the object poses of the driver.
         """
         holds = self._grippers[gripper].read()[1]
         T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)

@@ -126,8 +126,8 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def measured_positions(self, arm: A) -> Array:
-        """Return the joint positions (n,) [rad] of an arm, which the
-        robot kind measures without another connection.
+        """Return the joint positions (n,) [rad] of an arm,
+        which the robot kind measures without another connection.
         """
 
     @abstractmethod

@@ -13,8 +13,8 @@ DEFAULT_KIND = "ur"
 
 
 class Strict(BaseModel):
-    """Strict base class for the settings of real arms: unknown keys are
-    errors, values cannot change and must be finite.
+    """Strict base class for the settings of real arms: unknown keys are errors,
+    values cannot change and must be finite.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)

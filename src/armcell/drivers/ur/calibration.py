@@ -82,16 +82,16 @@ def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinemati
 
 
 def _behind_joint(dh: Kinematics, i: int) -> SE3:
-    """Return the transform K_i, for calibrating a UR arm, from the
-    rotated frame of joint i to the next DH frame.
+    """Return the transform K_i, for calibrating a UR arm,
+    from the rotated frame of joint i to the next DH frame.
     """
     turned = SE3(SO3.exp((0.0, 0.0, dh.theta[i])), np.array([0.0, 0.0, dh.d[i]]))
     return turned @ SE3(SO3.exp((dh.alpha[i], 0.0, 0.0)), np.array([dh.a[i], 0.0, 0.0]))
 
 
 def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
-    """Return the transforms C_i (6) for calibrating a UR arm: each joint
-    frame relative to DH frame i-1, with all joints at zero.
+    """Return the transforms C_i (6) for calibrating a UR arm:
+    each joint frame relative to DH frame i-1, with all joints at zero.
 
     Raises:
         InputError: the model's joint axes do not match this type of arm.
@@ -116,8 +116,8 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
-    """Return the rotation and offset of a link from the UR calibration
-    that leave the next joint close to its nominal place.
+    """Return the rotation and offset of a link by UR calibration,
+    chosen so that the next joint is close to its nominal position.
 
     Args:
         own: K_i of the robot.

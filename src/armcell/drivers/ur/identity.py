@@ -99,8 +99,8 @@ def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
 
 
 def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
-    """Check the identity of a UR robot: its model, serial number and
-    calibration must be those in the cell file.
+    """Check the identity of a UR robot: its model,
+    serial number and calibration must be those in the cell file.
 
     Raises:
         InputError: the robot is not the one in the cell file.

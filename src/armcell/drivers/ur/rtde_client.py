@@ -98,8 +98,8 @@ class RtdeClient:
         self._sending = threading.Lock()
 
     def connect(self, timeout: float = 3.0) -> None:
-        """Connect the RTDE client: negotiate with the UR robot, start
-        the transmission, and wait for the first state.
+        """Connect the RTDE client: negotiate with the UR robot, start the transmission,
+        and wait for the first state.
 
         Raises:
             InputError: no RTDE server answers, or another client holds one of the inputs.

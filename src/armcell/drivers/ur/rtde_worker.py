@@ -39,8 +39,8 @@ class Worker:
         self._number, self._result = 0, "done"
 
     def read(self) -> None:
-        """Receive orders from armcell in the `ur_rtde` worker, until
-        the socket closes or the order `end` arrives.
+        """Receive orders from armcell in the `ur_rtde` worker,
+        until the socket closes or the order `end` arrives.
         """
         with self._link.makefile("rb") as lines:
             for line in lines:

@@ -44,8 +44,8 @@ REQUESTS: dict[Command, struct.Struct] = {
 
 
 def message(command: int, identifier: int, payload: bytes = b"") -> bytes:
-    """Encode a request to a gripper, or its answer, in the protocol
-    of the Franka Hand, including the header.
+    """Encode a request to a gripper, or its answer,
+    in the protocol of the Franka Hand, including the header.
     """
     return HEADER.pack(command, identifier, HEADER.size + len(payload)) + payload
 

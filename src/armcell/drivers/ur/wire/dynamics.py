@@ -32,8 +32,8 @@ class ArmDynamics:
         self._centers = np.vstack((model.link_centers, np.asarray(cog, dtype=float)))
 
     def _jacobians(self, q: Array) -> Array:
-        """Return the Jacobians (7, 3, 6) of the link masses and the payload
-        in the base frame, for the dynamics of a UR arm.
+        """Return the Jacobians (7, 3, 6) of the link masses and the payload in the base frame,
+        for the dynamics of a UR arm.
         """
         frames = frames_of(self._dh, q)
         axes, origins = frames[:6, :3, 2], frames[:6, :3, 3]

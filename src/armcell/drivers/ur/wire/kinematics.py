@@ -58,23 +58,23 @@ def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Arra
 
 
 def cross(a: Iterable[float], b: Iterable[float]) -> Array:
-    """Return the cross product of two vectors (3,) for the kinematics
-    of UR arms, ten times faster than `numpy.cross`.
+    """Return the cross product of two vectors (3,) for the kinematics of UR arms,
+    ten times faster than `numpy.cross`.
     """
     (ax, ay, az), (bx, by, bz) = a, b
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
 def pose_of(T: Array) -> list[float]:
-    """Convert a transform (4, 4) in the kinematics of a UR arm to a
-    UR pose: x, y, z [m] and rotation vector [rad].
+    """Convert a transform (4, 4) in the kinematics of a UR arm to a UR pose:
+    x, y, z [m] and rotation vector [rad].
     """
     return [*T[:3, 3].tolist(), *SO3(T[:3, :3]).log().tolist()]
 
 
 def matrix_of(pose: ArrayLike) -> Array:
-    """Convert a UR pose (x, y, z [m], rotation vector [rad]) to a
-    transform (4, 4), for the kinematics of a UR arm.
+    """Convert a UR pose (x, y, z [m], rotation vector [rad]) to a transform (4, 4),
+    for the kinematics of a UR arm.
     """
     return _matrix_of(np.asarray(pose, dtype=float).tobytes()).copy()
 
@@ -99,8 +99,8 @@ def _forward(dh: Kinematics, q: bytes, tcp: bytes) -> Array:
 
 def inverse(dh: Kinematics, T_base_tcp: Array, q_near: ArrayLike, tcp: ArrayLike,
             iterations: int = 50, tolerance: float = 1e-7) -> Array | None:  # fmt: skip
-    """Solve the inverse kinematics of a UR arm by damped Newton
-    steps, and return the joint positions (6,) [rad].
+    """Solve the inverse kinematics of a UR arm by damped Newton steps,
+    and return the joint positions (6,) [rad].
 
     Args:
         T_base_tcp: target (4, 4).

@@ -75,8 +75,8 @@ class UrModel:
 
     @property
     def dashboard_name(self) -> str:
-        """Return the name of a UR model as the dashboard command `get
-        robot model` reports it, without the e of e-Series.
+        """Return the name of a UR model as the dashboard command `get robot model` reports it,
+        without the e of e-Series.
         """
         return self.name.removesuffix("e")
 
@@ -121,8 +121,8 @@ _SPEEDS = {
 def _model(
     name: str, dh: Kinematics, masses: tuple[float, ...], centers: tuple, size: str, torque: tuple[float, ...]
 ) -> UrModel:
-    """Return the model of one UR arm. `torque` [Nm] contains the values
-    for the shoulder joints, the elbow and the wrists.
+    """Return the model of one UR arm. `torque` [Nm] contains the values for the shoulder joints,
+    the elbow and the wrists.
     """
     high, middle, low = torque
     torques = (high, high, middle, low, low, low)

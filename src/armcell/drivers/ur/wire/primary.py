@@ -45,8 +45,8 @@ class Kinematics:
         )  # fmt: skip
 
     def difference(self, other: Kinematics) -> tuple[float, float]:
-        """Return the largest differences between two UR geometries from
-        primary messages: in length [m] and in angle [rad].
+        """Return the largest differences between two UR geometries from primary messages:
+        in length [m] and in angle [rad].
         """
         lengths = np.abs(np.subtract((self.a, self.d), (other.a, other.d)))
         angles = np.abs(np.subtract((self.theta, self.alpha), (other.theta, other.alpha)))
@@ -84,8 +84,8 @@ ROBOT_TYPES = {"UR5": 1, "UR10": 2, "UR3": 3, "UR16": 4, "UR20": 7, "UR30": 8}
 
 
 def configuration_package(q_limits, v_max, a_max, kinematics: Kinematics, robot_type: int) -> bytes:
-    """Encode the configuration package of UR's primary interface, which
-    contains joint limits, geometry and robot type.
+    """Encode the configuration package of UR's primary interface,
+    which contains joint limits, geometry and robot type.
     """
     body = b"".join(struct.pack(">dd", low, high) for low, high in q_limits)
     body += b"".join(struct.pack(">dd", v, a) for v, a in zip(v_max, a_max, strict=True))
@@ -125,8 +125,8 @@ def masterboard_package(
     inputs: int, outputs: int, output_domains: tuple[int, int], analog_outputs: tuple[float, float],
     safety_mode: int, reduced: bool,
 ) -> bytes:  # fmt: skip
-    """Encode the package with masterboard data, but without Euromap 67, for
-    the robot state message of UR's primary interface.
+    """Encode the package with masterboard data, but without Euromap 67,
+    for the robot state message of UR's primary interface.
 
     Args:
         inputs, outputs: digital pins as bits.
@@ -161,15 +161,15 @@ def additional_package(teaching: bool) -> bytes:
 
 
 def internal_packages() -> list[bytes]:
-    """Return the packages of the primary interface for UR's internal
-    use, which clients skip by their size.
+    """Return the packages of the primary interface for UR's internal use,
+    which clients skip by their size.
     """
     return [package(CALIBRATION, bytes(48)), package(SAFETY, bytes(38))]
 
 
 def tool_extras(output_mode: int) -> list[bytes]:
-    """Return the packages for the tool of an e-Series arm in UR's primary
-    interface: serial communication and output modes.
+    """Return the packages for the tool of an e-Series arm in UR's primary interface:
+    serial communication and output modes.
     """
     communication = struct.pack(">?iiiff", False, 115200, 0, 1, 1.5, 3.5)
     return [

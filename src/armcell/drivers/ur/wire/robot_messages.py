@@ -62,8 +62,8 @@ def runtime_exception(timestamp_us: int, line: int, column: int, value: str) -> 
 
 
 def error_code(timestamp_us: int, code: int, argument: int, level: int, value: str) -> bytes:
-    """Encode the UR robot message for an error in UR's list of
-    errors, such as C210 (connection is read-only).
+    """Encode the UR robot message for an error in UR's list of errors,
+    such as C210 (connection is read-only).
     """
     body = struct.pack(">iiiII", code, argument, level, 0, 0) + _text(value)
     return _message(timestamp_us, CONTROLLER, ERROR_CODE, body)
