@@ -145,8 +145,8 @@ class Datagrams:
         return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
 
     def receive(self, size: int) -> list[bytes]:
-        """Return the datagrams, of at most `size` bytes each, that have
-        arrived in an emulated controller's network by UDP.
+        """Return the datagrams, of at most `size` bytes each,
+        that have arrived in an emulated controller's network by UDP.
         """
         found = []
         while True:

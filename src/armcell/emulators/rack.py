@@ -30,8 +30,8 @@ class Controller(Protocol):
 
     @property
     def in_use(self) -> bool:
-        """Return whether a client uses an emulated controller in the rack, or
-        has only been disconnected by an injected fault.
+        """Return whether a client uses an emulated controller in the rack,
+        or has only been disconnected by an injected fault.
         """
         ...
 

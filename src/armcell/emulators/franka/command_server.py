@@ -39,8 +39,8 @@ class CommandServer:
         return self._client is not None and self._client.open
 
     def set_active(self, active: bool) -> None:
-        """Activate or deactivate the command interface (FCI) of the
-        emulated Franka arm, as an operator does in Desk.
+        """Activate or deactivate the command interface (FCI) of the emulated Franka arm,
+        as an operator does in Desk.
         """
         self.active = active
         if not active and self._client is not None:

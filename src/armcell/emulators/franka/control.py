@@ -75,8 +75,8 @@ class Brake:
         self._left, self._duration = duration, duration
 
     def step(self) -> bool:
-        """Advance the braking of the emulated Franka arm by 1 ms, and
-        return whether the arm's reference is at rest.
+        """Advance the braking of the emulated Franka arm by 1 ms,
+        and return whether the arm's reference is at rest.
         """
         r = self._reference
         self._left = max(self._left - PERIOD, 0.0)

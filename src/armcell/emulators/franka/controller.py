@@ -55,8 +55,8 @@ class ControllerSettings:
 
 
 def free_arm() -> PlanningScene:
-    """Return the scene for an emulated controller that has no cell: a Franka
-    arm with a hand at its home position, and no objects.
+    """Return the scene for an emulated controller that has no cell:
+    a Franka arm with a hand at its home position, and no objects.
     """
     model = load_robot("panda")
     home = {**model.named_states["arm"]["home"], **model.named_states["hand"]["open"]}
@@ -64,8 +64,8 @@ def free_arm() -> PlanningScene:
 
 
 def torque_world(scene: PlanningScene, physics: PhysicsSettings | None = None) -> SimWorld:
-    """Return the physics world of a scene for emulated Franka
-    controllers, which drive the joints by torques at 1 kHz.
+    """Return the physics world of a scene for emulated Franka controllers,
+    which drive the joints by torques at 1 kHz.
     """
     settings = replace(physics or PhysicsSettings(), timestep=PERIOD, arm_control="torque")
     return SimWorld(scene, settings)
@@ -104,8 +104,8 @@ class FrankaController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether a client uses the emulated Franka controller, or
-        has only been disconnected by an injected fault.
+        """Return whether a client uses the emulated Franka controller,
+        or has only been disconnected by an injected fault.
         """
         return self.commands.connected or self.network.faults.refusing or self.network.faults.frozen
 

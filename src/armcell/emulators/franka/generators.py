@@ -28,8 +28,8 @@ ELBOW_START = 1e-2  # [rad]
 
 
 class Reflex(Exception):
-    """Error (reflex) that ends the motion of a Franka motion
-    generator, because of a command or a violated limit.
+    """Error (reflex) that ends the motion of a Franka motion generator,
+    because of a command or a violated limit.
 
     Attributes:
         error: name in `wire.errors.ERRORS`.
@@ -42,8 +42,8 @@ class Reflex(Exception):
 
 @dataclass
 class Reference:
-    """Reference that a Franka motion generator produces: the desired
-    joints, and the end effector in the base frame O.
+    """Reference that a Franka motion generator produces: the desired joints,
+    and the end effector in the base frame O.
 
     Attributes:
         T: T_O_EE (4, 4); twist (6,) [m/s, rad/s] and acceleration (6,) of the command.
@@ -200,8 +200,8 @@ class JointVelocity:
 
 
 class Interpolation:
-    """Motion generator of the emulated Franka arm for slowly sent joint
-    positions, between which the robot interpolates.
+    """Motion generator of the emulated Franka arm for joint positions that arrive slowly,
+    between which the robot interpolates.
 
     This is Franka's asynchronous control.
     """
@@ -348,8 +348,8 @@ class Cartesian:
 
 
 class Follow:
-    """Generator of the emulated Franka arm for motions under torque
-    control, whose reference follows the measured arm.
+    """Generator of the emulated Franka arm for motions under torque control,
+    whose reference follows the measured arm.
     """
 
     cartesian = False
@@ -373,8 +373,8 @@ class Motion:
 
     @property
     def by_torque(self) -> bool:
-        """Return whether torques of a client move the emulated Franka
-        arm, instead of a motion generator's reference.
+        """Return whether torques of a client move the emulated Franka arm,
+        instead of a motion generator's reference.
         """
         return self.request.controller is MoveController.EXTERNAL
 

@@ -21,8 +21,8 @@ TEMPERATURE = 30  # [C]
 
 @dataclass
 class _Task:
-    """Command that the emulated Franka Hand executes: the goal, the
-    limits, and the function that receives the result.
+    """Command that the emulated Franka Hand executes: the goal, the limits,
+    and the function that receives the result.
     """
 
     command: Command

@@ -67,8 +67,8 @@ class ArmKinematics:
         mujoco.mj_comPos(self._model, self._data)
 
     def flange(self) -> Array:
-        """Return the flange pose T_O_F (4, 4) from the kinematics of a
-        Franka arm, at the last computed positions.
+        """Return the flange pose T_O_F (4, 4) from the kinematics of a Franka arm,
+        at the last computed positions.
         """
         T = np.zeros((4, 4))
         T[:3, :3] = self._data.site_xmat.reshape(3, 3)
@@ -89,8 +89,8 @@ class ArmKinematics:
 
 
 def rotation_log(R: Array) -> Array:
-    """Return the rotation vector (3,) [rad] of a rotation (3, 3) of less
-    than half a turn, for the kinematics of Franka arms.
+    """Return the rotation vector (3,) [rad] of a rotation (3, 3) of less than half a turn,
+    for the kinematics of Franka arms.
     """
     axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine = float(np.linalg.norm(axis))
@@ -100,8 +100,8 @@ def rotation_log(R: Array) -> Array:
 
 
 def rotation_exp(w: Array) -> Array:
-    """Return the rotation (3, 3) that belongs to a rotation vector
-    (3,) [rad], for the kinematics of Franka arms.
+    """Return the rotation (3, 3) that belongs to a rotation vector (3,) [rad],
+    for the kinematics of Franka arms.
     """
     angle = float(np.linalg.norm(w))
     K = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])

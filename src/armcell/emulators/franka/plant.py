@@ -67,15 +67,15 @@ class FrankaPlant:
         return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
 
     def torques(self) -> Array:
-        """Return the joint torques (7,) [Nm] measured on the Franka
-        plant, which include the weight of the links.
+        """Return the joint torques (7,) [Nm] measured on the Franka plant,
+        which include the weight of the links.
         """
         data = self.world._data
         return data.qfrc_actuator[self._dofs] + data.qfrc_gravcomp[self._dofs]
 
     def external(self) -> Array:
-        """Return the external torques (7,) [Nm] on the Franka plant: the
-        measured torques minus the robot's own dynamics.
+        """Return the external torques (7,) [Nm] on the Franka plant:
+        the measured torques minus the robot's own dynamics.
 
         Forces of the robot on its environment are positive. The configured load is not subtracted.
         """
@@ -178,8 +178,8 @@ class FrankaPlant:
 
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:
-        """Move the joints of the Franka plant to positions (7,) [rad] at
-        once, as a person who guides the arm would.
+        """Move the joints of the Franka plant to positions (7,) [rad] at once,
+        as a person who guides the arm would.
         """
         positions = np.array(self.world.joint_state().positions)
         positions[self.world.robot.columns(self.names)] = q
@@ -195,7 +195,7 @@ class FrankaPlant:
         self.world.block(self.names[joint])
 
     def offset(self, joint: int, angle: float) -> None:
-        """Add an error [rad] to the measured position of a joint of the
-        Franka plant, as a wrong zero of the encoder would.
+        """Add an error [rad] to the measured position of a joint of the Franka plant,
+        as a wrong zero of the encoder would.
         """
         self._offset[joint] = angle

@@ -35,8 +35,8 @@ Functions = dict[str, Callable[..., Any]]
 
 
 def motion_functions(robot: Robot) -> Functions:
-    """Return those built-in functions of URScript that take time, as
-    generators which yield once per control step.
+    """Return those built-in functions of URScript that take time,
+    as generators which yield once per control step.
     """
     s = robot.setpoint
 

@@ -123,8 +123,8 @@ def _from_rpy(first: Any, *more: float) -> SO3:
 
 
 def _rpy(R: Any) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw [rad] of a rotation about the fixed axes
-    x, y and z, for URScript's built-in math functions.
+    """Return roll, pitch and yaw [rad] of a rotation about the fixed axes x, y and z,
+    for URScript's built-in math functions.
     """
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     if abs(math.cos(pitch)) < 1e-9:
@@ -133,8 +133,8 @@ def _rpy(R: Any) -> tuple[float, float, float]:
 
 
 def _wrench_trans(T_from_to: Any, w_from: Any) -> Vec:
-    """Transform a wrench (force, torque) to the axes and origin of
-    another frame, as a built-in math function of URScript.
+    """Transform a wrench (force, torque) to the axes and origin of another frame,
+    as a built-in math function of URScript.
     """
     T = matrix_of(T_from_to)
     force, torque = np.asarray(w_from[:3]), np.asarray(w_from[3:])

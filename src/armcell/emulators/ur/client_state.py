@@ -49,8 +49,8 @@ class ClientState:
         return struct.pack(">i", 4 + 8 * self._doubles) + values[: self._doubles].tobytes()
 
     def primary(self) -> bytes:
-        """Return the state message for the primary clients of the emulated
-        UR robot, with every package that its model sends.
+        """Return the state message for the primary clients of the emulated UR robot,
+        with every package that its model sends.
         """
         r = self._robot
         rows = zip(

@@ -44,8 +44,8 @@ class Compliance:
     _speed: Array = field(default_factory=lambda: np.zeros(6))
 
     def keep_speed(self, before: Compliance) -> None:
-        """Take over the speed of a previous force mode, so that the
-        compliance does not jump when its parameters change.
+        """Take over the speed of a previous force mode,
+        so that the compliance does not jump when its parameters change.
         """
         self._speed = before._speed
 

@@ -102,14 +102,14 @@ class UrController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether an RTDE client uses the emulated UR controller, or
-        has only been disconnected by an injected fault.
+        """Return whether an RTDE client uses the emulated UR controller,
+        or has only been disconnected by an injected fault.
         """
         return self._rtde.clients > 0 or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
-        """Run one control step of the emulated UR controller: the
-        URScript program, the plant and the ports.
+        """Run one control step of the emulated UR controller:
+        the URScript program, the plant and the ports.
         """
         self._external.step()
         self.robot.before_step()

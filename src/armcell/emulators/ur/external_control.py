@@ -25,8 +25,8 @@ SILENCE = 0.3  # [s] without another byte before the text counts as complete
 
 @dataclass(frozen=True)
 class RemoteHost:
-    """Address of the program that sends scripts to External Control, as
-    entered on the installation page of the URCap.
+    """Address of the program that sends scripts to External Control,
+    as entered on the installation page of the URCap.
     """
 
     address: str

@@ -25,8 +25,8 @@ class MotionFault(ArmcellError):
 
 
 class Setpoint:
-    """Setpoint for motions of an emulated UR arm: joint positions and
-    speeds, together with the arm's limits and TCP.
+    """Setpoint for motions of an emulated UR arm: joint positions and speeds,
+    together with the arm's limits and TCP.
     """
 
     def __init__(self, model: UrModel, dh: Kinematics, q: ArrayLike):
@@ -60,7 +60,7 @@ class Setpoint:
 
 
 class StopJ:
-    """Motion by URScript's stopj, which stops all joints in proportion.
+    """URScript motion stopj, which slows down all joints in proportion.
     The fastest joint decelerates at `a` [rad/s^2].
     """
 
@@ -76,7 +76,7 @@ class StopJ:
 
 
 class StopL(StopJ):
-    """Motion by URScript's stopl, which stops the joints in
+    """URScript motion stopl, which slows down all joints in
     proportion so that the tool decelerates at `a` [m/s^2].
     """
 
@@ -108,8 +108,8 @@ class _Along:
         self._stop: StopJ | None = StopJ(8.0)
 
     def advance(self, s: Setpoint, dt: float) -> tuple[Array, Array] | float:
-        """Return the path fraction (0..1) that the emulated UR motion has
-        reached, or a braking step if the arm still moves.
+        """Return the path fraction (0..1) that the emulated UR motion has reached,
+        or a braking step if the arm still moves.
         """
         if self._stop is not None:
             if np.abs(s.v).max() > 1e-6 and not s.compliant:
@@ -146,7 +146,7 @@ class MoveJ(_Along):
         self._start = s.q.copy()
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal of a motion by movej."""
+        """Return the joint positions (6,) [rad] at the goal of a movej motion."""
         return self.goal
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -158,7 +158,7 @@ class MoveJ(_Along):
 
 
 class MoveL(_Along):
-    """Motion by URScript's movel: the tool of the emulated arm moves along a straight line."""
+    """URScript motion movel, in which the tool of the emulated arm moves along a straight line."""
 
     name = "straight line"
 
@@ -169,7 +169,7 @@ class MoveL(_Along):
         super().__init__(self.measure(), v, a, seconds)
 
     def measure(self) -> float:
-        """Return the length [m] of a motion by movel. A rotation of 1 rad counts as 0.3 m."""
+        """Return the length [m] of a movel motion. A rotation of 1 rad counts as 0.3 m."""
         distance, angle = self._from.distance_to(self._goal)
         return max(distance, 0.3 * angle)
 
@@ -178,8 +178,8 @@ class MoveL(_Along):
         self._last = s.q
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal of a motion
-        by movel that are nearest to the last ones.
+        """Return the joint positions (6,) [rad] at the goal of a movel
+        motion that are nearest to the last ones.
         """
         q = inverse(s.dh, self._goal.matrix, self._last, s.tcp, iterations=100)
         if q is None:
@@ -187,7 +187,7 @@ class MoveL(_Along):
         return q
 
     def pose(self, reached: float) -> SE3:
-        """Return T_base_tcp at a fraction (0..1) of the straight path of a motion by movel."""
+        """Return T_base_tcp at a fraction (0..1) of the straight path of a movel motion."""
         return self._from.interpolate(self._goal, reached)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -206,7 +206,7 @@ class MoveL(_Along):
 
 
 class MoveC(MoveL):
-    """Motion by URScript's movec: the tool moves along a circular arc through a via point.
+    """URScript motion movec, in which the tool moves along a circular arc through a via point.
 
     The orientation is interpolated between start and goal, or stays fixed relative to the arc.
     """
@@ -220,7 +220,7 @@ class MoveC(MoveL):
         super().__init__(s, goal, a, v)
 
     def measure(self) -> float:
-        """Compute the arc of a motion by movec, and return its length [m].
+        """Compute the arc of a movec motion, and return its length [m].
 
         Raises:
             MotionFault: start, via point and end are collinear.
@@ -249,8 +249,8 @@ class MoveC(MoveL):
 
 
 def _turn(a: Array, b: Array, axis: Array) -> float:
-    """Return the angle (0..2 pi) [rad] from vector a to vector b
-    about an axis, for the arc of a motion by movec.
+    """Return the angle (0..2 pi) [rad] from vector a to vector b about an axis,
+    for the arc of a movec motion.
     """
     angle = float(np.arctan2(np.cross(a, b) @ axis, a @ b))
     return angle if angle > 0 else angle + 2.0 * np.pi
@@ -354,7 +354,7 @@ class Torque:
 
 
 class ServoJ:
-    """Motion by URScript's servoj, which tracks a joint target smoothed over lookahead * 300 / gain seconds.
+    """URScript motion servoj, which tracks a joint target smoothed over lookahead * 300 / gain seconds.
 
     The arm's limits apply.
     """
@@ -377,8 +377,8 @@ class ServoJ:
 
 
 class SpeedJ:
-    """Motion by URScript's speedj at constant joint velocities
-    [rad/s], reached with the acceleration `a` [rad/s^2].
+    """URScript motion speedj at constant joint velocities [rad/s],
+    reached with the acceleration `a` [rad/s^2].
     """
 
     done = False
@@ -393,8 +393,8 @@ class SpeedJ:
 
 
 class SpeedL(SpeedJ):
-    """Motion by URScript's speedl at a constant tool velocity [m/s,
-    rad/s, base frame], reached with `a` [m/s^2].
+    """URScript motion speedl at a constant tool velocity [m/s, rad/s, base frame],
+    reached with `a` [m/s^2].
     """
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:

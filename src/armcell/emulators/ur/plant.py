@@ -29,8 +29,8 @@ class Plant(Protocol):
     resets: int
 
     def reset(self) -> None:
-        """Reset the joints of a UR plant to their initial state, or
-        the whole world if several arms share it.
+        """Reset the joints of a UR plant to their initial state,
+        or the whole world if several arms share it.
         """
         ...
 
@@ -68,8 +68,8 @@ class Plant(Protocol):
         ...
 
     def wrench(self) -> tuple[Array, Array, Array]:
-        """Return the contact force [N] and torque [Nm] on the hand of
-        the UR plant, and their reference point [m].
+        """Return the contact force [N] and torque [Nm] on the hand of the UR plant,
+        and their reference point [m].
 
         All three are (3,) vectors in the base frame.
         """
@@ -85,8 +85,8 @@ class Plant(Protocol):
         ...
 
     def gripper(self) -> tuple[float, bool]:
-        """Return the opening of the UR plant's gripper (0..1 of the
-        largest), and whether the gripper holds an object.
+        """Return the opening of the UR plant's gripper (0..1 of the largest),
+        and whether the gripper holds an object.
         """
         ...
 

@@ -164,8 +164,8 @@ class Robot:
         return self.compliance.apply(s, q, self.felt(), self.period if by_hand else max(dt, 1e-9))
 
     def _let_go(self, motion: Motion | None) -> None:
-        """End a motion of the emulated UR robot, such as servoj or
-        speedj, that the program no longer renews.
+        """End a motion of the emulated UR robot, such as servoj or speedj,
+        that the program no longer renews.
         """
         if self.runtime in (RuntimeState.PLAYING, RuntimeState.PAUSING) or self.machine is None:
             self._unused_for = 0 if self._motion_used else self._unused_for + 1
@@ -223,8 +223,8 @@ class Robot:
     # --- program ---
     @property
     def may_run(self) -> bool:
-        """Return whether a program may start on the emulated UR robot: it
-        must be running, and safety must permit motion.
+        """Return whether a program may start on the emulated UR robot: it must be running,
+        and safety must permit motion.
         """
         return self.mode is RobotMode.RUNNING and self.safety in MAY_MOVE
 
@@ -239,8 +239,8 @@ class Robot:
         self.announce(ProgramState(True, machine.name))
 
     def run_secondary(self, machine: Machine) -> None:
-        """Run a secondary program on the emulated UR robot to its
-        end, while the main program keeps running.
+        """Run a secondary program on the emulated UR robot to its end,
+        while the main program keeps running.
         """
         try:
             machine.step()
@@ -388,8 +388,8 @@ class Robot:
         self.analog_volts = (self.analog_volts & ~(1 << i)) | (int(volts) << i)
 
     def analog_output(self, i: int) -> float:
-        """Return an analog output of the emulated UR robot, 0 to 10 V
-        or 4 to 20 mA, depending on its domain.
+        """Return an analog output of the emulated UR robot,
+        0 to 10 V or 4 to 20 mA, depending on its domain.
         """
         ratio = float(np.clip(self.analog_out[i], 0.0, 1.0))
         return 10.0 * ratio if self.analog_volts >> i & 1 else 4.0 + 16.0 * ratio
@@ -434,8 +434,8 @@ class Robot:
         return np.concatenate([force + self.hand, torque])
 
     def tcp_force(self) -> Array:
-        """Return the force [N] and torque [Nm] (6,) that the emulated
-        UR robot reports, along the axes of the base.
+        """Return the force [N] and torque [Nm] (6,) that the emulated UR robot reports,
+        along the axes of the base.
 
         The torque is about the TCP (CB3) or the flange (e-Series). The values contain the sensor's offset.
         If a program has enabled an external sensor, the values come from that sensor, rotated from flange to

@@ -106,8 +106,8 @@ def _elbow_velocity(r: Robot, q: Array, v: Array) -> Array:
 
 
 def _raw_wrench(r: Robot) -> Array:
-    """Return the wrench (6,) [N, Nm] on the flange, including the
-    weight of the payload, for an RTDE output.
+    """Return the wrench (6,) [N, Nm] on the flange,
+    including the weight of the payload, for an RTDE output.
     """
     if not r.model.e_series:
         return np.zeros(6)

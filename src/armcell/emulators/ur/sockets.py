@@ -105,8 +105,8 @@ def socket_functions(
         name: str = "socket_0", prefix: str = "", suffix: str = "", interpret_escape: bool = False,
         timeout: float = 2.0,
     ) -> Wait:  # fmt: skip
-        """Return text received from a URScript socket, optionally
-        only the text between a prefix and a suffix.
+        """Return text received from a URScript socket,
+        optionally only the text between a prefix and a suffix.
         """
         begin, stop, end = str(prefix).encode(), str(suffix).encode(), robot.time + timeout
         while True:

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Vec(list):
-    """Value of URScript that is a list with item-by-item arithmetic."""
+    """URScript value that is a list with item-by-item arithmetic."""
 
     def _by_item(self, other: Any, act: Callable[[Any, Any], Any]) -> Vec:
         if isinstance(other, list):
@@ -41,13 +41,13 @@ class Vec(list):
 
 
 class Pose(Vec):
-    """Value of URScript for a pose p[x, y, z, rx, ry, rz], which
-    consists of a position [m] and a rotation vector [rad].
+    """URScript value for a pose p[x, y, z, rx, ry, rz],
+    which consists of a position [m] and a rotation vector [rad].
     """
 
 
 def copied(value: Any) -> Any:
-    """Return the value that is stored when URScript assigns it: lists and poses are copied."""
+    """Return the value that is stored when URScript assigns a value: lists and poses are copied."""
     if isinstance(value, Vec):
         return type(value)(copied(v) for v in value)
     return value
