@@ -80,8 +80,8 @@ def _tasks(count: int, seed: int, apart: float) -> Iterator[bench_plans.PlanTask
 
 
 def dual_scene():
-    """Return the scene of the dual-arm benchmark: two UR10 on pedestals
-    and two boxes, one for each gripper, on a table.
+    """Return the scene of the dual-arm benchmark: two UR10 on pedestals and two boxes,
+    one for each gripper, on a table.
     """
     from armcell.model import load_robot
     from armcell.model.compose import Part, compose

@@ -47,8 +47,8 @@ def ik(
         None, "--json", metavar="FILE", help="Write a summary and a row per pose."
     ),
 ) -> int:
-    """Benchmark inverse kinematics on random reachable poses: success
-    rate, time, number of solutions and error.
+    """Benchmark inverse kinematics on random reachable poses: success rate,
+    time, number of solutions and error.
 
     The poses come from random joint positions within limits, so each pose has a solution. Times are CPU time
     of one thread in microseconds, the fastest of three calls: "compiled" finds all branches (analytic) or one
@@ -92,8 +92,8 @@ def _solver(robot: str, group: str | None, tip: str | None, numeric: bool) -> IK
 
 
 def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
-    """Return the robot model for the IK benchmark with a new group of all
-    joints that move a link, and the name of that group.
+    """Return the robot model for the IK benchmark with a new group of all joints that move a link,
+    and the name of that group.
     """
     from armcell.model import Group
 

@@ -63,8 +63,8 @@ def read_problems(file: Path) -> dict[str, Any]:
 
 
 def find_robot(robot: str, problems: Path) -> str | Path:
-    """Return the URDF file, folder or library name of the robot in
-    MotionBenchMaker problems, as input for `load_robot`.
+    """Return the URDF file, folder or library name of the robot in MotionBenchMaker problems,
+    as input for `load_robot`.
 
     The folder `robots/` beside the problems has priority, because it contains the robots of the problems.
 

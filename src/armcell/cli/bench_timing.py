@@ -44,8 +44,8 @@ def timing(
         None, "--json", metavar="OUT", help="Write one row per path as JSON."
     ),
 ) -> int:
-    """Benchmark the timing of random paths: CPU time, durations
-    compared with those of toppra, and violated limits.
+    """Benchmark the timing of random paths: CPU time,
+    durations compared with those of toppra, and violated limits.
 
     A path is a random walk of the group's joints with rounded corners. `us` is CPU time of one thread from
     waypoints to trajectory (compiled code, best of three). `of limit` is the largest velocity, acceleration

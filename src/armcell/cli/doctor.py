@@ -38,7 +38,7 @@ def doctor(
     ),
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Check the installation and what a cell needs. Each fault is printed with a hint how to remove it.
+    """Check the installation and what a cell needs. Each fault is printed with a hint on how to remove it.
 
     Example: armcell doctor panda_pick --connect 192.168.1.20:10000
 
@@ -227,8 +227,8 @@ def transforms(model: Any) -> Iterator[Line]:
 
 
 def strength(loaded: Any) -> Iterator[Line]:
-    """Check, for `armcell doctor`, that the drives can hold the robot at
-    its start, given their effort limits and gains.
+    """Check, for `armcell doctor`, that the drives can hold the robot at its start,
+    given their effort limits and gains.
     """
     import numpy as np
 

@@ -42,8 +42,8 @@ def drives(loaded: Any) -> Iterator[Line]:
 
 
 def _followed(scene: Any, physics: Any) -> tuple[str, bool]:
-    """Describe, for `armcell doctor`, the step response of the joint that
-    follows worst, and say whether it is acceptable.
+    """Describe, for `armcell doctor`, the step response of the joint that follows worst,
+    and say whether it is acceptable.
     """
     from armcell.sim.step_response import step_responses
 

@@ -19,8 +19,8 @@ DRIVER_FILES = (
 
 
 def of_package(folder: Path) -> Iterator[Line]:
-    """Check a MoveIt package for `armcell doctor`: its files, and that
-    each joint has one controller with a valid name.
+    """Check a MoveIt package for `armcell doctor`: its files,
+    and that each joint has one controller with a valid name.
     """
     try:
         config = MoveItConfig.load(folder)

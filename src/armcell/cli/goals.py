@@ -159,8 +159,8 @@ def request_of(
 
 
 def checked_json(json_file: Path | None) -> None:
-    """Check that the JSON file of a command with a goal can be
-    written, before the command starts its work.
+    """Check that the JSON file of a command with a goal can be written,
+    before the command starts its work.
     """
     from armcell.cli.console import check_writable
 
@@ -176,8 +176,8 @@ def save(json_file: Path | None, data: Any) -> None:
 
 
 def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
-    """Format the joint positions (n,) of a goal: degrees for revolute
-    joints, millimeters for prismatic joints.
+    """Format the joint positions (n,) of a goal: degrees for revolute joints,
+    millimeters for prismatic joints.
     """
     return " ".join(
         f"{v * 1000:.1f}mm" if model.joint(n).type == "prismatic" else f"{np.rad2deg(v):.1f}"
@@ -188,8 +188,8 @@ def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
 def state_of(
     model: Any, group: str, scene: Any, to: str | None, joints: str | None, joints_deg: str | None
 ) -> JointState:
-    """Return the state that the goal options of a command line name or
-    give as positions, or else the state of the scene.
+    """Return the state that the goal options of a command line name or give as positions,
+    or else the state of the scene.
     """
     given = {"--to": to, "--joints": joints, "--joints-deg": joints_deg}
     if not any(value is not None for value in given.values()):

@@ -54,8 +54,8 @@ def look(
     ),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the numbers as JSON."),
 ) -> int:
-    """Look for objects (or markers) with a camera, and print for each
-    its pose, its size and the quality of the fit.
+    """Look for objects (or markers) with a camera, and print for each its pose,
+    its size and the quality of the fit.
 
     In a cell the picture is simulated, and "off" is the deviation from the true pose in the simulator.
     Exit status 0 if everything has a pose, 1 if not.

@@ -36,8 +36,8 @@ class PageAt(NamedTuple):
 
 
 def tell_page(page: PageServer) -> None:
-    """Print the URL of a web page that a command serves, with its
-    token, and the addresses on which it listens.
+    """Print the URL of a web page that a command serves, with its token,
+    and the addresses on which it listens.
     """
     console.print(f"view: {page.url}", markup=False, soft_wrap=True)
     tell_listening(page.endpoints)

@@ -51,8 +51,8 @@ class Kept:
 def begin_record(
     cell: Any, scene: Any, seed: int | None, mode: str, kept: Kept, values: dict[str, Any], **more: Any
 ) -> Any:
-    """Return a recorder for the run of a command, with a new run folder
-    (use it in a `with` block), or None without recording.
+    """Return a recorder for the run of a command, with a new run folder (use it in a `with` block),
+    or None without recording.
 
     Args:
         more: further data about the run for the record.
@@ -83,8 +83,8 @@ def in_words(error: BaseException | None) -> str:
 
 
 class LedRun:
-    """Record of a run that is controlled by a script, by clients of a
-    served cell, or by a user in the browser.
+    """Record of a run that is controlled by a script, by clients of a served cell,
+    or by a user in the browser.
 
     If `end` was called, the end of the `with` block writes the result and the report. The record is closed in
     any case.

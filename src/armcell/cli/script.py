@@ -29,8 +29,8 @@ def run_script_command(
     time_scale: float | None, auto_grip: bool | None, view: bool, at: PageAt, without_gate: str | None,
     kept: Kept, set_: Sequence[str] = (), wires: ScriptWires = ScriptWires(), gains: str | None = None,
 ) -> int:  # fmt: skip
-    """Run a ROS script unchanged in a cell, as the command line
-    requests, and return the exit status of the script.
+    """Run a ROS script unchanged in a cell, as the command line requests,
+    and return the exit status of the script.
 
     With `wires.ros1`, script and cell join a ROS 1 graph, and arguments of the form from:=to are remappings.
     """

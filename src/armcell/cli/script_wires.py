@@ -86,8 +86,8 @@ class ScriptWires:
         ]
 
     def joins(self, stack: ExitStack, bus: Any) -> list[Join]:
-        """Reserve the connections of a script (the ports for Unity and
-        ROS 2), and return the functions that open them.
+        """Reserve the connections of a script (the ports for Unity and ROS 2),
+        and return the functions that open them.
 
         The script session itself joins ROS 1.
 
