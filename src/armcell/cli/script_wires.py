@@ -106,7 +106,7 @@ class ScriptWires:
         return found
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:
-        """Open the connections of a script's session to the cell.
+        """Open the connections of a script's cell to other programs.
         With --plan-only, wait for the joint states of the other end.
         """
         from armcell.ros.nodes import ServedPlanner

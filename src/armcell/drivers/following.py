@@ -18,7 +18,7 @@ class Following(Protocol):
     """Handle for following a trajectory that the robot plays itself."""
 
     def clock(self) -> float | None:
-        """Return the robot's progress [s] along the trajectory that it follows.
+        """Return how far [s] a robot has got along the trajectory that it follows.
         The speed slider and pauses slow it down.
 
         None if the robot does not report its progress; `state` then returns the outcome at the end.
@@ -27,7 +27,7 @@ class Following(Protocol):
 
     def state(self) -> str | Outcome:
         """Return the state of the followed trajectory: "running", "done", "cancelled",
-        or the reason for an abort.
+        or the reason why it was aborted.
 
         An outcome is the robot's own decision, which the joint states need not confirm.
         """
