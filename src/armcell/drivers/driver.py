@@ -70,7 +70,7 @@ class WeldRecord:
 @dataclass(frozen=True)
 @checked()
 class DriverOptions:
-    """Options that a cell passes to every driver; each driver reads only some of them."""
+    """Options that a cell passes to every driver. Each driver reads only some of them."""
 
     seed: int = 0
     time_scale: float | None = None  # None: lock-step; 1.0: real time

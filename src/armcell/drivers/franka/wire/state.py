@@ -181,7 +181,7 @@ class RobotCommand:
     torque_finished: bool = False
 
     def pack(self, version: int = 10) -> bytes:
-        """Encode a motion command to a Franka robot. In protocol version 5 it cannot end the torque alone."""
+        """Encode a motion command to a Franka robot. Version 5 has no field that ends only the torque."""
         values = (
             self.time, *self.q, *self.dq, *self.O_T_EE, *self.O_dP_EE, *self.elbow, self.valid_elbow,
             self.motion_finished, *self.torque, self.torque_finished,
