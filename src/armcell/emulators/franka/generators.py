@@ -42,7 +42,7 @@ class Reflex(Exception):
 
 @dataclass
 class Reference:
-    """Reference that a Franka motion generator produces: the desired joints,
+    """Reference that a Franka motion generator produces: the desired joint motion,
     and the end effector in the base frame O.
 
     Attributes:

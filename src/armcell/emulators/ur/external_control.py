@@ -34,7 +34,7 @@ class RemoteHost:
 
     @staticmethod
     def parse(text: str) -> RemoteHost:
-        """Parse the address of the sender of scripts for the URCap External Control: ADDRESS or ADDRESS:PORT.
+        """Parse the address from which the URCap External Control gets scripts: ADDRESS or ADDRESS:PORT.
 
         Raises:
             InputError: the text has neither form.
