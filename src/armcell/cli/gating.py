@@ -16,8 +16,8 @@ WITHOUT_GATE = typer.Option(
 
 
 def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
-    """Check the gate record of a cell before a command runs in mode real,
-    and return {"gate": entry for the record}.
+    """Check the gate record of a cell before a command runs in mode real.
+    Return {"gate": entry} for the record of the run.
 
     In other modes, return an empty dict.
 
@@ -50,8 +50,8 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
 
 
 def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Return {"gate": entry} for a command in mode real with motions that no campaign has tested,
-    for example those of clients.
+    """Return {"gate": entry} for the record of a run in mode real whose motions no campaign has tested,
+    for example because clients request them.
 
     Such motions have no gate record, so a reason is required. In other modes, return an empty dict.
 

@@ -106,7 +106,7 @@ def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
 
 
 def one_of(given: dict[str, Any]) -> str:
-    """Return the only option for a goal that a command line contains. The options exclude each other.
+    """Return the one goal option that a command line contains. The goal options exclude each other.
 
     Raises:
         typer.BadParameter: no option or several options were given.

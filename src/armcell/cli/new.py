@@ -51,7 +51,7 @@ def new(
 
 
 def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
-    """Write the first starter cell whose task succeeds without physics; return whether its task is a pick.
+    """Write the first starter cell whose task succeeds without physics. Return whether the task is a pick.
 
     Args:
         path: how the cell names the robot.

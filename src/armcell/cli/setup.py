@@ -106,7 +106,7 @@ def setup(
 
 
 def _first_cell(folder: Path) -> None:
-    """`armcell setup`: replace the cell by one with a table and a cube that the gripper reaches."""
+    """Replace the cell of `armcell setup` by one with a table and a cube that the gripper reaches."""
     from armcell.cli.new import write_starter
     from armcell.model.loader import load_robot
 
@@ -183,7 +183,7 @@ def _show(proposal: Proposal) -> None:
 
 
 def _gripper(proposal: Proposal, name: str) -> str:
-    """`armcell setup`: describe an end effector's gripper, or why it has none."""
+    """Describe, for `armcell setup`, the gripper of an end effector, or why the end effector has none."""
     from armcell.model.setup.gripper import reasons
 
     hint = "to pick and place, describe it under 'grippers' in robot.yaml (docs/adding_a_gripper.md)"
