@@ -82,9 +82,7 @@ class Bus:
 
     @property
     def names(self) -> NameMap | None:
-        """Return the map from the names of a program to names on the message bus, or None if no map is
-        set.
-        """
+        """Return the map from a program's names to names on the message bus, or None if it is not set."""
         return self._names
 
     @property
