@@ -248,8 +248,8 @@ class ActionServer:
         self._publish_status()
 
     def _finish(self, goal: Goal, done: Done) -> None:
-        """Publish the final state of a ROS action goal. If actionlib does not allow this state, the nearest
-        allowed state is published.
+        """Publish the final state of a ROS action goal. If actionlib does not allow this state, a state that
+        it allows is published instead.
 
         Only a pending goal can be rejected or recalled; only an accepted goal can succeed, abort or be
         preempted.

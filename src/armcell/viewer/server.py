@@ -223,7 +223,9 @@ def _unguarded(why: str) -> ArmcellError:
 
 
 def _from_viser(depth: int = 2) -> bool:
-    """Return whether the function two calls up belongs to viser, whose output the page server logs."""
+    """Return whether the function two levels up in the call stack belongs to viser, whose output the page
+    server logs.
+    """
     return str(sys._getframe(depth).f_globals.get("__name__", "")).partition(".")[0] == "viser"
 
 

@@ -27,23 +27,23 @@ class TransformException(Exception):
 
 
 class LookupException(TransformException):
-    """Exception of tf2_ros: a frame was never published on /tf or /tf_static."""
+    """Exception that tf2_ros raises if a frame was never published on /tf or /tf_static."""
 
 
 class ConnectivityException(TransformException):
-    """Exception of tf2_ros: no chain of transforms connects the two frames."""
+    """Exception that tf2_ros raises if no chain of transforms connects two frames."""
 
 
 class ExtrapolationException(TransformException):
-    """Exception of tf2_ros: no transform is known at the requested time."""
+    """Exception that tf2_ros raises if no transform is known at the requested time."""
 
 
 class InvalidArgumentException(TransformException):
-    """Exception of tf2_ros: an argument of a call, such as a transform, is invalid."""
+    """Exception that tf2_ros raises if an argument of a call, such as a transform, is invalid."""
 
 
 class TimeoutException(TransformException):
-    """Exception of tf2_ros: no transform between the two frames arrived within the timeout."""
+    """Exception that tf2_ros raises if no transform between two frames arrives within the timeout."""
 
 
 def _seconds(timeout: Any) -> float:
