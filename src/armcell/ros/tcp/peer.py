@@ -124,7 +124,7 @@ class Peer:
             self.link.outbox.forget(topic)
 
     def take(self, topic: str, type_name: str, latch: bool) -> None:
-        """Publish the messages that the ROS-TCP peer sends to a topic on the bus.
+        """Publish on the bus the messages that the ROS-TCP peer sends to a topic.
 
         A repeated call keeps a latched message.
 
