@@ -175,7 +175,9 @@ class Session:
             )  # fmt: skip
 
     def watch_other_end(self) -> None:
-        """Log a hint, once, if the external simulator or robot has stopped sending joint states."""
+        """Log a hint for the ROS script, once, if the external simulator or robot has stopped sending joint
+        states.
+        """
         if isinstance(self.served, ServedPlanner) and self.served.driver.silence > SILENT:
             self.hint(
                 "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "

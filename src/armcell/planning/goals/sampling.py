@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armcell.core import (
     SE3,
     SO3,
+    Box,
     ConstraintGoal,
     Constraints,
     Goal,
@@ -33,6 +34,7 @@ from armcell.planning.constraints.evaluation import (
     rotation_of,
     satisfied,
 )
+from armcell.planning.constraints.manifold import LEAST, ConstraintManifold
 from armcell.planning.moved_frame import MovedFrame
 from armcell.scene import PlanningScene
 
@@ -43,29 +45,37 @@ SHARE = 0.9  # used share of the tolerances; the rest is for the solver's own to
 ATTEMPTS = 500  # random references per goal
 TRIES = 50  # attempts to sample a point inside a shape
 EQUIVALENTS = 4  # number of positions that differ by full turns
+FULL = 6  # joints of an arm that reaches any orientation; with fewer, only a projection finds a reachable one
 
 
 def is_region(goal: Goal) -> bool:
-    """Return whether to sample a goal: it has more joint solutions than the few that are tried first."""
+    """Return whether a goal must be sampled because it has more joint solutions than the few that are tried
+    first.
+    """
     return isinstance(goal, PoseGoal | ConstraintGoal) or (
         isinstance(goal, JointGoal) and goal.tolerance > WIDE[0]
     )
 
 
 def is_wide(goal: PoseGoal) -> bool:
-    """Return whether a pose goal's tolerances are large enough to sample."""
+    """Return whether the tolerances of a pose goal are so large that joint positions for it should be
+    sampled.
+    """
     return goal.position_tolerance > WIDE[0] or bool(np.max(goal.orientation_tolerance) > WIDE[1])
 
 
 def sample_goal_positions(
     scene: PlanningScene, group: str, goal: Goal, rng: np.random.Generator, deadline: float = np.inf
 ) -> Iterator[Array]:
-    """Sample joint positions (n,) within limits that reach a goal; collisions are not checked.
+    """Sample joint positions (n,) that reach a goal and are within the joint limits; collisions are not
+    checked.
 
     Args:
         deadline: [s] of time.monotonic(), after which sampling ends.
     """
     if isinstance(goal, PoseGoal):
+        if is_wide(goal) and len(scene.model.group(group).joint_names) < FULL:
+            return _of_constraints(scene, group, _constraints_of(goal), rng, deadline)
         return _of_pose(scene, group, goal, rng, deadline)
     if isinstance(goal, ConstraintGoal):
         return _of_constraints(scene, group, goal.constraints, rng, deadline)
@@ -76,7 +86,9 @@ def sample_goal_positions(
 
 def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGoal, q: Array,
             slack: tuple[float, float] = (0.0, 0.0)) -> bool:  # fmt: skip
-    """Return whether positions q (n,) reach a sampled goal within its tolerances or `slack` [m], [rad]."""
+    """Return whether joint positions q (n,) reach a goal, within the goal's tolerances or within `slack` [m],
+    [rad].
+    """
     if isinstance(goal, ConstraintGoal):
         return satisfied(scene, group, goal.constraints, q)
     pose, wanted = MovedFrame(scene, group, goal.link).pose(q), goal.T_world_link
@@ -94,7 +106,7 @@ def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGo
 def _of_joints(
     scene: PlanningScene, group: str, goal: JointGoal, rng: np.random.Generator
 ) -> Iterator[Array]:
-    """Sample positions of a joint goal: first near the goal, then in the whole tolerance."""
+    """Sample joint positions for a joint goal, first near the exact goal, then within its whole tolerance."""
     names = scene.model.group(group).joint_names
     low, high = joint_ranges(scene, group, ())
     named = np.array([name in goal.state.joint_names for name in names])
@@ -107,7 +119,8 @@ def _of_joints(
 def whole_turn_equivalents(
     model: RobotModel, joint_names: tuple[str, ...], q: Array, start: Array
 ) -> list[Array]:
-    """List goal samples equal to q (n,) up to full turns of joints, nearest to the start first.
+    """List joint positions that equal the goal sample q (n,) except for full turns of joints; those nearest
+    to the start come first.
 
     Joints that drive a mimic joint at a non-integer ratio keep their position.
     """
@@ -131,7 +144,8 @@ def whole_turn_equivalents(
 def _of_pose(
     scene: PlanningScene, group: str, goal: PoseGoal, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample positions for a pose goal: exact solutions alternate with random tolerated poses.
+    """Sample joint positions for a pose goal: solutions of the exact pose alternate with those of random
+    poses within the tolerances.
 
     The exact solutions include equivalents by full turns; random poses are solved from random references.
     """
@@ -148,6 +162,24 @@ def _of_pose(
             return
 
 
+def _constraints_of(goal: PoseGoal) -> Constraints:
+    """Return constraints that keep a sampled goal's link within a pose goal's tolerances.
+
+    The regions are cubes inside the balls of the tolerances: a projection onto them has three directions.
+    """
+    side = 2 * max(goal.position_tolerance / np.sqrt(3), LEAST[1])
+    cube = Box(side, side, side), SE3(SO3.identity(), goal.T_world_link.translation)
+    turn = np.asarray(goal.orientation_tolerance, dtype=float)
+    if turn.ndim == 0:
+        turn = np.full(3, turn if turn >= np.pi else turn / np.sqrt(3))
+    x, y, z = (float(v) for v in np.maximum(turn, LEAST[0]))
+    turned = OrientationConstraint(goal.T_world_link.rotation, (x, y, z), goal.link)
+    return Constraints(
+        positions=(PositionConstraint((cube,), goal.link),),
+        orientations=() if min(x, y, z) >= np.pi else (turned,),
+    )
+
+
 def _random(ik: IKSolver, rng: np.random.Generator) -> Array:
     return rng.uniform(
         np.where(np.isfinite(ik.lower), ik.lower, -np.pi), np.where(np.isfinite(ik.upper), ik.upper, np.pi)
@@ -155,7 +187,7 @@ def _random(ik: IKSolver, rng: np.random.Generator) -> Array:
 
 
 def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
-    """Sample a pose within a pose goal's tolerances: uniform in position and rotation vector.
+    """Sample a random pose within the tolerances of a pose goal, uniformly in position and rotation vector.
 
     Position and rotation vector are uniform in balls. With three angular tolerances, the rotation vector is
     uniform in their box.
@@ -175,7 +207,9 @@ def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
 
 
 def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> SO3:
-    """Sample a random rotation of a pose goal whose rotation error is within tolerances (3,)."""
+    """Sample a random rotation for a pose goal, such that the rotation error is within the tolerances
+    (3,).
+    """
     most = np.minimum(np.where(tolerance < np.pi, SHARE * tolerance, np.pi), np.pi)
     for _ in range(TRIES):
         turn = rotation_of(rng.uniform(-most, most), parameterization)
@@ -192,7 +226,7 @@ def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> 
 def _of_constraints(
     scene: PlanningScene, group: str, wanted: Constraints, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample joint positions for a goal that is given by constraints.
+    """Sample joint positions for a goal that is defined by constraints.
 
     The sampler starts from the request's start or from random positions, and moves each of them to the
     nearest solution or to a random solution.
@@ -202,6 +236,8 @@ def _of_constraints(
     start = scene.positions[columns]
     wide_low = np.where(np.isfinite(low), low, np.minimum(start - np.pi, high))
     wide_high = np.where(np.isfinite(high), high, np.maximum(start + np.pi, low))
+    few = len(start) < FULL and bool(wanted.positions or wanted.orientations)
+    manifold = ConstraintManifold(scene, group, wanted) if few else None
     for k in range(ATTEMPTS):
         q = np.clip(start, low, high) if k == 0 else rng.uniform(wide_low, wide_high)
         if k % 4 == 1:  # joints without a constraint keep their position
@@ -209,7 +245,9 @@ def _of_constraints(
             names = scene.model.group(group).joint_names
             stays = np.array([name not in asked for name in names])
             q = np.where(stays, start, q)
-        if wanted.positions or wanted.orientations:
+        if manifold is not None:
+            solution = manifold.projected(q, low, high)
+        elif wanted.positions or wanted.orientations:
             solution = _pulled(scene, group, wanted, q, rng, clip=k % 2 == 0)
         else:
             solution = q
@@ -222,7 +260,9 @@ def _of_constraints(
 def _pulled(
     scene: PlanningScene, group: str, wanted: Constraints, q: Array, rng: np.random.Generator, clip: bool
 ) -> Array | None:
-    """Pull a goal sample q (n,) to positions at which the first constrained link meets its constraints."""
+    """Move a goal sample q (n,) to joint positions at which the first constrained link satisfies its
+    constraints.
+    """
     first = (*wanted.positions, *wanted.orientations)[0]
     moved_frame = MovedFrame(scene, group, first.link)
     pose = moved_frame.pose(q)
@@ -256,7 +296,7 @@ def _rotation(
 def _point(
     scene: PlanningScene, c: PositionConstraint, present: Array, rng: np.random.Generator, keep: bool
 ) -> Array:
-    """Sample a world point in the region of a goal's position constraint.
+    """Sample a point in the world from the region of a position constraint that belongs to a goal.
 
     The result is the current point if it is inside the region, otherwise a random point of the region.
     """
