@@ -139,7 +139,7 @@ class PlanningPanel:
             self._player.play(max(result.trajectory.duration, 1e-3))
 
     def seek(self, t: float) -> None:
-        """Show the robot in the planning panel as it is at a time [s] of the planned motion."""
+        """Show the robot in the planning panel at a time [s] of the planned motion."""
         self._player.seek(t)
 
     def _show_motion(self, t: float) -> None:

@@ -96,9 +96,7 @@ class _Topics:
         self._camera.ask(self, self._give, rgb=bool(self._color.subscribers or points), depth=bool(depth))
 
     def _give(self, image: CameraImage) -> None:
-        """Publish a camera image that has been rendered on its ROS topics, in the thread that delivers the
-        image.
-        """
+        """Publish a rendered camera image on its ROS topics, in the thread that delivers the image."""
         with self._giving:
             if not self._closed:
                 self._publish(image)

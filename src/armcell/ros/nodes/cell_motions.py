@@ -348,7 +348,7 @@ class CellMotions:
 
 
 class _Announced(GuardedMotion):
-    """Guarded motion of a cell that reports its start as soon as it is certified."""
+    """Guarded motion of a cell that reports its start once the motion is certified."""
 
     def __init__(
         self, cell: CellMotions, trajectory: JointTrajectory, planned_in: PlanningScene | None,

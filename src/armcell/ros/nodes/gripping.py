@@ -278,7 +278,7 @@ class GripperNode(GripperMotions):
 
     # --- automatic closing, in the driver's thread ---
     def look(self) -> None:
-        """Close the gripper of each arm that is at rest automatically if an object is between the fingers."""
+        """Automatically close the gripper of each arm at rest if an object is between the fingers."""
         driver = self._live.driver
         if not self._auto or driver.now < self._next:
             return
