@@ -241,7 +241,7 @@ class Bus:
         return service
 
     def find_elsewhere(self, finder: Finder) -> None:
-        """Register a function with which a transport finds services that have no server on the bus."""
+        """Register a transport's function that finds services without a server on the message bus."""
         with self._lock:
             self._finders.append(finder)
 

@@ -148,7 +148,7 @@ def node_name(*parts: str) -> str:
 
 
 def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True) -> Any:
-    """Draw a mesh in viser at the pose `T` in the frame of the parent node.
+    """Draw a mesh in the viewer (viser) at the pose `T` in the frame of the parent node.
 
     Returns:
         viser's handle.

@@ -117,7 +117,7 @@ class PlanningSession:
     # --- goal and settings ---
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return the groups that have joints and can therefore be planned in the session."""
+        """Return the groups for which the planning session can plan, because they have joints."""
         return tuple(g.name for g in self.scene.model.groups.values() if g.joint_names)
 
     @property
@@ -135,11 +135,11 @@ class PlanningSession:
 
     @property
     def start_positions(self) -> Array:
-        """Return the joint positions (dof,) at which the plan of the session starts."""
+        """Return the joint positions (dof,) at which the plan of the planning session starts."""
         return self.scene.positions if self.start is None else self.start
 
     def set_group(self, name: str) -> None:
-        """Select a planning group for the session and reset the goal to the start state.
+        """Select the group of the planning session and reset the goal to the start state.
 
         Raises:
             UnknownNameError: the group does not exist.
@@ -164,14 +164,14 @@ class PlanningSession:
         self._tell("settings")
 
     def set_goal_pose(self, T_world_tip: SE3) -> None:
-        """Set the session's goal to a tip pose; `goal.status` reports whether it is reachable."""
+        """Set the goal of the planning session to a tip pose; `goal.status` reports the outcome."""
         with self._lock:
             self._given = None
             self.goal = posed(self._start_scene(), self.group, T_world_tip, self.goal.positions, self._seed)
         self._tell("goal")
 
     def set_positions(self, state: JointState, start: bool = False) -> None:
-        """Set some joints of the session's goal or start state. Other joints stay unchanged.
+        """Set some joints of the planning session's goal or start state. Others stay unchanged.
 
         Raises:
             InputError: a position is outside the joint limits.
@@ -189,7 +189,7 @@ class PlanningSession:
         self._tell("goal")
 
     def set_named(self, name: str, start: bool = False) -> None:
-        """Set the session's goal or start state to a named state of the planning group.
+        """Set the goal or start state of the planning session to a named state of the group.
 
         Raises:
             UnknownNameError: the state does not exist.
@@ -197,7 +197,7 @@ class PlanningSession:
         self.set_positions(self.scene.model.named_state(self.group, name), start)
 
     def set_random(self, start: bool = False) -> None:
-        """Set the session's goal or start state to a random collision-free state of the group.
+        """Set the goal or start state of the planning session to a random collision-free state.
 
         Raises:
             InputError: no collision-free sample was found.
@@ -206,7 +206,7 @@ class PlanningSession:
         self.set_positions(JointState(self.joint_names, q), start)
 
     def set_present(self, start: bool = False) -> None:
-        """Set the session's goal or start state to the current state of the robot."""
+        """Set the goal or start state of the planning session to the robot's current state."""
         with self._lock:
             self._given = None
             if start:
@@ -221,7 +221,7 @@ class PlanningSession:
         self.goal = judged(self._start_scene(), self.group, positions, self.start_positions)
 
     def request(self) -> PlanRequest | CartesianRequest:
-        """Return a planning request with the session's goal and settings.
+        """Return a request with the goal and the settings of the planning session.
 
         Raises:
             InputError: the settings ask for a straight line or an upright tip, but the group has no tip link.
@@ -253,7 +253,7 @@ class PlanningSession:
 
     # --- the world ---
     def change_scene(self, change: Callable[[PlanningScene], PlanningScene], said: str = "") -> None:
-        """Replace the session's scene by `change(scene)`, e.g. to add, attach or move objects.
+        """Replace the planning session's scene by `change(scene)`, e.g. to add or attach objects.
 
         Raises:
             InputError: raised by `change`, or the robot is executing a motion; the scene stays unchanged.
@@ -296,7 +296,7 @@ class PlanningSession:
         self._tell("scene", "settings", "goal", "result")
 
     def _adopt_goal(self, request: PlanRequest | CartesianRequest) -> None:
-        """Show the first goal of a planning request as the goal of the session."""
+        """Show the first goal of a request as the goal of the planning session."""
         goal = PoseGoal(request.waypoints[-1]) if isinstance(request, CartesianRequest) else request.goals[0]
         if isinstance(goal, NamedGoal):
             goal = JointGoal(self.scene.model.named_state(request.group, goal.name))
@@ -365,7 +365,7 @@ class PlanningSession:
         self.result = self.explanation = self.outcome = None
 
     def positions_at(self, t: float) -> Array:
-        """Return the joint positions (dof,) at a time [s] of the motion that the session has planned.
+        """Return the joint positions (dof,) at a time [s] of the motion that the session planned.
 
         Raises:
             InputError: there is no planned motion.
@@ -379,7 +379,7 @@ class PlanningSession:
     # --- executing ---
     @property
     def why_not_executable(self) -> str:
-        """Return why the last plan of the session cannot be executed. Empty if it can be executed."""
+        """Return why the planning session cannot execute its last plan. Empty if it can."""
         result = self.result
         if self._connect is None:
             return "there is no robot to execute it: this is a scene, not a cell"
@@ -396,7 +396,7 @@ class PlanningSession:
         return ""
 
     def execute(self) -> None:
-        """Start to execute the last plan of the session in the background.
+        """Start to execute the last plan of the planning session in the background.
 
         Raises:
             InputError: the plan cannot be executed; the text is `why_not_executable`.
@@ -425,7 +425,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def _connected(self, job: Job) -> LiveCell:
-        """Return the session's live cell, reconnected if the user has edited the world meanwhile."""
+        """Return the planning session's live cell, reconnected if the user has edited the world."""
         if self._live is not None and self._live_with != self._edits:
             self._disconnect()
         if self._live is None:
@@ -459,14 +459,14 @@ class PlanningSession:
         return self._jobs.wait(timeout)
 
     def close(self) -> None:
-        """Stop all jobs of the session and disconnect from the robot. The session can still be used."""
+        """Stop all jobs of the planning session and disconnect from the robot."""
         self.stop()
         self.wait(CLOSE_S)
         self._disconnect()
 
 
 def _first_group(scene: PlanningScene) -> str:
-    """Return the planning group of the robot that a new session selects by default.
+    """Return the group of the robot that a new planning session selects by default.
 
     Prefer a gripper's arm group, then the first chain, then the first group with joints.
 
@@ -485,7 +485,7 @@ def _first_group(scene: PlanningScene) -> str:
 
 
 def _asked(scene: PlanningScene, group: str, goal: GoalView) -> Goal:
-    """Return the session's joint goal, or the pose that the user requested if the joint goal is invalid.
+    """Return the planning session's joint goal, or the requested pose if the joint goal is invalid.
 
     Planning to the pose then fails with an explanation of the invalid goal.
     """

@@ -241,8 +241,8 @@ class RemoteDriver(Driver):
         )
 
     def wait_for_state(self) -> None:
-        """Wait until the remote driver has received joint states and object poses. Objects without a pose
-        stay where the cell defines them.
+        """Wait until the remote driver receives joint states and then object poses. Objects whose pose does
+        not arrive stay where the cell defines them.
         """
         self._wait(STATE_TIMEOUT, lambda: self._joints is not None)
         if self._joints is not None and self._unseen:
