@@ -459,7 +459,7 @@ class PlanningSession:
         return self._jobs.wait(timeout)
 
     def close(self) -> None:
-        """Stop all jobs of the planning session and disconnect from the robot."""
+        """Stop all jobs of the planning session, which stays usable, and disconnect from the robot."""
         self.stop()
         self.wait(CLOSE_S)
         self._disconnect()

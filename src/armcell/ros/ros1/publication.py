@@ -177,7 +177,7 @@ class SubscriberLink:
 
     @property
     def waiting(self) -> bool:
-        """Return whether the connection still has unsent bytes for a ROS 1 subscriber of the published topic."""
+        """Return whether unsent bytes for a ROS 1 subscriber of the published topic remain."""
         with self._lock:
             return bool(self._rest or self._waiting)
 
