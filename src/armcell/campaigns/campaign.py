@@ -28,7 +28,8 @@ Tell = Callable[[Store, int], None]  # (store, trials run in this process)
 
 
 def begin(spec: CampaignSpec, runs: Path) -> Store:
-    """Begin a campaign: create its folder after validating the cell at the ends of all parameter ranges.
+    """Create the folder of a new campaign, after checking that the cell is valid at both ends of every
+    parameter range.
 
     Raises:
         InputError: the cell or a parameter is invalid; raised before any trial runs.
@@ -67,7 +68,7 @@ def run(
     store: Store, workers: int = 0, tell: Tell = lambda store, began: None, ray: str | None = None,
     listening: Callable[[Sequence[Endpoint]], None] = lambda endpoints: None,
 ) -> str:  # fmt: skip
-    """Run the missing trials of a campaign until all are done or a stop rule applies.
+    """Run the missing trials of a campaign until all trials are done or a stop rule applies.
 
     Args:
         workers: number of workers; 0 for one per core.
@@ -132,7 +133,9 @@ def _sure_enough(store: Store) -> bool:
 
 
 def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
-    """Yield a campaign's trials from `first` to before `last` that have no stored result."""
+    """Yield those trials of a campaign that have no stored result, from number `first` up to but excluding
+    `last`.
+    """
     spec = store.spec
     ranges = distributions(spec)
     failed = [
@@ -147,7 +150,8 @@ def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
 def trial(
     spec: CampaignSpec, ranges: dict[str, Distribution], number: int, failed: Sequence[Array] = ()
 ) -> Trial:
-    """Return a campaign's trial with a given number; sampling depends on seed, number and failures only.
+    """Return the trial of a campaign with a given number. The sampled values depend only on the seed, the
+    number and the earlier failures.
 
     Args:
         failed: draws of failed trials of earlier rounds, for adaptive sampling.

@@ -49,7 +49,7 @@ print(json.dumps([address, json.loads(found or b"{}")]))
 
 
 class _Actor:
-    """Ray cluster's actor that loads the cell once and runs trials."""
+    """Ray actor that runs trials on a cluster. It loads the cell once."""
 
     def __init__(self, spec: dict[str, Any], hashes: dict[str, str]):
         self._spec, self._hashes = CampaignSpec(**spec), hashes
@@ -71,7 +71,7 @@ class _Actor:
 
 
 class RayWorker(Worker):
-    """Worker on a Ray cluster: handle of an actor and its pending call."""
+    """Worker of a campaign on a Ray cluster: the handle of its actor and the call that is pending."""
 
     def __init__(self, actor: Any):
         super().__init__()
@@ -84,7 +84,7 @@ class RayWorker(Worker):
 
 
 class RayWorkers(Workers[RayWorker]):
-    """Source of `count` Ray cluster workers (actors); 0 for one per core.
+    """Source of `count` campaign workers (actors) on a Ray cluster. A count of 0 means one worker per core.
 
     Args:
         hashes: content hashes of the local cell; a node with another cell, armcell or library is rejected.
@@ -126,7 +126,7 @@ class RayWorkers(Workers[RayWorker]):
         return self
 
     def _join(self, found: str | None) -> None:
-        """Connect to the Ray cluster at address `found`, or start a private cluster if it is None."""
+        """Connect to the Ray cluster at the address `found`. If it is None, start a private cluster."""
         common = {
             "log_to_driver": False, "logging_level": "error", "runtime_env": {"env_vars": dict(ONE_THREAD)},
         }  # fmt: skip
@@ -148,7 +148,9 @@ class RayWorkers(Workers[RayWorker]):
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets of a Ray campaign: of this process and of the processes of a private cluster."""
+        """Return the open sockets of a Ray campaign: those of this process and, for a private cluster, those
+        of its processes.
+        """
         pids = [os.getpid()] if self._folder is None else descendants(os.getpid())
         return tuple(replace(found, service="Ray") for found in sorted(open_sockets(pids)))
 
@@ -187,7 +189,7 @@ class RayWorkers(Workers[RayWorker]):
 
 
 def _make_private() -> None:
-    """Enable token authentication for a private Ray cluster, as Ray listens on all addresses.
+    """Enable token authentication for a private Ray cluster, because Ray listens on all network addresses.
 
     Ray reads the setting once, when a process imports it for the first time.
     """
@@ -196,7 +198,7 @@ def _make_private() -> None:
 
 
 def _version() -> str:
-    """Return the version of the Ray installed for the cluster, without importing Ray.
+    """Return the version of Ray that is installed for the cluster, without importing Ray.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -208,7 +210,8 @@ def _version() -> str:
 
 
 def find_cluster(address: str) -> str | None:
-    """Return the address of a running, compatible Ray cluster; None to start a private one.
+    """Return the address of a running, compatible Ray cluster. None means that a private cluster must be
+    started.
 
     None is possible only for the address "auto".
 
@@ -254,7 +257,7 @@ def find_cluster(address: str) -> str | None:
 
 
 def _how(text: str) -> str:
-    """Extract the cause from Ray's long error text about a dead worker on the cluster."""
+    """Extract the cause from Ray's long error text about a worker that died on the cluster."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     for line in lines:
         for cause in ("Worker exit detail: ", "its node has died", "killed by"):

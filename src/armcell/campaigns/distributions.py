@@ -12,7 +12,7 @@ from armcell.core import InputError, UnknownNameError
 
 
 class Distribution(Protocol):
-    """Parameter distribution of a campaign; `at` is the inverse of its cumulative distribution function.
+    """Distribution of a campaign parameter. `at` is the inverse of its cumulative distribution function.
 
     Samplers draw numbers in [0, 1) and pass them to `at`.
     """
@@ -22,7 +22,9 @@ class Distribution(Protocol):
 
 @dataclass(frozen=True)
 class Uniform:
-    """Uniform parameter distribution from low to high; `whole` restricts it to integers, ends included."""
+    """Uniform distribution of a campaign parameter from low to high. `whole` restricts it to integers,
+    including both ends.
+    """
 
     low: float
     high: float
@@ -37,7 +39,9 @@ class Uniform:
 
 @dataclass(frozen=True)
 class LogUniform:
-    """Log-uniform parameter distribution: values from 1 to 2 are as likely as values from 2 to 4."""
+    """Log-uniform distribution of a campaign parameter: values from 1 to 2 are as likely as values from 2 to
+    4.
+    """
 
     low: float
     high: float
@@ -48,7 +52,9 @@ class LogUniform:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal parameter distribution, truncated at `cut` standard deviations on each side."""
+    """Normal distribution of a campaign parameter, truncated at `cut` standard deviations on each side of the
+    mean.
+    """
 
     mean: float
     sd: float
@@ -60,7 +66,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Choice:
-    """Discrete parameter distribution over some values with equal probabilities."""
+    """Discrete distribution of a campaign parameter, in which all values are equally likely."""
 
     values: tuple[Any, ...]
 
@@ -69,7 +75,8 @@ class Choice:
 
 
 def ends(found: Distribution) -> list[Any]:
-    """Return test values of a parameter distribution: its minimum, maximum and two values between them.
+    """Return values at which to test a campaign parameter: the minimum and maximum of its distribution, and
+    two values between them.
 
     For a choice, return all values. One of the two inner values is not a round fraction of the range: of the
     range 1 to 3, the other values are all integers.
@@ -83,7 +90,7 @@ KINDS = ("uniform", "whole", "log_uniform", "normal", "choice")
 
 
 def distribution(data: Any, place: str) -> Distribution:
-    """Parse a parameter distribution from a campaign file.
+    """Parse the distribution of a parameter from a campaign file.
 
     Forms: `{uniform: [low, high]}` or just `[low, high]`, `{whole: [1, 4]}`, `{log_uniform: [low, high]}`,
     `{normal: [mean, sd]}` or `{normal: [mean, sd, cut]}`, `{choice: [a, b, c]}`.

@@ -26,12 +26,13 @@ NO_RUN = ("CRASHED", "TRIAL_TIMED_OUT", "INVALID_CELL")  # errors of trials that
 
 
 def picture_file(folder: Path, number: int) -> Path:
-    """Return the path of a failed trial's picture; the file may not exist."""
+    """Return the path for the picture of a failed trial. The file need not exist."""
     return folder / "pictures" / f"trial_{number}.png"
 
 
 def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, of: None) -> None:
-    """Take missing pictures of failed trials: first one per cause, then further failures.
+    """Take the missing pictures of failed trials. The first picture of every cause comes first, then those of
+    further failures.
 
     Args:
         tell: called with the number of finished pictures and the total number.
@@ -66,7 +67,8 @@ def _wanted(store: Store) -> list[dict[str, Any]]:
 
 
 def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
-    """Run a failed trial again and return a picture (frame) of its first contact, else of its end.
+    """Run a failed trial again and return a picture of its first contact. Without a contact, the picture
+    shows the end of the trial.
 
     Returns:
         None if the trial does not fail again (e.g. a processor time limit ended it) or cannot be drawn.

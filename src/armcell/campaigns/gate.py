@@ -34,7 +34,7 @@ KEY_BYTES = 32
 
 
 def gate_file(cell: Cell) -> Path:
-    """Return the default path of a cell's signed gate record.
+    """Return the default path of the signed gate record that approves a cell.
 
     The record is next to the cell file; for a built-in cell it is in the working folder.
     """
@@ -46,7 +46,8 @@ def gate_file(cell: Cell) -> Path:
 def issue(
     cell: Cell, folder: str | Path, file: Path, least: float = LEAST, allow_unvaried: str | None = None
 ) -> dict[str, Any]:
-    """Issue a gate record for a finished campaign if its success rate is proven high enough.
+    """Write a signed gate record for a finished campaign if the campaign proves a sufficiently high success
+    rate.
 
     Args:
         cell: cell of the record: the campaign's cell with its `values`.
@@ -118,7 +119,7 @@ def issue(
 
 
 def check_reason(allow_unvaried: str | None) -> None:
-    """Gate: reject an empty reason for `--allow-unvaried`.
+    """Reject an empty reason for `--allow-unvaried`, the option with which the gate accepts identical trials.
 
     Raises:
         InputError: the reason contains no words.
@@ -130,7 +131,7 @@ def check_reason(allow_unvaried: str | None) -> None:
 
 
 def check_draws(cell: Cell) -> None:
-    """Gate: reject, before a campaign runs, a cell whose trials would all be identical.
+    """Reject a cell whose trials would all be identical. The gate makes this check before a campaign runs.
 
     Raises:
         InputError: the cell randomizes nothing.
@@ -141,7 +142,8 @@ def check_draws(cell: Cell) -> None:
 
 
 def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the parameters and drawn values, by path, that the gate finds different between trials.
+    """Return the paths of the parameters and drawn values that the gate found to differ between the trials of
+    a campaign.
 
     "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
     count, because it leaves the task unchanged.
@@ -171,7 +173,8 @@ def _unvaried(cell: Cell, what: str, file: Path) -> InputError:
 
 
 def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
-    """Check the gate: return a cell's record if it matches the cell, task, configuration and versions.
+    """Return the gate record of a cell if it matches the cell, the task, the configuration and the library
+    versions.
 
     Raises:
         InputError: the record is missing or invalid; the error says how to get a new one.
@@ -210,7 +213,8 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """Describe the differences between the content hashes of two cells, for the gate's refusal.
+    """Describe how the content hashes of two cells differ, for the message with which the gate refuses a
+    cell.
 
     Args:
         old_versions: library versions of the first cell; if given, the text names both versions.
@@ -229,7 +233,9 @@ def changed_parts(
 
 # --- the key ---
 def key_file() -> Path:
-    """Return the path of the user's key that signs gate records; an environment variable overrides it."""
+    """Return the path of the user's key that signs gate records. An environment variable overrides the
+    default.
+    """
     named = os.environ.get(KEY_VARIABLE)
     if named:
         return Path(named)
@@ -270,7 +276,7 @@ def _asked(spec: CampaignSpec) -> str:
 
 
 def _fewest(least: float, above: int = 0) -> int:
-    """Return how many trials the gate needs without failure to prove a success rate of at least `least`."""
+    """Return how many trials without a failure the gate needs to prove a success rate of at least `least`."""
     return next(n for n in range(above + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)
 
 

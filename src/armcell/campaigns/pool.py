@@ -28,7 +28,8 @@ Answer = dict[str, Any]
 
 
 class Worker(ABC):
-    """Interface of a trial pool's workers: run one trial at a time, given as JSON-ready data.
+    """Interface of the workers in a trial pool. A worker runs one trial at a time, which it receives as
+    JSON-ready data.
 
     The answers arrive through `Workers`.
     """
@@ -45,14 +46,17 @@ class Worker(ABC):
 
     @abstractmethod
     def send(self, data: dict[str, Any]) -> None:
-        """Send a trial to a pool's worker; a dead worker is reported by `Workers.heard`, not by this call."""
+        """Send a trial to a worker of the pool. If the worker is dead, `Workers.heard` reports this later;
+        this call does not fail.
+        """
 
 
 W = TypeVar("W", bound=Worker)
 
 
 class Workers(ABC, Generic[W]):
-    """Source of a trial pool's workers; use it in a `with` block, whose end stops all workers.
+    """Source of the workers for a trial pool. Use it in a `with` block; all workers stop at the end of the
+    block.
 
     Attributes:
         size: number of workers to run.
@@ -73,23 +77,24 @@ class Workers(ABC, Generic[W]):
         """Start one more worker of the trial pool."""
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets on which a trial pool's workers and their runtime listen now."""
+        """Return the sockets on which the workers of the trial pool and their runtime listen now."""
         return ()
 
     @abstractmethod
     def heard(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:
-        """Yield a trial pool's (worker, answers) pairs that arrived; None for a dead worker.
+        """Yield each worker of the trial pool that has answered, with its answers. For a dead worker, None
+        replaces the answers.
 
         Waits up to `seconds` for the first answer.
         """
 
     @abstractmethod
     def end(self, worker: W) -> str:
-        """Stop a trial pool's worker and return how it ended, as text, e.g. "with status 7"."""
+        """Stop a worker of the trial pool and return a text that says how it ended, e.g. "with status 7"."""
 
 
 class Pool(Generic[W]):
-    """Pool: scheduler of trials over `workers`; use it inside the `with` block of `workers`."""
+    """Scheduler that runs trials on a pool of `workers`. Use it inside the `with` block of `workers`."""
 
     def __init__(self, spec: CampaignSpec, workers: Workers[W]):
         self.spec, self._workers = spec, workers
@@ -104,7 +109,7 @@ class Pool(Generic[W]):
         return how
 
     def _died_at_start(self, how: str) -> None:
-        """Count a trial pool's worker that died while starting.
+        """Count a worker of the trial pool that died while it was starting.
 
         Raises:
             InputError: too many workers in a row died while starting.
@@ -114,7 +119,7 @@ class Pool(Generic[W]):
             raise InputError(f"workers end {how} as they start", hint=self._workers.help)
 
     def _look_for_ready_ones(self) -> None:
-        """Check that at least one worker of the pool is ready to run trials.
+        """Check that at least one worker of the trial pool is ready.
 
         Raises:
             InputError: no worker has been ready for `PATIENCE` seconds.
@@ -125,7 +130,8 @@ class Pool(Generic[W]):
             raise InputError(f"no worker is ready after {PATIENCE:g} s", hint=self._workers.help)
 
     def run(self, trials: Iterator[Trial]) -> Iterator[dict[str, Any]]:
-        """Run trials in the pool: yield the row of each exactly once, as they finish.
+        """Run trials in the pool. Yield the result row of each trial exactly once, as soon as the trial
+        finishes.
 
         Raises:
             InputError: no worker starts.

@@ -20,7 +20,9 @@ ONE_THREAD = dict.fromkeys(
 
 
 class ProcessWorker(Worker):
-    """Local worker process of a campaign that runs `worker.py`, with JSON lines as input and output."""
+    """Worker process of a campaign on this machine. It runs `worker.py` and exchanges JSON lines through its
+    input and output.
+    """
 
     def __init__(self, spec: CampaignSpec):
         super().__init__()
@@ -47,7 +49,9 @@ class ProcessWorker(Worker):
             pass  # the process is dead; `answers` notices the end of its output
 
     def answers(self) -> list[Answer] | None:
-        """Return a local worker process's answers since the last call; None if it is dead."""
+        """Return the answers that a local worker process has sent since the last call, or None if the process
+        is dead.
+        """
         data = os.read(self.output, 1 << 16)
         if not data:
             return None
@@ -67,7 +71,7 @@ class ProcessWorker(Worker):
 
 
 class Processes(Workers[ProcessWorker]):
-    """Source of `count` campaign worker processes on this machine."""
+    """Source of `count` worker processes that run a campaign's trials on this machine."""
 
     def __init__(self, spec: CampaignSpec, count: int):
         self.spec, self.size = spec, count
@@ -105,5 +109,5 @@ class Processes(Workers[ProcessWorker]):
 
 
 def cores() -> int:
-    """Return the number of processor cores for a campaign's worker processes."""
+    """Return the number of processor cores that are available for a campaign's worker processes."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

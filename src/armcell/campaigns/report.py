@@ -25,7 +25,8 @@ MEASURED = {
 
 
 def write_report(store: Store, stopped: str) -> Path:
-    """Write a campaign's summary.json, report.md and report.html atomically; return the HTML file.
+    """Write the report of a campaign (summary.json, report.md and report.html) atomically and return the HTML
+    file.
 
     Args:
         stopped: reason why the campaign ended, as text.
@@ -45,7 +46,7 @@ def _in_order(store: Store) -> list[dict[str, Any]]:
 
 
 def summary(store: Store, stopped: str) -> dict[str, Any]:
-    """Return the contents of a campaign's report (summary.json) as JSON-ready data."""
+    """Return the contents of summary.json in a campaign's report as JSON-ready data."""
     spec, rows = store.spec, _in_order(store)
     wall = sum(row["wall_s"] for row in rows)
     return {
@@ -203,7 +204,9 @@ def _causes(data: dict[str, Any]) -> str:
 
 
 def _moments(data: dict[str, Any], folder: Path) -> str:
-    """Return HTML figures for a campaign's report: failed trials at first contact, else at their end."""
+    """Return HTML figures for a campaign's report, which show each failed trial at its first contact or else
+    at its end.
+    """
     figures = []
     for failure in data["failures"]:
         file, number = picture_file(folder, failure["trial"]), failure["trial"]
@@ -240,6 +243,8 @@ def _drawn(values: dict[str, Any]) -> str:
 
 
 def _linked(number: int, folder: Path) -> str:
-    """Return a trial's number as HTML for a campaign's report, linked to its picture if there is one."""
+    """Return the number of a trial as HTML for a campaign's report, with a link to its picture if there is
+    one.
+    """
     there = picture_file(folder, number).exists()
     return f'<a href="#trial_{number}">{number}</a>' if there else str(number)

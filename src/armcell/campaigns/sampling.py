@@ -20,12 +20,12 @@ SPREAD = 0.08  # standard deviation of samples near failures, as a fraction of t
 
 
 def random_draw(seed: int, number: int, dimensions: int) -> Array:
-    """Sample a trial's parameters: independent uniform numbers in [0, 1), shape (dimensions,)."""
+    """Sample the parameters of a trial as independent uniform numbers in [0, 1), with shape (dimensions,)."""
     return np.random.default_rng([seed, number]).random(dimensions)
 
 
 def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
-    """Sample a trial's parameters: Latin hypercube point (dimensions,) in [0, 1).
+    """Sample the parameters of a trial as a point (dimensions,) of a Latin hypercube in [0, 1).
 
     In each block of 100 trials, every hundredth of every parameter range occurs exactly once.
 
@@ -37,7 +37,8 @@ def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
 
 
 def adaptive_draw(seed: int, number: int, failed: Sequence[Array], dimensions: int) -> tuple[Array, bool]:
-    """Sample a trial's parameters (dimensions,) in [0, 1) and whether it was placed near a failure.
+    """Sample the parameters (dimensions,) of a trial in [0, 1), and return also whether they were placed near
+    an earlier failure.
 
     Args:
         failed: draws of the failed trials of earlier rounds.

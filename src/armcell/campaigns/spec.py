@@ -24,7 +24,7 @@ KEYS = (
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """Specification of a campaign, from a file or from Python.
+    """Specification of a campaign, which comes from a file or from Python.
 
     Attributes:
         cell: built-in name, folder or file.
@@ -74,7 +74,7 @@ class CampaignSpec:
         distributions(self)  # raises errors of the distributions early
 
     def _check_places(self) -> None:
-        """Reject a campaign specification's paths that set the same value twice, or a value and its part.
+        """Reject a campaign specification in which two paths set the same value, or a value and a part of it.
 
         A parameter may vary a part of a fixed value, e.g. the force of a push.
         """
@@ -90,7 +90,8 @@ class CampaignSpec:
 
     @staticmethod
     def read(file: str | Path) -> CampaignSpec:
-        """Read a campaign's specification from a YAML file; a relative `cell` is relative to the file.
+        """Read the specification of a campaign from a YAML file. A relative path in `cell` is relative to
+        that file.
 
         Raises:
             InputError: the file is invalid; the error names the file and the cause.
@@ -115,12 +116,12 @@ class CampaignSpec:
 
 
 def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
-    """Return a campaign's distributions of the specified parameters, by path."""
+    """Return the distributions of a campaign's parameters, by the path of the parameter."""
     return {path: distribution(data, f"parameters/{path}") for path, data in spec.parameters.items()}
 
 
 def checked_cell(spec: CampaignSpec) -> Cell:
-    """Load a campaign specification's cell and test it with the extreme values of all parameters.
+    """Load the cell of a campaign specification and test it with the extreme values of all parameters.
 
     Raises:
         UnknownNameError: the cell has no such parameter.
@@ -142,7 +143,9 @@ def checked_cell(spec: CampaignSpec) -> Cell:
 
 
 def _cured(error: InputError, cell: Cell, path: str, found: Distribution, value: Any) -> InputError:
-    """Return a campaign specification's parameter error, with a hint if an integer would be valid."""
+    """Return an error about a parameter in a campaign specification, with a hint if an integer would be
+    valid.
+    """
     if not isinstance(found, Uniform) or found.whole or float(value).is_integer():
         return error
     try:

@@ -21,7 +21,9 @@ ALPHA = 0.05  # significance level; all intervals are 95 % intervals
 
 @dataclass(frozen=True)
 class Share:
-    """Campaign statistic: proportion `count` of `total`, with two kinds of 95 % confidence interval."""
+    """Proportion `count` of `total` in the statistics of a campaign, with two kinds of 95 % confidence
+    interval.
+    """
 
     count: int
     total: int
@@ -32,7 +34,8 @@ class Share:
 
     @property
     def wilson(self) -> tuple[float, float]:
-        """Return the Wilson score interval of a success rate, a statistic that covers 95 % on average.
+        """Return the Wilson score interval of a success rate, which contains the true rate with a probability
+        of 95 % on average.
 
         Wilson (1927), J. Am. Stat. Assoc. 22.
         """
@@ -40,7 +43,8 @@ class Share:
 
     @property
     def clopper_pearson(self) -> tuple[float, float]:
-        """Return the exact confidence interval of a success rate, a statistic that covers at least 95 %.
+        """Return the exact (Clopper-Pearson) confidence interval of a success rate, which contains the true
+        rate with a probability of at least 95 %.
 
         Clopper and Pearson (1934), Biometrika 26.
         """
@@ -63,12 +67,15 @@ class Share:
 
 
 def fairly_drawn(rows: Sequence[Row]) -> list[Row]:
-    """Return a campaign's rows for statistics, without trials that adaptive sampling placed at failures."""
+    """Return the result rows of a campaign without the trials that adaptive sampling placed near failures,
+    which would bias statistics.
+    """
     return [row for row in rows if not row["near_failure"]]
 
 
 def success(rows: Sequence[Row]) -> Share:
-    """Return the success rate statistic of a campaign over trials drawn as specified.
+    """Return the success rate of a campaign, counted over the trials that were drawn from the specified
+    distributions.
 
     Trials placed near failures by adaptive sampling are excluded, because they would bias the rate.
     """
@@ -78,7 +85,7 @@ def success(rows: Sequence[Row]) -> Share:
 
 @dataclass(frozen=True)
 class Cause:
-    """Cause of failures in campaign statistics: same error code, stage and pair of bodies."""
+    """Group of failures in a campaign that have the same error code, stage and pair of bodies."""
 
     code: str
     stage: str
@@ -88,7 +95,9 @@ class Cause:
 
 
 def causes(rows: Sequence[Row]) -> list[Cause]:
-    """Group a campaign's failures statistically by error code, stage and bodies, most frequent first."""
+    """Group the failures of a campaign by error code, stage and bodies, and return the groups, most frequent
+    first.
+    """
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if not row["success"]:
@@ -99,7 +108,7 @@ def causes(rows: Sequence[Row]) -> list[Cause]:
 
 @dataclass(frozen=True)
 class Effect:
-    """Effect of one campaign parameter on success, in the statistics.
+    """Effect of one campaign parameter on the success of trials, as estimated by statistical tests.
 
     Attributes:
         auc: for numeric parameters, the probability that a successful trial has a higher value than a failed
@@ -124,7 +133,8 @@ class Effect:
 
 
 def drawn(row: Row) -> dict[str, Any]:
-    """Return a trial's varied values for statistics, by path (parameters and randomize draws).
+    """Return the values that varied in a trial, by path: the campaign's parameters and the cell's `randomize`
+    draws.
 
     A trial whose values gave an invalid cell has no `randomize` draws.
     """
@@ -133,7 +143,8 @@ def drawn(row: Row) -> dict[str, Any]:
 
 
 def effects(rows: Sequence[Row]) -> list[Effect]:
-    """Return the effect statistics of every varied campaign parameter on success, largest first.
+    """Return the effect of every varied campaign parameter on success, with its statistics, largest effect
+    first.
 
     The result is empty if all trials succeeded or all failed. Tests: for numbers Mann-Whitney (is one side of
     the range better?) and Kolmogorov-Smirnov (is any part of the range better?), for choices chi-squared. The
@@ -172,7 +183,7 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Statistics of two campaigns: success rates and their difference (second minus first).
+    """Statistics that compare two campaigns: both success rates and their difference (second minus first).
 
     `interval` is Newcombe's 95 % interval from two Wilson intervals (1998), `p_value` is Fisher's exact test.
     """
@@ -192,7 +203,7 @@ class Comparison:
 
 
 def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
-    """Compare the success rate statistics of two campaigns.
+    """Compare the success rates of two campaigns statistically.
 
     Raises:
         InputError: a campaign has no finished trial that counts.
@@ -212,7 +223,9 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
 
 
 def summary(values: Sequence[float | None]) -> dict[str, float] | None:
-    """Return the statistics minimum, median, 95th percentile, maximum of values; None without values."""
+    """Return the minimum, median, 95th percentile and maximum of some values as statistics, or None if there
+    are no values.
+    """
     numbers = np.array([v for v in values if v is not None], float)
     if not len(numbers):
         return None
@@ -221,7 +234,7 @@ def summary(values: Sequence[float | None]) -> dict[str, float] | None:
 
 
 def _p(result: Any) -> float:
-    """Return the p-value of a scipy test on campaign statistics.
+    """Return the p-value from the result of a statistical test that scipy ran on a campaign.
 
     The argument is typed Any because scipy creates its result classes at run time.
     """

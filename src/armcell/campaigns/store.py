@@ -34,7 +34,7 @@ ROW = {
 
 
 class Store:
-    """Store: folder of one campaign, locked by one process at a time.
+    """Folder that stores one campaign. Only one process at a time can lock it.
 
     Attributes:
         spec: the campaign's specification.
@@ -64,7 +64,7 @@ class Store:
 
     @staticmethod
     def new(root: Path, spec: CampaignSpec, hashes: Mapping[str, str]) -> Store:
-        """Create a new campaign folder (store) below `root`, usually "runs"."""
+        """Create the folder of a new campaign below `root`, which is usually "runs"."""
         folder = new_run_folder(root, f"campaign-{Path(spec.cell).stem}")
         asked = {"format": FORMAT, "spec": spec.as_dict(), "hashes": dict(hashes)}
         try:
@@ -75,7 +75,7 @@ class Store:
 
     @staticmethod
     def open(folder: str | Path) -> Store:
-        """Open the store (folder) of an existing campaign.
+        """Open the folder in which an existing campaign is stored.
 
         Raises:
             InputError: the folder contains no campaign, or one of another format version.
@@ -91,7 +91,8 @@ class Store:
             os.ftruncate(self._file, size)
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Store a campaign's finished trial; a trial that is already stored is ignored.
+        """Store the result of a finished trial in the campaign's folder. A trial that is already stored is
+        ignored.
 
         Raises:
             InputError: the disk is full or missing; earlier rows stay intact.
@@ -117,7 +118,7 @@ class Store:
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a file of a campaign's store atomically: it appears complete, or the old one stays.
+    """Write a file of a campaign atomically, so that readers see either the complete new file or the old one.
 
     Raises:
         InputError: the file is not writable, e.g. because the disk is full.
@@ -136,7 +137,7 @@ def write_whole(file: Path, data: bytes) -> None:
 
 
 def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
-    """Read from a campaign's store the specification and the cell's content hashes of that time."""
+    """Read the specification with which a campaign began, and the content hashes that its cell had then."""
     file = folder / ASKED
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
@@ -150,7 +151,7 @@ def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
 
 
 def _row(line: bytes) -> dict[str, Any]:
-    """Parse and validate a line of trials.jsonl in a campaign's store.
+    """Parse and validate one line of trials.jsonl in the folder of a campaign.
 
     Raises:
         ValueError, KeyError, TypeError: the line is not a valid trial row.
@@ -171,7 +172,8 @@ def _row(line: bytes) -> dict[str, Any]:
 
 
 def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
-    """Read the complete lines of trials.jsonl in a campaign's store; return rows and length in bytes.
+    """Read the complete lines of a campaign's trials.jsonl. Return the rows and the length of these lines in
+    bytes.
 
     Raises:
         InputError: a complete line is not a valid trial row.

@@ -17,7 +17,7 @@ from armcell.core import ErrorCode, InputError
 
 @dataclass(frozen=True)
 class Trial:
-    """Parameters of one trial of a campaign.
+    """One trial of a campaign: its number, its seed and the values of its parameters.
 
     `number` counts from 0. `seed` seeds the planners and the cell's `randomize` draw. `values` holds the
     varied values by path, `draw` the numbers in [0, 1) behind them. `near_failure` is True if adaptive
@@ -73,7 +73,7 @@ def row_of(trial: Trial, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def failed(trial: Trial, error_name: str, message: str) -> dict[str, Any]:
-    """Return the result row of a campaign trial that ended without a run result."""
+    """Return the result row of a campaign trial that ended without the result of a run."""
     return _row(trial, success=False, error_name=error_name, message=message) | {"wall_s": 0.0, "cpu_s": 0.0}
 
 
@@ -94,7 +94,7 @@ def _row(trial: Trial, **found: Any) -> dict[str, Any]:
 
 
 def replay_command(cell: str, row: Mapping[str, Any], values: Mapping[str, Any]) -> str:
-    """Return the shell command that runs a campaign's trial again, with report and record."""
+    """Return the shell command that runs a trial of a campaign again and writes its report and record."""
     sets = [
         part
         for path, value in {**values, **row["values"]}.items()

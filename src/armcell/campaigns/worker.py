@@ -26,7 +26,8 @@ def cell_of(spec: CampaignSpec) -> Cell:
 
 
 def _lines(source: TextIO) -> queue.Queue[dict[str, Any]]:
-    """Read a worker process's JSON lines into a queue; at the end of input, exit the process at once.
+    """Read JSON lines into a queue in a worker process of a campaign. When the input ends, the process exits
+    at once.
 
     No process waits for the running trial after the input has ended.
     """

@@ -35,7 +35,9 @@ SHIMS = {
 
 
 class _MessageModule(types.ModuleType):
-    """Installed shim module `<package>.msg` or `<package>.srv` that creates its classes on first access."""
+    """Shim module for a ROS message package, `<package>.msg` or `<package>.srv`, which creates each message
+    class on first access.
+    """
 
     def __init__(self, name: str, classes: MessageClasses, package: str, kinds: list[str]):
         super().__init__(name)
@@ -73,7 +75,7 @@ class _MessageModule(types.ModuleType):
 
 
 def _service_class(classes: MessageClasses, name: str) -> type | None:
-    """Return a service class for an installed module: it contains the request and response classes.
+    """Return a service class for a shim module. The class contains the request class and the response class.
 
     Returns:
         The class, or None if the name is not a service.
@@ -91,7 +93,9 @@ def _service_class(classes: MessageClasses, name: str) -> type | None:
 
 
 def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
-    """Return the installed shim modules of all message packages with `.msg` and `.srv` submodules."""
+    """Return the shim modules of all ROS message packages, with their `.msg` and `.srv` submodules, ready to
+    be installed.
+    """
     schema = classes.schema
     parts = {f"{s}{end}" for s in schema.services for end in ("Request", "Response")}
     found: dict[str, types.ModuleType] = {}
@@ -111,7 +115,7 @@ def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
 
 @contextmanager
 def installed(classes: MessageClasses) -> Iterator[list[str]]:
-    """Install the ROS shims in `sys.modules` for a `with` block.
+    """Install the ROS shims (rospy, moveit_commander, tf, ...) in `sys.modules` for a `with` block.
 
     The previous modules are restored after the block.
 

@@ -29,7 +29,7 @@ MAX_BYTES = 5_000_000
 
 @dataclass(frozen=True)
 class Finding:
-    """Lint finding: one problem in a ROS script: its line, its effect and the code to write instead."""
+    """Problem that the linter finds in a ROS script: its line, its effect, and the code to write instead."""
 
     line: int
     rule: str
@@ -50,7 +50,7 @@ def rule(function: Rule) -> Rule:
 
 
 def lint(file: Path) -> list[Finding]:
-    """Lint a ROS script file: return its problems, sorted by line.
+    """Lint the file of a ROS script and return the problems found, sorted by line.
 
     Raises:
         InputError: the file cannot be read, is too large, or is not UTF-8 text.
@@ -67,7 +67,7 @@ def lint(file: Path) -> list[Finding]:
 
 
 def lint_text(text: str) -> list[Finding]:
-    """Lint a ROS script's source text: return its problems, sorted by line."""
+    """Lint the source text of a ROS script and return the problems found, sorted by line."""
     try:
         tree = ast.parse(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # last two: nested too deeply
@@ -82,7 +82,9 @@ def lint_text(text: str) -> list[Finding]:
 
 
 class Script:
-    """Parsed ROS script to lint, with the variables that hold plans and moveit_commander objects."""
+    """ROS script that the linter has parsed, with the names of the variables that hold plans and
+    moveit_commander objects.
+    """
 
     def __init__(self, tree: ast.Module):
         self.tree = tree
@@ -119,7 +121,7 @@ class Script:
                     yield test
 
     def calls_of(self, *names: str) -> Iterator[ast.Call]:
-        """Return an iterator over a linted ROS script's calls of methods with the given names."""
+        """Iterate over the calls in a linted ROS script that call a method with one of the given names."""
         return (c for c in self.calls if isinstance(c.func, ast.Attribute) and c.func.attr in names)
 
     def uses(self, name: str) -> bool:
@@ -127,7 +129,9 @@ class Script:
 
 
 def dotted(node: ast.AST) -> str:
-    """Return a name or attribute chain of a linted script, such as `self.a.b`, as text; else empty."""
+    """Return a name or attribute chain of a linted script, such as `self.a.b`, as text. Any other expression
+    gives an empty text.
+    """
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):
@@ -137,7 +141,9 @@ def dotted(node: ast.AST) -> str:
 
 
 def method(call: ast.Call) -> str:
-    """Return the name of a called function or method in a linted script, without the object."""
+    """Return the name of the function or method that a linted script calls, without the object before the
+    dot.
+    """
     return call.func.attr if isinstance(call.func, ast.Attribute) else dotted(call.func)
 
 
@@ -384,7 +390,7 @@ def no_gripper(script: Script) -> Iterator[Finding]:
 
 
 def commands_gripper(script: Script) -> bool:
-    """Lint check: return whether a ROS script commands a gripper itself."""
+    """Return whether a ROS script that the linter has parsed commands a gripper itself."""
     words = [n.value for n in script.nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     names = ("gripper_command", "gripper_cmd", "gripper_controller", "hand_controller", "franka_gripper")
     if any(name in word for word in words for name in names):
@@ -397,7 +403,9 @@ def commands_gripper(script: Script) -> bool:
 
 
 def closes_gripper_itself(file: Path) -> bool:
-    """Lint check: return whether the ROS script in a file commands a gripper; True if it cannot be parsed."""
+    """Return whether the ROS script in a file commands a gripper itself, according to the linter. A file that
+    cannot be parsed counts as if it did.
+    """
     try:
         return commands_gripper(Script(ast.parse(file.read_text(encoding="utf-8"))))
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):

@@ -8,7 +8,7 @@ MATRIX = "moveit_msgs/AllowedCollisionMatrix"
 
 
 def set_default(self: Any, obj: str, allow: bool) -> None:
-    """Allow or forbid a body's contacts by default in moveit_msgs' allowed collision matrix."""
+    """Set in MoveIt's allowed collision matrix whether contacts of a body are allowed by default."""
     if obj in self.default_entry_names:
         self.default_entry_values[self.default_entry_names.index(obj)] = allow
     else:
@@ -17,7 +17,7 @@ def set_default(self: Any, obj: str, allow: bool) -> None:
 
 
 def set_allowed(self: Any, obj: str, other: str | None = None, allow: bool = True) -> None:
-    """Allow or forbid contact between two bodies in moveit_msgs' allowed collision matrix.
+    """Set in MoveIt's allowed collision matrix whether two bodies may touch each other.
 
     Without `other`, the setting becomes the default for pairs without an entry. A body that is not in the
     matrix gets a new row, in which all other contacts are forbidden.

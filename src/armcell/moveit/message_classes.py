@@ -25,7 +25,7 @@ STAMPS: dict[str, type] = {Time._type: Time, Duration._type: Duration}
 
 
 class ScriptMessage:
-    """Base class of the message classes that ROS scripts use."""
+    """Base class of the message classes that ROS scripts import."""
 
     __slots__ = ()
     _type: ClassVar[str]
@@ -51,7 +51,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def text_of(value: Any, indent: str = "") -> str:
-    """Return a ROS script's message as YAML text, in the form in which ROS prints it."""
+    """Return a message of a ROS script as YAML text, in the form in which ROS prints it."""
     lines = []
     for name in value._fields:
         item = getattr(value, name)
@@ -73,7 +73,9 @@ def text_of(value: Any, indent: str = "") -> str:
 
 
 class MessageClasses:
-    """Message classes for ROS scripts, from one schema; each class is created on first use."""
+    """Message classes for ROS scripts, built from a schema of message definitions. Each class is created on
+    first use.
+    """
 
     def __init__(self, of: Schema):
         self.schema = of
@@ -128,7 +130,9 @@ class MessageClasses:
         return lambda: [zero] * length
 
     def local(self, message: Any) -> Any:
-        """Return a ROS script's own copy of a bus message; numeric arrays become tuples, as in genpy."""
+        """Return a copy of a bus message for a ROS script, which may change it freely. Numeric arrays become
+        tuples, as in genpy.
+        """
         name = message._type
         if name in STAMPS:
             return STAMPS[name](message.sec, message.nanosec)
@@ -156,5 +160,5 @@ def _local_array(kind: str, value: Any) -> Any:
 
 @functools.cache
 def classes() -> MessageClasses:
-    """Return the message classes for ROS scripts that belong to the built-in schema."""
+    """Return the message classes for ROS scripts that belong to the built-in message definitions."""
     return MessageClasses(schema())

@@ -10,7 +10,7 @@ SECOND = 1_000_000_000  # [ns]
 
 @functools.total_ordering
 class _Stamp:
-    """Base class of rospy's Time and Duration: seconds, and nanoseconds from 0 to 999999999.
+    """Base class of rospy's Time and Duration, which store whole seconds and nanoseconds from 0 to 999999999.
 
     genpy's names `secs` and `nsecs` work as well.
     """
@@ -77,7 +77,7 @@ def _is(value: object, cls: type) -> bool:
 
 
 class Duration(_Stamp):
-    """Duration (ROS time) with genpy's arithmetic, like rospy.Duration; may be negative."""
+    """Duration in ROS time, with the arithmetic of rospy.Duration (genpy). A duration may be negative."""
 
     __slots__ = ()
     _type = "builtin_interfaces/Duration"
@@ -115,7 +115,7 @@ class Duration(_Stamp):
 
 
 class Time(_Stamp):
-    """Point in time with genpy's arithmetic, like rospy.Time."""
+    """Point in ROS time, with the arithmetic of rospy.Time (genpy)."""
 
     __slots__ = ()
     _type = "builtin_interfaces/Time"
@@ -130,7 +130,7 @@ class Time(_Stamp):
 
     @staticmethod
     def now() -> Time:
-        """Return the cell's time, like rospy.Time.now."""
+        """Return the current time of the cell's clock, like rospy.Time.now."""
         from armcell.moveit.session import current_session
 
         return Time.from_sec(current_session().bus.clock.now())

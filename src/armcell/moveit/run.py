@@ -23,7 +23,8 @@ def run_script(
     ended: Callable[[int, Session], None] = lambda status, session: None,
     began: Callable[[Session], None] = lambda session: None, bus: Bus | None = None,
 ) -> tuple[int, Session]:  # fmt: skip
-    """Run an unchanged ROS script to its end, wait for the motions that it started, and close its session.
+    """Run an unchanged ROS script to its end, wait for the motions that the script started, and close its
+    session.
 
     Args:
         live: a cell that is not connected yet, or a cell whose robot is another program on the bus (see
@@ -65,7 +66,9 @@ def run_script(
 
 
 def _forget(folder: Path, names: set[str]) -> None:
-    """Unload modules from a run script's folder, because the next script may use the same names."""
+    """Unload the modules that a ROS script imported from its own folder, because the next script may use the
+    same module names.
+    """
 
     def beside(name: str) -> bool:
         file = getattr(sys.modules[name.partition(".")[0]], "__file__", None)
@@ -109,7 +112,7 @@ def _run(script: Path, session: Session) -> int:
 
 
 def _finish(session: Session) -> None:
-    """Finish running a ROS script: wait for the motions that it started, unless Ctrl-C was pressed.
+    """Wait at the end of a ROS script for the motions that it started, unless the user pressed Ctrl-C.
 
     The script may have caught the Ctrl-C and ended normally.
     """

@@ -26,7 +26,8 @@ _current: list[Session] = []
 
 
 class Session:
-    """Session of a ROS script: a served cell and the state that rospy keeps per process.
+    """Session in which a ROS script runs: the cell that is served to the script, and the state that rospy
+    keeps per process.
 
     Args:
         cell: a live cell that is not connected yet, or a cell whose simulator or robot is another program on
@@ -94,7 +95,9 @@ class Session:
         _current.remove(self)
 
     def shut_down(self, reason: str) -> None:
-        """Shut a ROS script's session down like rospy.signal_shutdown: end all waits, run the hooks once."""
+        """Shut down the session of a ROS script, like rospy.signal_shutdown: end all waiting calls and run
+        the shutdown hooks once.
+        """
         self.interrupted |= reason == "interrupted"
         self.shutting_down.set()
         if not self._hooks.acquire(blocking=False):
@@ -107,18 +110,23 @@ class Session:
                 logger.exception("a shutdown hook failed")
 
     def interrupt(self) -> None:
-        """Handle a signal in a ROS script: end every wait, set `is_shutdown()`; shutdown hooks run later."""
+        """Handle a signal while a ROS script runs: end every waiting call and let `is_shutdown()` return
+        True. The shutdown hooks run later.
+        """
         self.interrupted = True
         self.shutting_down.set()
 
     def own(self, member: T) -> T:
-        """Register an object of a ROS script, such as a subscriber, to be closed with the session."""
+        """Register an object that a ROS script has created, such as a subscriber, so that it is closed with
+        the session.
+        """
         self._members.append(member)
         return member
 
     # --- messages, services and logs ---
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
-        """Create a message of one of the ROS script's message classes in its session.
+        """Create a message for a ROS script from its type `pkg/Name` and the values of its fields, in the
+        session of the script.
 
         Args:
             name: message type `pkg/Name`.
@@ -127,7 +135,8 @@ class Session:
         return self.messages[name](*values, **fields)
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a service in a ROS script's session and return the script's own copy of the response.
+        """Call a ROS service from the session of a script and return a copy of the response, which the script
+        may change.
 
         Raises:
             ServiceError: the service does not exist, or failed.
@@ -135,7 +144,7 @@ class Session:
         return self.messages.local(self.bus.call(service, request))
 
     def say(self, level: str, text: str) -> None:
-        """Write a log line of a ROS script's session in ROS's format to standard error."""
+        """Write a log line of a ROS script to standard error, in the format of ROS."""
         line = f"[{level}] [{self.bus.clock.now():.3f}]: {text}"
         self.lines.append(line)
         if self.graph is not None:
@@ -144,11 +153,11 @@ class Session:
             print(line, file=sys.stderr, flush=True)  # noqa: T201  (a script's log is output for its user)
 
     def has_said(self, text: str) -> bool:
-        """Return whether one of the last lines of a ROS script's session log contains a text."""
+        """Return whether a text occurs in the last log lines that a ROS script has written."""
         return any(text in line for line in self.lines[-RECENT:])
 
     def hint(self, key: str, text: str) -> None:
-        """Log a hint in the session of the user's ROS script, once per key."""
+        """Log a hint for the author of the running ROS script, once per key."""
         if key not in self._hints:
             self._hints.add(key)
             self.say("HINT", text)
@@ -158,7 +167,7 @@ class Session:
         return self._hints
 
     def hint_at_gripper(self) -> None:
-        """Log a hint if a ROS script's session claims to close the gripper but has not commanded it."""
+        """Log a hint if a ROS script logs that it closes the gripper but has never commanded the gripper."""
         if self.claims_to_close and not self.served.has_closed:
             self.hint(
                 "auto-grip", "the script logs that it closes the gripper, but never closes it: publish to "
@@ -166,7 +175,9 @@ class Session:
             )  # fmt: skip
 
     def watch_other_end(self) -> None:
-        """Log a hint in a ROS script's session if its external simulator or robot sends no joint states."""
+        """Log a hint for the ROS script, once, if the external simulator or robot has stopped sending joint
+        states.
+        """
         if isinstance(self.served, ServedPlanner) and self.served.driver.silence > SILENT:
             self.hint(
                 "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "
@@ -174,7 +185,7 @@ class Session:
             )  # fmt: skip
 
     def finish(self) -> None:
-        """At a ROS session's end, wait for motions that the script left running."""
+        """Wait, at the end of the session, for motions that the ROS script left running."""
         goals = [goal for client in self.clients.values() for goal in client.unfinished]
         while self._goes_on() and not all(goal.wait(CHECK) for goal in goals):
             pass
@@ -186,7 +197,7 @@ class Session:
 
 
 class _Warnings:
-    """Observer of a ROS script's session that logs the cell's warnings: stops, contacts, lost objects.
+    """Observer of the cell that logs warnings for a ROS script: protective stops, contacts and lost objects.
 
     The events include motions that the cell refused.
     """
@@ -208,7 +219,7 @@ class _Warnings:
 
 
 def current_session() -> Session:
-    """Return the open session of the running ROS script.
+    """Return the open session of the ROS script that is running.
 
     Raises:
         RuntimeError: no session is open.

@@ -35,7 +35,9 @@ PREFERRED = ("geometry_msgs", "moveit_msgs", "sensor_msgs", "trajectory_msgs", "
 
 
 def missing_import(name: str, schema: Schema) -> str:
-    """Return the import that a script copied from a tutorial lacks for a name; empty if unknown."""
+    """Return the import statement for a name that a script copied from a tutorial lacks. The text is empty if
+    the name is unknown.
+    """
     if keyword.iskeyword(name) or hasattr(builtins, name):
         return ""
     if name in MODULES:

@@ -32,7 +32,9 @@ MAX_GOALS = 32  # unfinished goals; the server rejects further goals
 
 
 class State(IntEnum):
-    """Goal states of a ROS 1 action, from actionlib_msgs/GoalStatus, and LOST, which only clients use."""
+    """States of a ROS 1 action goal, as defined in actionlib_msgs/GoalStatus. Only clients use the state
+    LOST.
+    """
 
     PENDING = 0
     ACTIVE = 1
@@ -59,7 +61,7 @@ _OVER = (State.PREEMPTED, State.SUCCEEDED, State.ABORTED, State.REJECTED, State.
 
 @dataclass(frozen=True)
 class Done:
-    """Final state, result message and status text of a ROS action goal."""
+    """Outcome of a ROS action goal: its final state, its result message and its status text."""
 
     state: State
     result: Any  # the action's Result message
@@ -67,7 +69,7 @@ class Done:
 
 
 class Goal:
-    """A ROS action goal, as passed to the `execute` function of an `ActionServer`."""
+    """Goal of a ROS action, which an `ActionServer` passes to its `execute` function."""
 
     def __init__(self, server: ActionServer, goal_id: Any, message: Any):
         self._server = server
@@ -80,14 +82,14 @@ class Goal:
         self.finished_at: float | None = None
 
     def accept(self) -> None:
-        """Accept a pending action goal, like `setAccepted` of actionlib.
+        """Accept a pending goal of a ROS action, like `setAccepted` of actionlib.
 
         A pending goal becomes active; a goal whose cancellation is already requested becomes preempting.
         """
         self._server._accept(self)
 
     def feedback(self, feedback: Any) -> None:
-        """Accept the action goal, if it is pending, and send a Feedback message to the action client."""
+        """Send a Feedback message to the action client. A goal that is still pending is accepted first."""
         self.accept()
         self._server._publish("feedback", feedback=feedback, status=self.status())
 
@@ -147,7 +149,7 @@ class ActionServer:
         threading.Thread(target=self._tell, name=f"status {self.name}", daemon=True).start()
 
     def close(self) -> None:
-        """Cancel all action goals and remove the action server from the bus."""
+        """Cancel all goals of the action server and remove the server from the bus."""
         self._stop.set()
         with self._lock:
             goals = list(self._goals.values())
@@ -185,7 +187,8 @@ class ActionServer:
         threading.Thread(target=self._work, args=(goal,), name=f"goal {self.name}", daemon=True).start()
 
     def _on_cancel(self, message: Any) -> None:
-        """Cancel the action goals that a GoalID cancel message selects by id, by time stamp or by both.
+        """Cancel the action goals that a cancel message (GoalID) selects by goal id, by time stamp or by
+        both.
 
         A stamp selects all goals up to this time. A message without id and stamp cancels all goals.
         """
@@ -245,7 +248,8 @@ class ActionServer:
         self._publish_status()
 
     def _finish(self, goal: Goal, done: Done) -> None:
-        """Publish the final state of a ROS action goal, corrected to a transition that actionlib allows.
+        """Publish the final state of a ROS action goal. If actionlib does not allow this state, a state that
+        it allows is published instead.
 
         Only a pending goal can be rejected or recalled; only an accepted goal can succeed, abort or be
         preempted.
@@ -295,7 +299,9 @@ class ActionServer:
 
 
 def _explained(done: Done, why_stopped: str) -> Done:
-    """Return the outcome of an action goal, with its failure reason copied into the result message."""
+    """Return the outcome of an action goal. If the goal failed, the reason is copied into the result
+    message.
+    """
     if done.state is State.SUCCEEDED:
         return done
     stopped = done.state in (State.PREEMPTED, State.RECALLED)
@@ -306,7 +312,9 @@ def _explained(done: Done, why_stopped: str) -> Done:
 
 
 class SentGoal:
-    """Client-side handle of a ROS action goal: its state, status text and result."""
+    """Goal that a ROS action client has sent, with the state, status text and result that the server
+    reports.
+    """
 
     def __init__(self, client: ActionClient, goal_id: Any, on_feedback: Callable[[Any], None] | None):
         self._client, self._on_feedback = client, on_feedback
@@ -315,7 +323,7 @@ class SentGoal:
         self._over = threading.Event()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for the result of a ROS action goal; return False on timeout."""
+        """Wait up to `timeout` [s] for the result of a ROS action goal. Return False on timeout."""
         return self._over.wait(timeout)
 
     def cancel(self) -> None:
@@ -323,7 +331,7 @@ class SentGoal:
 
 
 class ActionClient:
-    """ROS action client that sends goals to an action server on the bus or behind a transport."""
+    """Client that sends goals to a ROS action server, on the bus or behind a transport."""
 
     _numbers = itertools.count(1)
 
@@ -351,7 +359,7 @@ class ActionClient:
         self.close()
 
     def wait_for_server(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] until all five topics of an actionlib action are connected to a server.
+        """Wait up to `timeout` [s] until a server is connected to all five topics of an actionlib action.
 
         Returns:
             True if a server receives goals and cancels and publishes result, feedback and status.
@@ -369,7 +377,8 @@ class ActionClient:
             self.bus.wait_change(version, left)
 
     def send(self, goal: Any, on_feedback: Callable[[Any], None] | None = None) -> SentGoal:
-        """Send a Goal message to the action server and return the client's handle of the goal.
+        """Send a Goal message to the action server and return a handle with which the client follows the
+        goal.
 
         Args:
             goal: Goal message of the action.
@@ -387,12 +396,12 @@ class ActionClient:
 
     @property
     def unfinished(self) -> list[SentGoal]:
-        """Return the goals that this action client has sent and that have no result yet."""
+        """Return the goals that this action client has sent and that still have no result."""
         with self._lock:
             return list(self._goals.values())
 
     def cancel_all(self) -> None:
-        """Cancel every goal of the action server, including goals of other clients."""
+        """Cancel all goals of the action server, including the goals of other clients."""
         self._cancel.publish(self.bus.schema.new("actionlib_msgs/GoalID"))
 
     def _receive(self, message: Any) -> None:

@@ -37,12 +37,12 @@ Finder = Callable[[str], Handler | None]
 
 
 class ServiceError(ArmcellError):
-    """A failed service call on the message bus: no server, an error in the handler, or a timeout."""
+    """Failure of a service call on the message bus: no server, an error in the handler, or a timeout."""
 
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """Snapshot of a topic on the message bus: its type, connections and message counts."""
+    """State of a topic on the message bus at one time: its type, connections and message counts."""
 
     name: str
     type: str
@@ -72,7 +72,7 @@ class Bus:
         self._versions = [0]  # counts changes of publishers, subscribers and services; shared by all views
 
     def renamed(self, names: NameMap | None) -> Bus:
-        """Return a view of the message bus that maps a program's names by its namespace and remappings.
+        """Return a view of the message bus that applies the namespace and name remappings of a program.
 
         Transports use the bus itself, so that a namespace or remapping has the same effect on all of them.
         """
@@ -82,7 +82,7 @@ class Bus:
 
     @property
     def names(self) -> NameMap | None:
-        """Return the map from a program's names to the names on the message bus; None without a map."""
+        """Return the map from a program's names to names on the message bus, or None if it is not set."""
         return self._names
 
     @property
@@ -147,7 +147,7 @@ class Bus:
         return subscription
 
     def attach(self, topic: str, type_name: str, put: Put, owner: object = None) -> Attachment:
-        """Attach a transport's receiver function to a bus topic; publishers call it in their threads.
+        """Attach a transport's receiver function to a bus topic. Publishers call it in their threads.
 
         `put` receives the messages in order. It must be quick, must not raise, and must not use the bus. It
         does not receive messages of publishers with the same `owner`, because those messages arrived through
@@ -223,7 +223,7 @@ class Bus:
 
     # --- services ---
     def serve(self, name: str, type_name: str, handler: Handler) -> Service:
-        """Register a handler for a service on the message bus; `handler(request)` returns the response.
+        """Register a service on the message bus. Each call invokes `handler(request)` for the response.
 
         The handler runs in the caller's thread.
 
@@ -241,7 +241,7 @@ class Bus:
         return service
 
     def find_elsewhere(self, finder: Finder) -> None:
-        """Register a transport's lookup function for services without a server on the message bus."""
+        """Register a transport's function that finds services without a server on the message bus."""
         with self._lock:
             self._finders.append(finder)
 
@@ -283,7 +283,7 @@ class Bus:
         return response
 
     def wait_for_service(self, name: str, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for a service on the message bus; return True if it is available."""
+        """Wait for a service on the message bus. Return False if it is missing after `timeout` [s]."""
         name = self.full_name(name)
         give_up = None if timeout is None else time.monotonic() + timeout
         while True:
@@ -298,7 +298,7 @@ class Bus:
                 return False
 
     def services(self) -> dict[str, str]:
-        """Return the type of each service on the message bus, by service name."""
+        """Return the services on the message bus as a dict from service name to type."""
         with self._lock:
             return {self._own_name(name): service.type for name, service in sorted(self._services.items())}
 
@@ -366,12 +366,12 @@ class _Topic:
 
 
 def _same(publisher: Publisher, receiver: Attachment) -> bool:
-    """Return True if a publisher and a receiver on the message bus belong to the same transport."""
+    """Return whether a publisher and a receiver on the message bus belong to the same transport."""
     return publisher.owner is not None and publisher.owner is receiver.owner
 
 
 class _Member:
-    """Base class for publishers and receivers of a bus topic, which leave the topic by `close`.
+    """Base class of publishers and receivers, which can leave their bus topic with `close`.
 
     A member is also a context manager that closes at the end of a `with` block.
     """
@@ -382,7 +382,7 @@ class _Member:
         self.closed = False
 
     def close(self) -> None:
-        """Remove a publisher or receiver from its bus topic; repeated calls have no effect."""
+        """Remove a publisher or receiver from its bus topic. Further calls have no effect."""
         self.closed = True
         self._bus._leave(self._topic, self)
 
@@ -402,7 +402,7 @@ class Publisher(_Member):
         self.latched: Any = None
 
     def publish(self, message: Any) -> None:
-        """Deliver a message to every subscriber of a bus topic without waiting for any of them.
+        """Deliver a message to every subscriber of the bus topic, without waiting for any of them.
 
         Raises:
             InputError: the message has another type than the topic, or the publisher is closed.
@@ -416,12 +416,12 @@ class Publisher(_Member):
 
     @property
     def subscribers(self) -> int:
-        """Return the number of receivers of a bus topic, including the receivers of transports."""
+        """Return how many receivers the bus topic has, including the receivers of transports."""
         return len(self._topic.receivers)
 
 
 class Attachment(_Member):
-    """Attachment of a transport's receiver function to a topic of the message bus."""
+    """Connection of a transport's receiver function to a topic of the message bus."""
 
     def __init__(self, bus: Bus, topic: _Topic, put: Put, owner: object = None):
         super().__init__(bus, topic, owner)
@@ -429,7 +429,7 @@ class Attachment(_Member):
 
 
 class Subscription(Attachment):
-    """Subscription to a topic of the message bus: a bounded queue of unread messages.
+    """Subscription to a topic of the message bus, with a bounded queue of unread messages.
 
     Attributes:
         dropped: number of unread messages that the full queue has dropped.
@@ -469,11 +469,11 @@ class Subscription(Attachment):
             return self._queue.popleft() if self._queue else None
 
     def join(self, topic: str, type_name: str) -> None:
-        """Add a topic to a bus subscription, so that the messages of all its topics keep their order."""
+        """Add a topic to this bus subscription. Messages of all its topics arrive in their order."""
         self._joined.append(self._bus.attach(topic, type_name, self._put))
 
     def run(self, callback: Callable[[Any], None]) -> None:
-        """Start a thread that calls `callback` with each message of a bus subscription until it is closed."""
+        """Start a thread that calls `callback` with each message until the bus subscription closes."""
         require(self._thread is None, f"the subscription of {self.topic} has a callback already")
 
         def loop() -> None:

@@ -9,7 +9,9 @@ from armcell.core.checks import require
 
 
 class Clock:
-    """Clock of the message bus: Unix time in seconds, or simulation time once `set` has been called."""
+    """Clock of the message bus. It returns Unix time in seconds, or simulation time once `set` has been
+    called.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -20,12 +22,14 @@ class Clock:
         return self._simulated is not None
 
     def now(self) -> float:
-        """Return the time [s] of the bus's clock: simulation time if it was set, otherwise Unix time."""
+        """Return the current time [s] of the bus's clock: simulation time if it was set, otherwise Unix
+        time.
+        """
         simulated = self._simulated
         return time.time() if simulated is None else simulated
 
     def set(self, seconds: float) -> None:
-        """Switch the clock of the message bus to simulation time and set it to `seconds`.
+        """Set the clock of the message bus to `seconds` and let it run on simulation time from now on.
 
         Time may jump backward, for example when the simulation is reset.
         """

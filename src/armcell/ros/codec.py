@@ -26,11 +26,12 @@ MAX_ITEMS = 1 << 26
 
 
 class WireError(ArmcellError):
-    """Error of a codec: received bytes are not a ROS message of the expected type."""
+    """Error of a codec that decodes bytes which are not a ROS message of the expected type."""
 
 
 class Codec:
-    """Codec that encodes and decodes the messages of one schema in ROS 1 or CDR bytes; thread-safe.
+    """Thread-safe codec for the ROS messages of one schema. It encodes and decodes bytes in ROS 1 or CDR
+    format.
 
     Args:
         name: "ros1" for ROS 1 serialization, "cdr" for CDR.
@@ -49,7 +50,7 @@ class Codec:
         self._store.types = _Classes(schema, self._cdr)
 
     def encode(self, message: Any) -> memoryview:
-        """Encode a ROS message as bytes in the codec's format: ROS 1 serialization or CDR.
+        """Encode a ROS message as bytes in the format of this codec: ROS 1 serialization or CDR.
 
         Raises:
             InputError: the value of a field does not fit its type.
@@ -64,7 +65,7 @@ class Codec:
             raise InputError(f"{name} cannot be encoded: {error}", hint=_culprit(message)) from None
 
     def prepare(self, name: str) -> None:
-        """Generate the codec's functions for a message type now instead of at its first message.
+        """Generate the codec functions for a message type now, so that its first message is not delayed.
 
         Generation takes up to 0.1 s, for example for a planning scene.
 
@@ -75,7 +76,7 @@ class Codec:
         self._store.get_msgdef(rosbags_name(plain_name(name)))
 
     def decode(self, name: str, data: bytes | memoryview) -> Any:
-        """Decode bytes in the codec's format that contain exactly one ROS message of the type `name`.
+        """Decode bytes that contain exactly one ROS message of the type `name`, in the format of this codec.
 
         Raises:
             UnknownNameError: the type does not exist.
@@ -95,7 +96,9 @@ class Codec:
 
 
 class _Classes(dict):
-    """The codec's dictionary of message classes by rosbags' names; creates each class on first access."""
+    """Dictionary with which the codec finds message classes by their rosbags names. Each class is created on
+    first access.
+    """
 
     def __init__(self, schema: Schema, cdr: bool):
         super().__init__()
@@ -119,7 +122,8 @@ def _is_empty(definition: Definition) -> bool:
 
 
 def _culprit(message: Any) -> str | None:
-    """Return the codec's hint on a message's first wrong field: text for a number, or vice versa.
+    """Return a hint about the first field that prevents the codec from encoding a message: a text instead of
+    a number, or vice versa.
 
     Returns None if no direct field of the message has this fault, that is, if the fault is nested deeper.
     """
@@ -138,12 +142,14 @@ def _codec(name: str, schema: Schema) -> Codec:
 
 
 def ros1(schema: Schema | None = None) -> Codec:
-    """Return the ROS 1 serialization codec for a schema (default: the built-in schema)."""
+    """Return the codec that reads and writes ROS 1 serialization for a schema, by default the built-in
+    schema.
+    """
     return _codec("ros1", schema or built_in())
 
 
 def cdr(schema: Schema | None = None) -> Codec:
-    """Return the little-endian CDR codec with a 4-byte header, the encoding of ROS 2.
+    """Return the codec that reads and writes little-endian CDR with a 4-byte header, the encoding of ROS 2.
 
     Args:
         schema: the message types; default: the built-in schema.

@@ -9,7 +9,7 @@ MORE = "more"  # the shared kind for every new fault beyond the limit
 
 
 class Complaints:
-    """Thread-safe counter of faults in received messages, by kind of fault.
+    """Thread-safe counter of the faults in received messages, which counts each kind of fault separately.
 
     Args:
         most: maximum number of distinct kinds. Later kinds share one counter, so that a faulty sender can
@@ -22,7 +22,9 @@ class Complaints:
         self._counts: Counter[str] = Counter()
 
     def is_new(self, kind: str) -> bool:
-        """Count one fault in received messages; return True if its kind is new and should be logged."""
+        """Count a fault in a received message and return whether its kind is new, so that only the first one
+        is logged.
+        """
         with self._lock:
             if kind not in self._counts and len(self._counts) >= self._most:
                 kind = MORE

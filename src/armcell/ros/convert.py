@@ -18,7 +18,7 @@ TIME_GAP = 1e-9  # [s] points less than a nanosecond apart count as simultaneous
 
 
 def joint_state_message(schema: Schema, header: Any, state: JointState) -> Any:
-    """Convert armcell's joint state to a sensor_msgs/JointState.
+    """Convert a joint state of armcell to a sensor_msgs/JointState message.
 
     Unknown velocities and efforts become empty arrays.
     """
@@ -34,13 +34,13 @@ def joint_state_message(schema: Schema, header: Any, state: JointState) -> Any:
 
 
 def pose_message(schema: Schema, T: SE3) -> Any:
-    """Convert an SE3 pose to a geometry_msgs/Pose."""
+    """Convert an SE3 pose to a geometry_msgs/Pose message."""
     point = schema.new("geometry_msgs/Point", *T.translation.tolist())
     return schema.new("geometry_msgs/Pose", point, schema.new("geometry_msgs/Quaternion", *_xyzw(T)))
 
 
 def pose_from_message(pose: Any) -> SE3:
-    """Convert a geometry_msgs/Pose or Transform to an SE3.
+    """Convert a geometry_msgs/Pose or geometry_msgs/Transform message to an SE3 pose.
 
     An all-zero quaternion, the default in a new message, counts as the identity rotation.
 
@@ -63,7 +63,9 @@ def pose_from_message(pose: Any) -> SE3:
 
 
 def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
-    """Create a geometry_msgs/TransformStamped from the header's frame to the frame `child`, from an SE3."""
+    """Convert an SE3 pose to a geometry_msgs/TransformStamped message, which relates the frame `child` to the
+    frame in the header.
+    """
     vector = schema.new("geometry_msgs/Vector3", *T.translation.tolist())
     rotation = schema.new("geometry_msgs/Quaternion", *_xyzw(T))
     return schema.new(
@@ -75,7 +77,7 @@ def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
 
 
 def image_message(schema: Schema, header: Any, picture: np.ndarray) -> Any:
-    """Convert a camera image (array) to a sensor_msgs/Image.
+    """Convert a camera image (array) to a sensor_msgs/Image message.
 
     Args:
         schema: the message types.
@@ -90,7 +92,9 @@ def image_message(schema: Schema, header: Any, picture: np.ndarray) -> Any:
 
 
 def camera_info_message(schema: Schema, header: Any, pinhole: Pinhole) -> Any:
-    """Convert a pinhole camera to a sensor_msgs/CameraInfo, including its distortion, if any."""
+    """Convert the parameters of a pinhole camera, including any distortion, to a sensor_msgs/CameraInfo
+    message.
+    """
     p, K = pinhole, pinhole.matrix
     d = np.zeros(5)
     d[: len(p.distortion)] = p.distortion
@@ -103,7 +107,7 @@ def camera_info_message(schema: Schema, header: Any, pinhole: Pinhole) -> Any:
 
 
 def cloud_message(schema: Schema, header: Any, points: np.ndarray, rgb: np.ndarray | None = None) -> Any:
-    """Convert an array of points (n, 3) to a sensor_msgs/PointCloud2.
+    """Convert an array of points (n, 3) to a sensor_msgs/PointCloud2 message.
 
     Args:
         schema: the message types.
@@ -133,7 +137,7 @@ def _xyzw(T: SE3) -> list[float]:
 
 
 def trajectory_from_message(message: Any, model: RobotModel, now: JointState) -> JointTrajectory:
-    """Validate a trajectory_msgs/JointTrajectory and convert it to a JointTrajectory.
+    """Validate a trajectory_msgs/JointTrajectory message and convert it to a trajectory of armcell.
 
     If the first point is later than 0 s, the trajectory begins with the robot's current state, as in ROS's
     joint_trajectory_controller. A message without points is an empty trajectory, which means stop.
@@ -183,7 +187,8 @@ def _check_names(names: Sequence[str], model: RobotModel) -> None:
 
 
 def _rows(points: Sequence[Any], field: str, n: int) -> np.ndarray | None:
-    """Convert one field of all points of a trajectory_msgs/JointTrajectory to an array (points, n).
+    """Collect one field, such as the velocities, from all points of a trajectory_msgs/JointTrajectory into an
+    array (points, n).
 
     Returns:
         The array, or None if no point sets the field.

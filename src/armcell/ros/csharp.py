@@ -102,14 +102,14 @@ EMPTY_WRITE = "#if ROS2\n            serializer.Write((byte)0);\n#endif\n"
 
 
 class Generated(NamedTuple):
-    """A generated C# source file: its path relative to the output folder, and its text."""
+    """Generated C# source file, with its path relative to the output folder and its text."""
 
     path: str
     text: str
 
 
 def csharp(schema: Schema, packages: Iterable[str] = NOT_SHIPPED) -> list[Generated]:
-    """Generate the C# message classes of all messages in the packages, with the fields of ROS 1.
+    """Generate C# classes for all messages in ROS packages. The classes have the fields of ROS 1.
 
     Types that exist only in ROS 2 are omitted.
 
@@ -130,7 +130,7 @@ def csharp(schema: Schema, packages: Iterable[str] = NOT_SHIPPED) -> list[Genera
 
 
 def write(files: Iterable[Generated], folder: Path) -> list[Path]:
-    """Write generated C# files to a folder, create missing folders, and return the paths."""
+    """Write generated C# files to a folder, which is created if it is missing, and return their paths."""
     written = []
     for file in files:
         path = folder / file.path
@@ -169,7 +169,7 @@ def csharp_class(schema: Schema, name: str) -> str:
 
 
 def namespace(package: str) -> str:
-    """Return the C# namespace of a ROS package: `ObjectRecognition` for object_recognition_msgs."""
+    """Return the C# namespace for a ROS package, e.g. `ObjectRecognition` for object_recognition_msgs."""
     if any(part in package for part in ("_msgs", "_srvs", "_actions")):
         package = package[: package.rindex("_")]
     return "".join(word[:1].upper() + word[1:] for word in package.split("_"))
@@ -214,7 +214,9 @@ def _safe(name: str) -> str:
 
 
 class _Member:
-    """A ROS message field in C#: its type and the lines that declare, set, read, write and print it."""
+    """Field of a ROS message in C#: its type and the lines of code that declare, set, read, write and print
+    it.
+    """
 
     def __init__(self, schema: Schema, package: str, field: str, node: Any):
         is_message, kind, length = field_parts(node)

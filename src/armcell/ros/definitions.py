@@ -43,14 +43,16 @@ Field = tuple[str, Any]  # field name and type node of rosbags
 
 
 class Definition(NamedTuple):
-    """Definition of one ROS message, parsed from text: its constants (name, base type, value) and fields."""
+    """Definition of one ROS message, parsed from its text: the constants (name, base type, value) and the
+    fields.
+    """
 
     constants: list[tuple[str, str, Any]]
     fields: list[Field]
 
 
 class Interfaces(NamedTuple):
-    """Set of parsed ROS definitions: messages by name, and the names of services and actions."""
+    """Parsed ROS definitions: messages by name, and the names of services and actions."""
 
     messages: dict[str, Definition]
     services: list[str]
@@ -58,19 +60,21 @@ class Interfaces(NamedTuple):
 
 
 def plain_name(name: str) -> str:
-    """Normalize a ROS type name: `pkg/msg/Name`, `pkg/srv/Name`, `pkg/action/Name` become `pkg/Name`."""
+    """Normalize the name of a ROS type: `pkg/msg/Name`, `pkg/srv/Name` and `pkg/action/Name` become
+    `pkg/Name`.
+    """
     parts = name.split("/")
     return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in ("msg", "srv", "action") else name
 
 
 def rosbags_name(name: str) -> str:
-    """Return the name of a ROS type, `pkg/Name`, in rosbags' form `pkg/msg/Name`."""
+    """Convert the name of a ROS type, `pkg/Name`, to the form that rosbags uses, `pkg/msg/Name`."""
     package, _, item = name.partition("/")
     return f"{package}/msg/{item}"
 
 
 def field_parts(node: Any) -> tuple[bool, str, int | None]:
-    """Split the parsed type of a ROS message field (a node of rosbags' parser) into its parts.
+    """Split the type of a ROS message field, as parsed by rosbags, into its parts.
 
     Returns:
         Tuple (is a message, base type or `pkg/Name`, array length). The length is None for a field that is
@@ -87,7 +91,7 @@ def field_parts(node: Any) -> tuple[bool, str, int | None]:
 
 
 def noetic() -> Interfaces:
-    """Return the message definitions of the common ROS Noetic packages, from rosbags."""
+    """Return the message definitions of the common packages in ROS Noetic, as rosbags contains them."""
     store = get_typestore(Stores.ROS1_NOETIC)
     messages = {
         plain_name(name): Definition(list(constants), list(fields))
@@ -99,7 +103,8 @@ def noetic() -> Interfaces:
 
 
 def read_folder(folder: Path) -> Interfaces:
-    """Read all ROS definitions in a folder: `<package>/msg|srv|action/<Name>.msg|srv|action`.
+    """Read all ROS message, service and action definitions from a folder with the layout
+    `<package>/msg/<Name>.msg`.
 
     Raises:
         InputError: a file is invalid, or the folder contains no definitions; the error names the file and the
@@ -156,13 +161,15 @@ def parse(text: str, name: str) -> dict[str, Definition]:
 
 
 def parse_service(text: str, name: str) -> dict[str, Definition]:
-    """Parse the text of a `.srv` file into the messages `NameRequest` and `NameResponse`."""
+    """Parse the text of a `.srv` file into the ROS messages `NameRequest` and `NameResponse`."""
     request, response = _sections(text, name, 2)
     return parse(request, f"{name}Request") | parse(response, f"{name}Response")
 
 
 def parse_action(text: str, name: str) -> dict[str, Definition]:
-    """Parse the text of an `.action` file into the seven messages of ROS 1's actionlib."""
+    """Parse the text of an `.action` file into the seven messages that ROS 1's actionlib uses for an
+    action.
+    """
     goal, result, feedback = _sections(text, name, 3)
     texts = {
         "Goal": goal,
@@ -189,7 +196,7 @@ def _sections(text: str, name: str, count: int) -> list[str]:
 
 
 def nested(definition: Definition) -> Iterator[str]:
-    """Yield the names of the messages nested directly in a ROS message definition."""
+    """Yield the names of the message types that occur directly in the fields of a ROS message."""
     for _, node in definition.fields:
         is_message, name, _ = field_parts(node)
         if is_message:

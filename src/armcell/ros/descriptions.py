@@ -12,7 +12,7 @@ TYPE = "std_msgs/String"
 
 
 class Descriptions:
-    """Publisher of the robot descriptions (URDF and SRDF parameters of a bus) as latched topics.
+    """Publisher of robot descriptions: it publishes the URDF and SRDF parameters of a bus on latched topics.
 
     A topic that already has another publisher is skipped.
     """
@@ -23,7 +23,7 @@ class Descriptions:
         self._told: dict[str, str] = {}
 
     def look(self) -> None:
-        """Publish each robot description (URDF, SRDF) that has changed since the last check."""
+        """Publish each robot description (URDF, SRDF) that has changed since the previous call."""
         published = {t.name for t in self._bus.topics() if t.publishers}
         for topic in TOPICS:
             text = self._bus.parameters.get(topic, None)

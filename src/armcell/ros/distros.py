@@ -24,7 +24,8 @@ PLUMBING = ("rmw_dds_common",)
 
 
 class Distro(NamedTuple):
-    """A ROS 2 distribution: its message set in rosbags and armcell's definition folders.
+    """ROS 2 distribution: the message set in rosbags that belongs to it, and armcell's folders with further
+    definitions.
 
     If two folders define the same type, the later folder wins.
     """
@@ -51,7 +52,7 @@ def distro_from_environment() -> str:
 
 @cache
 def layouts(distro: str) -> Interfaces:
-    """Return the messages that a ROS 2 distribution defines differently (its layouts), by `pkg/Name`.
+    """Return all message definitions of a ROS 2 distribution by `pkg/Name`, with the field layouts of ROS 2.
 
     Raises:
         UnknownNameError: armcell does not support the distribution.

@@ -34,7 +34,9 @@ DTYPES: dict[str, Any] = {
 
 
 class Message:
-    """Base class of every ROS message class. `_type` is `pkg/Name`; constants are class attributes."""
+    """Base class of all ROS message classes. The attribute `_type` contains `pkg/Name`, and constants are
+    class attributes.
+    """
 
     __slots__ = ()
     _type: ClassVar[str]
@@ -55,7 +57,9 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 class Stamp:
-    """Base class of ROS time and duration messages: conversion between fields and seconds."""
+    """Base class of the ROS messages for times and durations, which converts between their fields and
+    seconds.
+    """
 
     __slots__ = ()
     sec: int
@@ -84,7 +88,9 @@ STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 
 
 def python_name(field: str) -> str:
-    """Return the attribute name of a message field; a Python keyword such as `lambda` becomes `lambda_`."""
+    """Return the Python attribute for a field of a ROS message. A field named like a Python keyword gets an
+    underscore: `lambda_`.
+    """
     return f"{field}_" if keyword.iskeyword(field) else field
 
 
@@ -130,7 +136,7 @@ def _several(make: Callable[[], Any], count: int) -> list[Any]:
 
 
 class Tidy:
-    """Converter of the lists in a message to arrays of the type that the encoder needs.
+    """Converter that turns the lists in a ROS message into arrays of the type that the encoder needs.
 
     The original message does not change, and valid fields are not copied.
     """
@@ -183,7 +189,9 @@ def _array(message: Any, name: str, value: Any, dtype: np.dtype) -> Any:
 
 
 def _fits(array: Any, dtype: np.dtype) -> bool:
-    """Return True if a message field's array converts to a numeric type without changing its values."""
+    """Return whether the array in a message field can be converted to a numeric type without changing any
+    value.
+    """
     if dtype.kind == "f":
         return array.dtype.kind in "fiub"
     if dtype.kind == "b":

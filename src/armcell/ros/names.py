@@ -36,7 +36,8 @@ def resolve(name: str, namespace: str = "/") -> str:
 
 
 def resolved(name: str, node: str, namespace: str) -> str:
-    """Resolve a ROS name in a program's source (absolute, private or relative) to a full ROS name.
+    """Resolve a ROS name in the source of a program, which may be absolute, private or relative, to a full
+    ROS name.
 
     `/a` stays `/a`, `~a` is relative to the node, and `a` is relative to the namespace.
 
@@ -80,7 +81,7 @@ class NameMap:
 
     @property
     def remapped(self) -> list[str]:
-        """Return the ROS name remappings in the form that the program uses."""
+        """Return the remappings of the ROS names that the program uses."""
         return [self.to_bus(self._there[name]) for name in self._there]
 
     def to_graph(self, name: str) -> str:
@@ -89,7 +90,7 @@ class NameMap:
         return _renamed(self._there, full)
 
     def to_bus(self, name: str) -> str:
-        """Return the program's name for a topic or service name on the ROS graph.
+        """Return the name that the program uses for a topic or service with a given name on the ROS graph.
 
         Names outside the namespace stay unchanged.
         """
@@ -99,7 +100,9 @@ class NameMap:
 
 
 def _renamed(table: Mapping[str, str], name: str) -> str:
-    """Look up a ROS name in a remapping table; topics of a remapped action follow the action."""
+    """Look up a ROS name in a table of remappings. If an action is remapped, its topics are remapped as
+    well.
+    """
     if name in table:
         return table[name]
     action, _, part = name.rpartition("/")
@@ -107,7 +110,7 @@ def _renamed(table: Mapping[str, str], name: str) -> str:
 
 
 def name_map(node: str, namespace: str = "", remap: Iterable[str] = ()) -> NameMap | None:
-    """Return the ROS name map for a namespace and remappings, or None if no name changes.
+    """Return the ROS name map for a namespace and remappings, or None if they change no name.
 
     Args:
         node: name of the node.
@@ -129,7 +132,9 @@ def name_map(node: str, namespace: str = "", remap: Iterable[str] = ()) -> NameM
 
 
 def _own(name: str, namespace: str) -> str:
-    """Make a remapped ROS name relative, unless it is global or already contains the namespace."""
+    """Make a remapped ROS name relative to the namespace, unless it is global or already contains the
+    namespace.
+    """
     inside = f"/{namespace.strip('/')}/"
     if name in GLOBAL or name.startswith(inside):
         return name

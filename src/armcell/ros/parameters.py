@@ -13,7 +13,7 @@ _NONE = object()
 
 
 class Parameters:
-    """Thread-safe ROS parameter store in which a name is either a value or a namespace.
+    """Thread-safe store of ROS parameters. Each name is either a parameter with a value or a namespace.
 
     Reading or writing a namespace uses a nested dict.
     """
@@ -23,7 +23,7 @@ class Parameters:
         self._lock = threading.Lock()
 
     def set(self, name: str, value: Any) -> None:
-        """Set a ROS parameter; a mapping replaces the whole namespace."""
+        """Set the value of a ROS parameter. A mapping replaces the whole namespace of that name."""
         name = resolve(name)
         with self._lock:
             self._drop(name)
@@ -32,7 +32,8 @@ class Parameters:
             self._values.update(_flat(name, value))
 
     def get(self, name: str, default: Any = _NONE) -> Any:
-        """Return a ROS parameter's value, or a namespace as nested dicts; "/" returns all parameters.
+        """Return the value of a ROS parameter, or a namespace as nested dicts. The name "/" returns all
+        parameters.
 
         Raises:
             UnknownNameError: the parameter is not set and the caller gave no default.
@@ -76,7 +77,7 @@ class Parameters:
 
 
 class RenamedParameters(Parameters):
-    """View of the ROS parameters for a program in a namespace or with remapped names."""
+    """View of the ROS parameters for a program that runs in a namespace or with remapped names."""
 
     def __init__(self, parameters: Parameters, names: NameMap):
         self._parameters, self._map = parameters, names

@@ -35,7 +35,7 @@ ACTION_PARTS = ("Goal", "Result", "Feedback")
 
 
 class Schema:
-    """Schema: registry of the message, service and action types by name.
+    """Registry of ROS message, service and action types by name.
 
     Args:
         folders: additional definitions, each `<folder>/<package>/msg|srv|action/...`.
@@ -74,7 +74,9 @@ class Schema:
         self.actions = sorted({*self.actions, *found.actions})
 
     def _add_ros2(self) -> None:
-        """Add ROS 2's own types and fields to the message schema; newer distributions take precedence."""
+        """Add the types and fields that only ROS 2 has to the message schema. Newer distributions take
+        precedence.
+        """
         for distro in reversed(DISTROS):
             found = layouts(distro)
             for name, definition in found.messages.items():
@@ -91,7 +93,9 @@ class Schema:
     # --- types ---
     @property
     def messages(self) -> list[str]:
-        """Return the sorted names of all messages of the schema, with the parts of services and actions."""
+        """Return the sorted names of all messages in the schema, including the messages of which services and
+        actions consist.
+        """
         return sorted(self.definitions)
 
     def definition(self, name: str) -> Definition:
@@ -101,7 +105,8 @@ class Schema:
             raise UnknownNameError("message type", name, self.definitions) from None
 
     def whole(self, name: str) -> Definition:
-        """Return the schema's ROS 1 definition of a type, extended by the fields that only ROS 2 has.
+        """Return the definition of a message type in the schema: its ROS 1 fields, extended by those that
+        only ROS 2 has.
 
         The class of the type has all of these fields.
 
@@ -111,7 +116,7 @@ class Schema:
         return self._whole.get(plain_name(name)) or self.definition(name)
 
     def message(self, name: str) -> type[Any]:
-        """Return the message class of the schema's type `pkg/Name` (or `pkg/msg/Name`).
+        """Return the class for the message type `pkg/Name` (or `pkg/msg/Name`) in the schema.
 
         The class derives from `Message` and has the fields that `whole` returns.
 
@@ -124,7 +129,7 @@ class Schema:
         return self._classes[name]
 
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
-        """Create a message from its type name in the schema and field values.
+        """Create a message from the name of its type in the schema and from field values.
 
         Examples: `new("geometry_msgs/Point", x=1.0)`, `new("builtin_interfaces/Time", 3, 500)`.
         """
@@ -142,7 +147,8 @@ class Schema:
         return self.message(f"{name}Request"), self.message(f"{name}Response")
 
     def action(self, name: str) -> str:
-        """Return the schema's name of an action type, `pkg/Name` without the suffix `Action`.
+        """Return the name of an action type in the schema, in the form `pkg/Name` without the suffix
+        `Action`.
 
         Raises:
             UnknownNameError: the action type does not exist.
@@ -153,18 +159,22 @@ class Schema:
         return plain
 
     def tidy(self, name: str) -> Tidy:
-        """Return the schema's converter that prepares messages of one type for encoding."""
+        """Return the converter with which the schema prepares messages of one type for encoding."""
         if name not in self._tidies:
             self._tidies.setdefault(name, Tidy(self.whole(name), self.tidy))
         return self._tidies[name]
 
     # --- texts and sums ---
     def text(self, name: str) -> str:
-        """Return the definition text of a message type in the schema, with one constant or field per line."""
+        """Return the definition of a message type in the schema as text, with one constant or field per
+        line.
+        """
         return "".join(f"{line}\n" for line in self._lines(self.definition(name), {}))
 
     def full_text(self, name: str) -> str:
-        """Return the schema's definition text of a message and all nested types, as in bag files."""
+        """Return the definition of a message type in the schema as text, followed by all nested types, as in
+        bag files.
+        """
         name = plain_name(name)
         seen: list[str] = [name]
         for outer in seen:  # the loop appends nested types to this list
@@ -173,7 +183,8 @@ class Schema:
         return self.text(name) + "".join(rest)
 
     def md5(self, name: str) -> str:
-        """Return the schema's MD5 sum of a message or service type, which ROS 1 peers compare.
+        """Return the MD5 sum of a message or service type in the schema. ROS 1 programs compare it when they
+        connect.
 
         Source: `gentools.compute_md5` in ROS 1's genmsg. The text lists constants first, replaces each nested
         type by its MD5 sum, and omits comments and package names. The text of a service is the request text
@@ -194,7 +205,8 @@ class Schema:
         return self._texts[name]
 
     def _lines(self, definition: Definition, names: Mapping[str, str]) -> list[str]:
-        """Return a message definition's lines from the schema, with nested types replaced by `names`.
+        """Return the lines of a message definition in the schema. The types of nested messages are replaced
+        by `names`.
 
         A replaced type has no array suffix.
         """
@@ -213,7 +225,8 @@ class Schema:
 
 
 def _merged(known: Definition, other: Definition) -> Definition:
-    """Merge two layouts of a message in the schema: add what exists only in the second one.
+    """Merge two definitions of a message in the schema: keep the first and append the fields that only the
+    second has.
 
     Field names are compared without case, because CameraInfo's names differ only in case.
     """

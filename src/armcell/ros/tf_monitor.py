@@ -21,7 +21,7 @@ TOPICS = ("/tf", "/tf_static")
 
 @dataclass
 class Frame:
-    """A TF frame and the statistics of its received transforms."""
+    """TF frame and the statistics of the transforms that were received for it."""
 
     name: str
     parents: dict[str, float]  # arrival time of the last transform from each parent [s, receiver's clock]
@@ -34,17 +34,17 @@ class Frame:
 
     @property
     def parent(self) -> str:
-        """Return the parent frame in a TF frame's last received transform."""
+        """Return the parent of a TF frame, according to the last transform that was received."""
         return max(self.parents, key=lambda name: self.parents[name])
 
     @property
     def rate(self) -> float:
-        """Return the mean rate [Hz] of a TF frame's received transforms."""
+        """Return the mean rate [Hz] at which transforms of the TF frame arrive."""
         return (self.count - 1) / (self.last - self.first) if self.last > self.first else 0.0
 
 
 class TfMonitor:
-    """Monitor that collects TF transforms and reports the frame tree as text and its faults.
+    """Monitor that collects TF transforms. It reports the tree of frames as text and detects faults in it.
 
     Args:
         expected: frames that must exist, e.g. the links of a cell.
@@ -56,7 +56,7 @@ class TfMonitor:
         self._dropped = 0
 
     def add(self, message: Any, now: float, static: bool = False) -> None:
-        """Add a tf2_msgs/TFMessage that arrived at the time `now` to the TF monitor.
+        """Add a tf2_msgs/TFMessage that was received at the time `now` to the TF monitor.
 
         Args:
             message: the TFMessage.
@@ -78,11 +78,13 @@ class TfMonitor:
 
     @property
     def roots(self) -> list[str]:
-        """Return the TF frames without a parent, sorted by name."""
+        """Return the TF frames that have no parent, sorted by name."""
         return sorted({f.parent for f in self.frames.values()} - set(self.frames))
 
     def lines(self, now: float) -> list[str]:
-        """Return the TF frame tree as text: one line per frame, indented by depth, with age and rate."""
+        """Return the tree of TF frames as text, one line per frame, indented by depth, with its age and
+        rate.
+        """
         below: dict[str, list[str]] = {}
         for frame in self.frames.values():
             below.setdefault(frame.parent, []).append(frame.name)
@@ -102,7 +104,9 @@ class TfMonitor:
         return found
 
     def faults(self, now: float) -> list[str]:
-        """Return one message for each fault in the TF tree, with the frame and the remedy."""
+        """Return a message for each fault in the tree of TF frames. The message names the frame and the
+        remedy.
+        """
         found = [f.fault for f in self.frames.values() if f.fault]
         for frame in self.frames.values():
             fresh = [p for p, at in frame.parents.items() if frame.last - at <= STALE or frame.static]
@@ -147,7 +151,7 @@ class TfMonitor:
 
 
 def watch(monitor: TfMonitor, bus: Any) -> list[Any]:
-    """Subscribe a TF monitor to /tf and /tf_static on a bus.
+    """Subscribe a TF monitor to the topics /tf and /tf_static of a bus.
 
     Returns:
         The subscriptions; the caller closes them.

@@ -23,13 +23,14 @@ LOCAL = "127.0.0.1"
 
 
 class Transport(Protocol):
-    """Transport that carries messages between the bus and other programs (Unity, ROS), both directions.
+    """Transport that carries messages in both directions between the bus and other programs, such as Unity or
+    ROS nodes.
 
     The constructor checks the address and opens nothing. After `close`, no thread runs and no socket listens.
     """
 
     def reserve(self) -> None:
-        """Bind the port of a transport to Unity or ROS without accepting connections yet.
+        """Bind the port on which a transport to Unity or ROS listens, without accepting connections yet.
 
         Raises:
             InputError: the port is in use, or a required peer does not exist.
@@ -37,19 +38,25 @@ class Transport(Protocol):
         ...
 
     def start(self) -> None:
-        """Start a transport, which then accepts connections; called when the cell on the bus can answer."""
+        """Start the transport, which then accepts connections. Call this method when the cell on the bus can
+        answer.
+        """
         ...
 
     def close(self) -> None:
-        """Close all connections of a transport to Unity or ROS; callable at any time and repeatedly."""
+        """Close all connections of a transport to Unity or ROS. The method may be called at any time and
+        repeatedly.
+        """
         ...
 
     def ready(self) -> str:
-        """Return the line to print after a transport's `start`, with the address for other programs."""
+        """Return the line to print after the transport has started. It contains the address to which other
+        programs connect.
+        """
         ...
 
     def status_text(self) -> str:
-        """Return a transport's connected peers and lost messages as text for the status line.
+        """Return the connected programs and the lost messages of a transport as text for the status line.
 
         Raises:
             InputError: the transport has ended.
@@ -69,7 +76,7 @@ transports: Registry[TransportFactory] = Registry("transport", "armcell.transpor
 
 
 def split_address(address: str, port: int) -> tuple[str, int]:
-    """Split a transport's address "HOST:PORT" or "HOST" into host and port.
+    """Split the address of a transport, "HOST:PORT" or "HOST", into host and port.
 
     The defaults are the host 127.0.0.1 and the given port.
 
@@ -83,13 +90,15 @@ def split_address(address: str, port: int) -> tuple[str, int]:
 
 
 def losses(dropped: int, mistakes: int) -> str:
-    """Format a transport's counts of dropped and malformed messages for a status line; omit zeros."""
+    """Format the numbers of dropped and malformed messages of a transport for a status line. Zeros are
+    omitted.
+    """
     return (f"  dropped {dropped}" if dropped else "") + (f"  mistakes {mistakes}" if mistakes else "")
 
 
 @transports.register("tcp")
 class TcpTransport:
-    """Transport to Unity: a server for Unity's ROS-TCP-Connector.
+    """Transport to Unity, which runs a server for Unity's ROS-TCP-Connector.
 
     Args:
         address: HOST:PORT to listen on; port 0 selects a free port.
@@ -118,7 +127,7 @@ class TcpTransport:
 
 @transports.register("ros1")
 class Ros1Transport:
-    """Transport to ROS 1: a node in a ROS 1 graph; starts a master if none is reachable.
+    """Transport to ROS 1, which joins a ROS 1 graph as a node. If no master is reachable, it starts one.
 
     Args:
         address: address to listen on; default: loopback, or all interfaces if ROS_IP or ROS_HOSTNAME name a
@@ -158,7 +167,7 @@ class Ros1Transport:
 
 @transports.register("ros2")
 class Ros2Transport:
-    """Transport to ROS 2: a node in a ROS 2 domain.
+    """Transport to ROS 2, which joins a ROS 2 domain as a node.
 
     Args:
         address: number of the domain; by default ROS_DOMAIN_ID.
@@ -185,7 +194,9 @@ class Ros2Transport:
         )
 
     def reserve(self) -> None:
-        """Do nothing: the ROS 2 transport has no port to reserve, DDS chooses its ports at the start."""
+        """Do nothing, because the ROS 2 transport has no port to reserve: DDS chooses its ports at the
+        start.
+        """
 
     def ready(self) -> str:
         reach = self._settings.reach

@@ -15,7 +15,8 @@ FAR = 100.0  # [m] maximum distance from the origin: no work cell is larger
 
 
 def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[float]) -> str | None:
-    """Return a hint on wrong units if joint positions fit the limits only in degrees or millimeters.
+    """Return a hint about wrong units if joint positions are within the limits only when read as degrees or
+    millimeters.
 
     Args:
         model: the robot, for joint types and limits.
@@ -38,7 +39,7 @@ def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[floa
 
 
 def check_near(T: SE3) -> None:
-    """Check the unit of a pose: more than 100 m from the origin suggests millimeters sent as meters.
+    """Check that a pose is in meters. A distance of more than 100 m from the origin suggests millimeters.
 
     Raises:
         InputError: the translation is longer than 100 m.

@@ -41,7 +41,9 @@ _SECTIONS = 32
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Viewer geometry: triangle mesh of one color; vertices [m] in the owning link's or object's frame."""
+    """Triangle mesh in a single color, which the viewer draws. The vertices [m] are in the frame of the link
+    or object that owns it.
+    """
 
     vertices: Array  # (v, 3)
     faces: NDArray[np.int32]  # (f, 3)
@@ -76,13 +78,13 @@ _TESSELLATE: dict[type, Callable[[Any], trimesh.Trimesh]] = {
 
 
 def shape_part(shape: Shape, color: Color) -> Part:
-    """Return the geometry of a shape in the viewer: triangles; a plane becomes a thin slab."""
+    """Convert a shape to a triangle mesh that the viewer draws. An infinite plane becomes a thin slab."""
     kind = Mesh if isinstance(shape, Mesh) else type(shape)
     return _shaded(_TESSELLATE[kind](shape), color)
 
 
 def collision_part(shape: Shape) -> Part:
-    """Return the viewer geometry of a collision shape: a translucent, slightly inflated mesh.
+    """Return the mesh that shows a collision shape in the viewer: translucent and slightly inflated.
 
     The inflation avoids flicker where the collision shape coincides with the visual mesh.
     """
@@ -94,7 +96,7 @@ def collision_part(shape: Shape) -> Part:
 # --- mesh files ---
 @lru_cache(maxsize=256)
 def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Part, ...]:
-    """Load a visual mesh file as viewer geometry, one part per color; large meshes are decimated.
+    """Load a visual mesh file as meshes for the viewer, one per color. Large meshes are decimated.
 
     Raises:
         InputError: the file is unreadable or contains no triangles.
@@ -106,7 +108,7 @@ def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) 
 
 
 def _shaded(mesh: Any, color: Color) -> Part:
-    """Return viewer geometry: a mesh merged, decimated and split at sharp edges.
+    """Merge the pieces of a mesh for the viewer, reduce their triangles, and split the result at sharp edges.
 
     A browser shades smoothly across shared vertices; the split keeps sharp edges visible.
     """
@@ -117,7 +119,7 @@ def _shaded(mesh: Any, color: Color) -> Part:
 
 
 def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Array, NDArray[Any]]:
-    """Reduce viewer geometry to about `max_faces` triangles by vertex clustering.
+    """Reduce a mesh for the viewer to about `max_faces` triangles by vertex clustering.
 
     The clustering grid coarsens until the mesh has at most `max_faces` triangles. No vertex moves by more
     than the diagonal of a grid cell. Never use the result for collision checking.
@@ -138,7 +140,7 @@ def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Arr
 
 # --- viser nodes ---
 def node_name(*parts: str) -> str:
-    """Return the viser scene path (node name) of viewer geometry for the given parts.
+    """Return the name of a node in viser's scene tree, built from the given name parts.
 
     Slashes inside a part are percent-encoded, so that they do not add a level to the scene tree.
     """
@@ -146,7 +148,7 @@ def node_name(*parts: str) -> str:
 
 
 def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True) -> Any:
-    """Draw the viewer geometry of a mesh part in viser at pose `T` in the parent's frame.
+    """Draw a mesh in the viewer (viser) at the pose `T` in the frame of the parent node.
 
     Returns:
         viser's handle.
@@ -166,7 +168,7 @@ def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True)
 
 
 def visual_parts(visual: Visual) -> tuple[Part, ...]:
-    """Return the viewer geometry of a link's visual element: its meshes.
+    """Return the meshes with which the viewer draws one visual element of a link.
 
     A color given in the URDF overrides the colors of the mesh file, as in RViz.
     """
@@ -181,7 +183,7 @@ def visual_parts(visual: Visual) -> tuple[Part, ...]:
 
 
 def add_link(api: SceneApi, name: str, link: Link) -> tuple[list[Any], list[Any]]:
-    """Draw the viewer geometry of a robot link below the viser scene node `name`.
+    """Draw the meshes of a robot link in the viewer, below the viser scene node `name`.
 
     A link without visual elements shows its collision shapes in gray.
 
@@ -228,7 +230,7 @@ def _add_cells(api: SceneApi, name: str, shape: Octree, T: SE3, color: Color) ->
 
 
 def add_object_shape(api: SceneApi, name: str, shape: Shape, T: SE3, color: Color) -> Any:
-    """Draw the viewer geometry of an object's shape in viser; return the handle.
+    """Draw the shape of an object in the viewer and return its viser handle.
 
     A plane gets a grid on top; point clouds are drawn as points and octrees as cubes.
     """

@@ -25,7 +25,8 @@ AMBER: Color = (0.95, 0.60, 0.05, 0.55)
 
 
 class Ghost:
-    """Ghost, a translucent robot: link collision shapes and attached objects; hidden until `place`.
+    """Translucent robot (ghost) that shows a state in the viewer, with link collision shapes and attached
+    objects. It is hidden until `place`.
 
     Args:
         name: name of the ghost's node in viser's scene.
@@ -53,7 +54,7 @@ class Ghost:
         ]
 
     def of_group(self, group: str) -> None:
-        """Show only the ghost's links that the planning group moves."""
+        """Show only those links of the ghost robot that the planning group moves."""
         columns = set(self._model.columns(self._model.group(group).joint_names))
         tree = self._tree
         self._moved = frozenset(
@@ -63,7 +64,9 @@ class Ghost:
         )
 
     def place(self, scene: PlanningScene, positions: ArrayLike) -> None:
-        """Show the ghost at joint positions (dof,), with the objects that are attached in `scene`."""
+        """Show the ghost robot at joint positions (dof,), together with the objects that are attached in
+        `scene`.
+        """
         if dict(scene.attached) != self._held:
             self._draw_held(scene)
         Ts = self._tree.link_transforms(positions)
@@ -87,7 +90,7 @@ class Ghost:
             self._draw(name, [(shape_part(shape, self._color), T) for shape, T in solid])
 
     def paint(self, color: Color, marked: Iterable[str] = (), mark: Color = RED) -> None:
-        """Set the color of all bodies of the ghost, and a second color for the `marked` bodies."""
+        """Set the color of all bodies of the ghost robot, and a second color for the `marked` bodies."""
         self._color, marked = color, set(marked)
         for name, parts in self._parts.items():
             r, g, b, alpha = mark if name in marked else color

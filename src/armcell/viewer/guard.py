@@ -60,7 +60,7 @@ FULL = f"{MAX_CLIENTS} browsers show this page already; close one of them.\n"
 
 
 class PageGuard:
-    """Page guard: secrets of one web page, and the accept or reject decision for each of its requests.
+    """Guard of a web page that keeps the page's secrets and accepts or rejects each request to it.
 
     The guard fails closed: it rejects requests that it cannot parse.
 
@@ -86,14 +86,16 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Let the page guard start to accept web page requests.
+        """Let the guard of the web page accept requests from now on.
 
         Before this call, requests with the token get a "starting" page.
         """
         self._open = True
 
     def in_front_of(self, serve: Process) -> Process:
-        """Wrap a `process_request` function of `websockets` so that the page guard filters its requests."""
+        """Wrap a `process_request` function of `websockets` so that the guard of the web page filters its
+        requests.
+        """
 
         def process(connection: ServerConnection, request: Request) -> Any:
             return self._process(serve, connection, request)
@@ -142,7 +144,9 @@ class PageGuard:
         return answer
 
     def _admit(self, connection: ServerConnection) -> Response | None:
-        """Let the page guard accept a websocket (None), or return a 503 response if there are too many."""
+        """Accept a new websocket of the web page (None), or return a 503 response if too many browsers are
+        connected.
+        """
         from websockets.protocol import State
 
         self._clients = {c for c in self._clients if c.state is not State.CLOSED}
@@ -163,7 +167,9 @@ class PageGuard:
             return False
 
     def _refuse(self, text: str, header: str = "", values: Sequence[str] = ()) -> Response:
-        """Let the page guard return a 403 response; log each foreign host or origin once."""
+        """Return the guard's 403 response to a rejected request of a web page. Each foreign host or origin is
+        logged only once.
+        """
         said = (header, ", ".join(values)[:100])
         if header and said not in self._told and len(self._told) < MAX_TOLD:
             self._told.add(said)
@@ -172,13 +178,15 @@ class PageGuard:
 
 
 def page_url(host: str, port: int, token: str) -> str:
-    """Return a guarded page's URL, with the token, that opens the page in a browser on this machine."""
+    """Return the URL, including the token, with which a browser on this machine opens the guarded page."""
     host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     return f"http://{host_in_url(host)}:{port}/?token={token}"
 
 
 def _name_of(host: str) -> str:
-    """Page guard: return a Host header's name or address without port; empty if malformed."""
+    """Return the host name or address in the Host header of a page request, without the port. A malformed
+    header gives an empty text.
+    """
     match = _HOST.fullmatch(host)
     return match[1].strip("[]") if match else ""
 
@@ -189,7 +197,9 @@ def _cookies(headers: Sequence[str]) -> list[str]:
 
 
 def _same(given: str, secret: str) -> bool:
-    """Page guard: compare a request's text with a secret in constant time."""
+    """Compare a text from a page request with a secret in constant time, so that timing does not reveal the
+    secret.
+    """
     return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), secret.encode())
 
 
@@ -206,7 +216,9 @@ def _response(status: int, text: str, more: dict[str, str]) -> Response:
 
 
 def _harden(headers: Any, host: str) -> None:
-    """Page guard: add HTTP headers that forbid framing, foreign connections and referrers."""
+    """Add HTTP headers to a page's response that forbid framing, connections to foreign hosts, and
+    referrers.
+    """
     own = f"ws://{host} wss://{host}" if host else ""
     headers["Content-Security-Policy"] = (
         f"frame-ancestors 'none'; connect-src 'self' blob: data: {own}; base-uri 'none'; "

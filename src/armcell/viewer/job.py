@@ -14,7 +14,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class Job:
-    """Background job of a panel that runs in its own thread and can be canceled."""
+    """Background job of a browser panel, which runs in its own thread and can be canceled."""
 
     kind: str  # "planning", "explaining", "executing"
     cancel: threading.Event = field(default_factory=threading.Event)
@@ -22,7 +22,8 @@ class Job:
 
 
 class Jobs:
-    """Runner of a panel's background jobs that accepts a job only while no other job runs.
+    """Runner for the background jobs of a browser panel, which runs one job at a time and rejects others
+    meanwhile.
 
     Args:
         lock: lock of the owner; held whenever the current job changes.
@@ -36,12 +37,14 @@ class Jobs:
 
     @property
     def busy(self) -> str:
-        """Return the kind of a panel's current job, or an empty string if no job runs."""
+        """Return the kind of background job that the panel is running, or an empty string if there is
+        none.
+        """
         job = self.current
         return job.kind if job is not None else ""
 
     def begin(self, kind: str, work: Callable[[Job], None]) -> None:
-        """Start a panel's background job in a new thread; the caller must hold the lock.
+        """Start a background job of the panel in a new thread. The caller must hold the lock.
 
         Raises:
             InputError: another job is running.
@@ -73,7 +76,7 @@ class Jobs:
         self._ended()
 
     def stop(self) -> bool:
-        """Cancel a panel's background job; return True if a job was running."""
+        """Cancel the background job of the panel and return whether one was running."""
         with self._lock:
             job = self.current
             if job is None:
@@ -84,7 +87,7 @@ class Jobs:
         return True
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no background job of a panel runs; return False if `timeout` [s] expires first."""
+        """Wait until no background job of the panel runs. Return False if `timeout` [s] expires first."""
         job = self.current
         if job is not None and job.thread is not None:
             job.thread.join(timeout)

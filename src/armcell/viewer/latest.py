@@ -10,7 +10,9 @@ logger = logging.getLogger(__name__)
 
 
 class Latest:
-    """Worker thread that runs only the latest function under each name; drops older pending ones."""
+    """Worker thread that, for each name, runs only the latest function submitted. An older function that has
+    not started yet is dropped.
+    """
 
     def __init__(self) -> None:
         self._wake = threading.Condition()

@@ -21,7 +21,8 @@ LABEL = 44  # characters of a suggestion on its button; the tooltip has the full
 
 
 class PlanTab:
-    """Widgets of the "Plan" tab for the settings and result of one session; `refresh` updates them.
+    """Widgets of the "Plan" tab, which show the settings and the result of one planning session. `refresh`
+    updates them.
 
     Args:
         play: starts the preview from the beginning.
@@ -83,7 +84,8 @@ class PlanTab:
         self.acceleration.on_update(on(lambda: session.set(acceleration_scaling=self.acceleration.value)))
 
     def _choose_pipeline(self) -> None:
-        """Select a pipeline in the "Plan" tab, and keep the current planner if the new pipeline has it.
+        """Select a planning pipeline in the "Plan" tab. The current planner is kept if the new pipeline has
+        it.
 
         Otherwise select RRTConnect, or else the pipeline's first planner.
         """
@@ -158,7 +160,9 @@ class PlanTab:
         return paragraph("SUCCESS", COLORS["free"], bold=True) + paragraph(numbers) + paragraph(more)
 
     def _show_explanation(self, explanation: Explanation | None) -> None:
-        """Show a button for each suggestion in the "Plan" tab; a click applies it and plans again."""
+        """Show a button in the "Plan" tab for each change that could make a failed plan succeed. A click
+        applies the change and plans again.
+        """
         if explanation is self._shown:
             return
         self._shown = explanation
@@ -183,7 +187,7 @@ class PlanTab:
         self._session.plan()
 
     def show_time(self, t: float) -> None:
-        """Move the "Plan" tab's time slider to the preview's time [s] without starting a seek."""
+        """Move the time slider of the "Plan" tab to the time [s] of the preview, without starting a seek."""
         with quietly():
             self.time.value = min(round(t, 2), self.time.max)
 

@@ -29,7 +29,7 @@ STATUS_COLORS = {"free": GREEN, "collision": PALE_RED, "out of reach": GREY}
 
 
 class PlanningPanel:
-    """Planning panel: browser front end of a planning session; use it in a `with` block.
+    """Browser front end of a planning session. Use the planning panel in a `with` block.
 
     The panel connects widgets to the session and draws its state. It contains no planning logic.
 
@@ -70,7 +70,7 @@ class PlanningPanel:
         self.close()
 
     def close(self) -> None:
-        """Close the planning panel: stop the session, its threads and the web server."""
+        """Close the planning panel and stop its session, its threads and the web server."""
         self.session.close()
         self._player.close()
         self._latest.close()
@@ -133,17 +133,18 @@ class PlanningPanel:
 
     # --- the preview ---
     def play(self) -> None:
-        """Play the planning panel's motion from its beginning."""
+        """Play the planned motion in the planning panel from its beginning."""
         result = self.session.result
         if result is not None and result.ok and result.trajectory is not None:
             self._player.play(max(result.trajectory.duration, 1e-3))
 
     def seek(self, t: float) -> None:
-        """Show the planning panel's motion at a time [s]."""
+        """Show the robot in the planning panel at a time [s] of the planned motion."""
         self._player.seek(t)
 
     def _show_motion(self, t: float) -> None:
-        """Draw the planning panel's motion at a time [s]; call only from the player's thread.
+        """Draw the robot in the planning panel at a time [s] of the motion. Only the player's thread may call
+        this method.
 
         Calls from a second thread could draw an older time last.
         """
@@ -162,7 +163,7 @@ class PlanningPanel:
 
     # --- showing ---
     def refresh(self) -> None:
-        """Refresh the planning panel: draw the session's state; safe to call from any thread."""
+        """Draw the current state of the session in the planning panel. Any thread may call this method."""
         with self._lock, self.viewer.server.atomic():
             session = self.session
             self.plan.refresh()
@@ -211,7 +212,9 @@ class PlanningPanel:
             _move(self.object_control, session.scene.object(name).T_world_object)
 
     def _draw_result(self) -> None:
-        """Draw the tool path of a new plan, or a failure's explanation, in the planning panel."""
+        """Draw the result of planning in the planning panel: the tool path of a new plan, or the explanation
+        of a failure.
+        """
         session = self.session
         if session.result is not self._result:
             self._result = session.result

@@ -14,7 +14,7 @@ PAUSE = 0.5  # [s] at the end, before the next repetition
 
 
 class Player:
-    """Preview player that calls `show` in real time with a time [s] from 0 to the duration.
+    """Player of a motion preview, which calls `show` in real time with times [s] from 0 to the duration.
 
     Args:
         show: draws the motion at a time [s]; called from the player's thread.
@@ -32,13 +32,13 @@ class Player:
         self._thread.start()
 
     def play(self, duration: float) -> None:
-        """Play the preview of a motion from its beginning for `duration` [s]."""
+        """Play the preview of a motion from its beginning. The motion takes `duration` [s]."""
         with self._wake:
             self._duration = duration
             self._wake.notify()
 
     def seek(self, t: float) -> None:
-        """Stop the preview player and show the motion at a time [s]."""
+        """Stop the player of the preview and show the motion at a time [s]."""
         with self._wake:
             self._duration, self._at = None, t
             self._wake.notify()

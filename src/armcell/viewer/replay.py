@@ -18,7 +18,7 @@ NO_STAGE = "-"
 
 
 class ReplayView:
-    """Replay page at `url`: shows a recorded run; use it in a `with` block.
+    """Browser page at `url` that replays a recorded run. Use it in a `with` block.
 
     Args:
         scene: the cell at the start of the run.
@@ -84,13 +84,15 @@ class ReplayView:
 
     # --- time ---
     def seek(self, time: float) -> None:
-        """Stop playing the replay and show the recorded run at a time [s]."""
+        """Stop the replay and show the recorded run at a time [s]."""
         self._stopped()
         self._player.stop()
         self.show(time)
 
     def toggle(self) -> None:
-        """Pause the replay, or play from the slider's time; at the end, play from the beginning."""
+        """Pause the replay if it plays, or else continue from the slider's time. At the end, the replay
+        starts again from the beginning.
+        """
         if self._player.playing:
             self.seek(float(self.time.value))
             return
@@ -117,7 +119,7 @@ class ReplayView:
         self.play_button.label = "Play"
 
     def show(self, time: float) -> None:
-        """Draw the replayed cell at a time [s] of the record."""
+        """Draw the replayed cell as it was at a time [s] of the record."""
         with quietly():
             self.time.value = round(time, 2)
         at = max(bisect.bisect_right([t for t, _ in self._scenes], time + 1e-9) - 1, 0)
@@ -133,7 +135,9 @@ class ReplayView:
         self.viewer.on_state(self.record.states[self.record.index_at(time + 1e-9)].sample())
 
     def _said_until(self, time: float) -> list[Event]:
-        """Return the replayed run's last stage event until a time [s], and a newer event of another kind."""
+        """Return the last stage event of the replayed run up to a time [s], followed by the newest event if
+        it is of another kind.
+        """
         before = [e for e in self.record.events if e.time <= time + 1e-9]
         stages = [e for e in before if e.kind == "stage"]
         return [*stages[-1:], *(e for e in before[-1:] if e.kind != "stage")]

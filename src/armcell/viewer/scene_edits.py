@@ -17,7 +17,7 @@ SUFFIXES = (".scene", ".yaml", ".yml")
 
 
 def free_name(scene: PlanningScene, kind: str) -> str:
-    """Return an unused name for a new object such as "box_2", for scene edits."""
+    """Return an unused name, such as "box_2", for a new object that the user adds to the scene."""
     taken, number = set(scene.frame_names), 1
     while f"{kind}_{number}" in taken:
         number += 1
@@ -27,7 +27,7 @@ def free_name(scene: PlanningScene, kind: str) -> str:
 def with_new(
     scene: PlanningScene, name: str, kind: str, size: tuple[float, ...], T_world_object: SE3
 ) -> PlanningScene:
-    """Edit a scene: return it with a new box, sphere or cylinder.
+    """Return a copy of the scene in which the user's edit has added a box, sphere or cylinder.
 
     Args:
         size: box (x, y, z), sphere (radius) or cylinder (radius, length) [m].
@@ -45,7 +45,8 @@ def with_new(
 
 
 def with_attached(scene: PlanningScene, name: str, link: str | None) -> PlanningScene:
-    """Edit a scene: return it with an object attached to a link at the object's current pose.
+    """Return a copy of the edited scene in which an object is attached to a link, at the current pose of the
+    object.
 
     Links that are in contact with the object now are allowed to stay in contact.
 
@@ -58,13 +59,15 @@ def with_attached(scene: PlanningScene, name: str, link: str | None) -> Planning
 
 
 def bodies(scene: PlanningScene) -> list[str]:
-    """Return the names of all bodies of a scene to edit: links with geometry, objects, attached objects."""
+    """Return the names of all bodies in the scene that the user edits: links with geometry, objects and
+    attached objects.
+    """
     solid = [name for name, link in scene.model.links.items() if link.collisions]
     return [*solid, *scene.objects, *scene.attached]
 
 
 def other_bodies(scene: PlanningScene, body: str) -> list[str]:
-    """Return the bodies that can collide with a given body, to edit allowed collisions.
+    """Return the bodies that can collide with a given body, for editing the allowed collisions.
 
     Planning does not check objects against each other.
     """
@@ -73,7 +76,7 @@ def other_bodies(scene: PlanningScene, body: str) -> list[str]:
 
 
 def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
-    """Write an edited scene's objects to a .scene or .yaml file; return a message for the user.
+    """Write the objects of the edited scene to a .scene or .yaml file and return a message for the user.
 
     Attached objects are written at their current pose.
 
@@ -99,7 +102,8 @@ def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
 
 
 def with_loaded(scene: PlanningScene, file: str, folder: Path) -> PlanningScene:
-    """Edit a scene: return it with the objects of a file added; equal names are replaced.
+    """Return a copy of the edited scene with the objects of a file added. Objects with equal names are
+    replaced.
 
     Raises:
         InputError: the file is invalid; the error names the file, the line or element, and the reason.

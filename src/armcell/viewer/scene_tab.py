@@ -19,7 +19,7 @@ NEW_AT = (0.5, 0.0, 0.6)  # [m] in the world
 
 
 class SceneTab:
-    """Widgets of the "Scene" tab that show and edit the objects of the session's scene.
+    """Widgets of the "Scene" tab, which show and edit the objects in the scene of the session.
 
     Args:
         folder: folder for saving and loading scene files.
@@ -67,7 +67,9 @@ class SceneTab:
 
     @property
     def dragged(self) -> str | None:
-        """Return the name of the world object that the "Scene" tab's drag control moves, or None."""
+        """Return the name of the world object that the user moves with the drag control of the "Scene" tab,
+        or None.
+        """
         return (
             self.chosen.value
             if self.drag.value and self.chosen.value in self._session.scene.objects
@@ -181,7 +183,7 @@ class SceneTab:
 
 
 def _offer(dropdown: Any, names: tuple[str, ...]) -> None:
-    """Set the choices of a "Scene" tab dropdown, and keep the current choice if it is among them."""
+    """Set the choices of a dropdown in the "Scene" tab. The current choice is kept if it is among them."""
     options = (NONE, *names)
     if dropdown.options != options:
         if dropdown.value not in options:

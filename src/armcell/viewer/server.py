@@ -28,7 +28,7 @@ _starting = threading.Lock()
 
 @dataclass(frozen=True)
 class PageServer:
-    """Web page server: viser's server behind its request guard.
+    """Web server of a browser page: a viser server whose requests pass through a guard.
 
     Attributes:
         url: URL with the token; anyone who knows the URL can use the page.
@@ -45,17 +45,17 @@ class PageServer:
         return self.endpoints[0].port
 
     def open(self) -> None:
-        """Let the page's viser server answer browsers; call after building the page."""
+        """Let the viser server of the page answer browsers. Call this method after building the page."""
         self.guard.open()
 
     def stop(self) -> None:
-        """Disconnect all clients, stop the viser server and wait for its thread."""
+        """Disconnect all browsers, stop the viser server of the page and wait for its thread."""
         with _quiet_viser():
             self.viser.stop()
 
 
 def start_page(host: str, port: int, label: str, names: Iterable[str] = ()) -> PageServer:
-    """Start viser's server with a page that shows a "starting" message until `open` is called.
+    """Start a viser server whose page shows a "starting" message until `open` is called.
 
     Args:
         host: address to listen on.
@@ -95,7 +95,7 @@ def start_page(host: str, port: int, label: str, names: Iterable[str] = ()) -> P
 
 
 def _free_port(host: str, port: int) -> int:
-    """Return the first port from `port` upwards to which viser's server can bind.
+    """Return the first port, from `port` upwards, to which the viser server can bind.
 
     viser itself would wait forever for an invalid host.
 
@@ -122,7 +122,7 @@ def _free_port(host: str, port: int) -> int:
 # --- patches of viser, which has no hooks for the guard and for its console output ---
 @contextlib.contextmanager
 def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
-    """Put the page guard in front of every server that viser starts during a `with` block.
+    """Put the guard of the page in front of every server that viser starts during a `with` block.
 
     Yields:
         List that receives the `websockets` server object.
@@ -155,7 +155,9 @@ def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
 
 
 class _OneLine(logging.Filter):
-    """Log filter of the page server that drops untrusted data and tracebacks of malformed requests."""
+    """Log filter of the page server that removes untrusted data and tracebacks from messages about malformed
+    requests.
+    """
 
     def filter(self, record: logging.LogRecord) -> bool:
         if record.exc_info:
@@ -169,7 +171,7 @@ _wire.addFilter(_OneLine())
 
 
 def _counted() -> Any:
-    """Return the page server's websocket class that closes at once if there are too many connections.
+    """Return the websocket class of the page server. A new connection closes at once if there are too many.
 
     The limit applies with and without the token: idle connections would otherwise use up the file
     descriptors of a process that controls robots.
@@ -186,7 +188,7 @@ def _counted() -> Any:
 
 
 def _probe(endpoint: Endpoint) -> None:
-    """Verify that the page server rejects a request without its token.
+    """Verify that the page server rejects a request that does not contain the token.
 
     The check guards against changes in the installed viser version.
 
@@ -221,7 +223,9 @@ def _unguarded(why: str) -> ArmcellError:
 
 
 def _from_viser(depth: int = 2) -> bool:
-    """Return True if the caller's caller is a module of viser, whose output the page server logs."""
+    """Return whether the function two levels up in the call stack belongs to viser, whose output the page
+    server logs.
+    """
     return str(sys._getframe(depth).f_globals.get("__name__", "")).partition(".")[0] == "viser"
 
 
@@ -230,7 +234,8 @@ _printing = threading.Lock()
 
 @contextlib.contextmanager
 def _quiet_viser() -> Iterator[None]:
-    """Log `rich.print` output of viser's server during a `with` block; others print as usual.
+    """Redirect what viser prints with `rich.print` to the log during a `with` block. Output of other modules
+    is printed as usual.
 
     viser announces its start and end on stdout even with `verbose=False`, and stdout belongs to the caller.
     """

@@ -55,7 +55,7 @@ CLOSE_S = 5.0
 
 
 class PlanningSession:
-    """Thread-safe planning session of the panel in one scene: goal, settings, planning and execution.
+    """Thread-safe planning session of a panel in one scene: goal, settings, planning and execution.
 
     Long operations run in a background thread. Attributes hold immutable values that are replaced on change,
     so they can be read at any time. Register a callback with `listen`: it is called with "goal", "scene",
@@ -110,14 +110,14 @@ class PlanningSession:
                     logger.exception("a listener of the planning session failed")
 
     def say(self, text: str) -> None:
-        """Set the planning session's status message and notify the listeners."""
+        """Set the status message of the planning session and notify its listeners."""
         self.message = text
         self._tell("result")
 
     # --- goal and settings ---
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return a planning session's groups that have joints."""
+        """Return the groups for which the planning session can plan, because they have joints."""
         return tuple(g.name for g in self.scene.model.groups.values() if g.joint_names)
 
     @property
@@ -126,7 +126,7 @@ class PlanningSession:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Return the names of the named states of a planning session's group."""
+        """Return the names of the named states of the group that the planning session has selected."""
         return tuple(self.scene.model.named_states.get(self.group, {}))
 
     @property
@@ -135,11 +135,11 @@ class PlanningSession:
 
     @property
     def start_positions(self) -> Array:
-        """Return the joint positions (dof,) at which a planning session's plan starts."""
+        """Return the joint positions (dof,) at which the plan of the planning session starts."""
         return self.scene.positions if self.start is None else self.start
 
     def set_group(self, name: str) -> None:
-        """Select a planning session's group and reset the goal to the start state.
+        """Select the group of the planning session and reset the goal to the start state.
 
         Raises:
             UnknownNameError: the group does not exist.
@@ -152,7 +152,7 @@ class PlanningSession:
         self._tell("settings", "goal", "result")
 
     def set(self, **fields) -> None:
-        """Change some settings of a planning session.
+        """Change settings of the planning session.
 
         Raises:
             InputError: a value is invalid; the settings stay unchanged.
@@ -164,14 +164,14 @@ class PlanningSession:
         self._tell("settings")
 
     def set_goal_pose(self, T_world_tip: SE3) -> None:
-        """Set a planning session's goal to a tip pose of the group; `goal.status` reports the outcome."""
+        """Set the goal of the planning session to a tip pose; `goal.status` reports the outcome."""
         with self._lock:
             self._given = None
             self.goal = posed(self._start_scene(), self.group, T_world_tip, self.goal.positions, self._seed)
         self._tell("goal")
 
     def set_positions(self, state: JointState, start: bool = False) -> None:
-        """Set some joints of a planning session's goal or start state; other joints stay unchanged.
+        """Set some joints of the planning session's goal or start state. Others stay unchanged.
 
         Raises:
             InputError: a position is outside the joint limits.
@@ -189,7 +189,7 @@ class PlanningSession:
         self._tell("goal")
 
     def set_named(self, name: str, start: bool = False) -> None:
-        """Set a planning session's goal or start state to a named state of the group.
+        """Set the goal or start state of the planning session to a named state of the group.
 
         Raises:
             UnknownNameError: the state does not exist.
@@ -197,7 +197,7 @@ class PlanningSession:
         self.set_positions(self.scene.model.named_state(self.group, name), start)
 
     def set_random(self, start: bool = False) -> None:
-        """Set a planning session's goal or start state to a random collision-free state of the group.
+        """Set the goal or start state of the planning session to a random collision-free state.
 
         Raises:
             InputError: no collision-free sample was found.
@@ -206,7 +206,7 @@ class PlanningSession:
         self.set_positions(JointState(self.joint_names, q), start)
 
     def set_present(self, start: bool = False) -> None:
-        """Set a planning session's goal or start state to the robot's current state."""
+        """Set the goal or start state of the planning session to the robot's current state."""
         with self._lock:
             self._given = None
             if start:
@@ -221,7 +221,7 @@ class PlanningSession:
         self.goal = judged(self._start_scene(), self.group, positions, self.start_positions)
 
     def request(self) -> PlanRequest | CartesianRequest:
-        """Return a planning session's request for its goal and settings.
+        """Return a request with the goal and the settings of the planning session.
 
         Raises:
             InputError: the settings ask for a straight line or an upright tip, but the group has no tip link.
@@ -253,7 +253,7 @@ class PlanningSession:
 
     # --- the world ---
     def change_scene(self, change: Callable[[PlanningScene], PlanningScene], said: str = "") -> None:
-        """Replace a planning session's scene by `change(scene)`, e.g. to add, attach or move objects.
+        """Replace the planning session's scene by `change(scene)`, e.g. to add or attach objects.
 
         Raises:
             InputError: raised by `change`, or the robot is executing a motion; the scene stays unchanged.
@@ -274,7 +274,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def apply(self, suggestion: Suggestion) -> None:
-        """Apply an explanation's suggested change to a planning session's scene, goal, start or settings.
+        """Apply a change that an explanation suggests to the session's scene, goal, start or settings.
 
         The next plan uses exactly the suggested request until a goal or setting changes.
         """
@@ -296,7 +296,7 @@ class PlanningSession:
         self._tell("scene", "settings", "goal", "result")
 
     def _adopt_goal(self, request: PlanRequest | CartesianRequest) -> None:
-        """Show the first goal of a planning request as the planning session's goal."""
+        """Show the first goal of a request as the goal of the planning session."""
         goal = PoseGoal(request.waypoints[-1]) if isinstance(request, CartesianRequest) else request.goals[0]
         if isinstance(goal, NamedGoal):
             goal = JointGoal(self.scene.model.named_state(request.group, goal.name))
@@ -312,11 +312,11 @@ class PlanningSession:
     # --- planning ---
     @property
     def busy(self) -> str:
-        """Return a planning session's activity: "planning", "explaining", "executing" or an empty string."""
+        """Return the session's activity: "planning", "explaining", "executing" or an empty string."""
         return self._jobs.busy
 
     def plan(self) -> None:
-        """Start planning in a session's background; the outcome is in `result`, then in `explanation`.
+        """Start planning in the background; the outcome is in `result`, then in `explanation`.
 
         Raises:
             InputError: another job is running, or the request is invalid.
@@ -351,7 +351,7 @@ class PlanningSession:
         self._publish(job, explanation=result.explain(EXPLAIN_S))
 
     def _publish(self, job: Job, *, planned_with: int | None = None, **fields) -> None:
-        """Set attributes of the planning session, unless its background job was abandoned."""
+        """Set attributes of the planning session, unless the background job that sets them was abandoned."""
         with self._lock:
             if self._jobs.current is not job:
                 return
@@ -365,7 +365,7 @@ class PlanningSession:
         self.result = self.explanation = self.outcome = None
 
     def positions_at(self, t: float) -> Array:
-        """Return joint positions (dof,) at a time [s] of a session's planned motion.
+        """Return the joint positions (dof,) at a time [s] of the motion that the session planned.
 
         Raises:
             InputError: there is no planned motion.
@@ -379,7 +379,7 @@ class PlanningSession:
     # --- executing ---
     @property
     def why_not_executable(self) -> str:
-        """Return why a planning session's last plan cannot be executed; empty if execution is possible."""
+        """Return why the planning session cannot execute its last plan. Empty if it can."""
         result = self.result
         if self._connect is None:
             return "there is no robot to execute it: this is a scene, not a cell"
@@ -396,7 +396,7 @@ class PlanningSession:
         return ""
 
     def execute(self) -> None:
-        """Start executing a planning session's last plan in the background.
+        """Start to execute the last plan of the planning session in the background.
 
         Raises:
             InputError: the plan cannot be executed; the text is `why_not_executable`.
@@ -425,7 +425,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def _connected(self, job: Job) -> LiveCell:
-        """Return a planning session's live cell; reconnect if the user has edited the world meanwhile."""
+        """Return the planning session's live cell, reconnected if the user has edited the world."""
         if self._live is not None and self._live_with != self._edits:
             self._disconnect()
         if self._live is None:
@@ -450,23 +450,23 @@ class PlanningSession:
         self.message = message
 
     def stop(self) -> None:
-        """Cancel a session's running planning or explanation, or stop the robot."""
+        """Cancel planning or explanation in the session, or stop the robot if it executes the plan."""
         if self._jobs.stop():
             self._tell("result")
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the planning session is idle; return False if `timeout` [s] expires first."""
+        """Wait until the planning session is idle. Return False if `timeout` [s] expires first."""
         return self._jobs.wait(timeout)
 
     def close(self) -> None:
-        """Close a planning session: stop all jobs and disconnect from the robot; it stays usable."""
+        """Stop all jobs of the planning session, which stays usable, and disconnect from the robot."""
         self.stop()
         self.wait(CLOSE_S)
         self._disconnect()
 
 
 def _first_group(scene: PlanningScene) -> str:
-    """Return the default planning group of a planning session's robot.
+    """Return the group of the robot that a new planning session selects by default.
 
     Prefer a gripper's arm group, then the first chain, then the first group with joints.
 
@@ -485,7 +485,7 @@ def _first_group(scene: PlanningScene) -> str:
 
 
 def _asked(scene: PlanningScene, group: str, goal: GoalView) -> Goal:
-    """Return a planning session's joint goal; if the joint goal is invalid, return the requested pose.
+    """Return the planning session's joint goal, or the requested pose if the joint goal is invalid.
 
     Planning to the pose then fails with an explanation of the invalid goal.
     """

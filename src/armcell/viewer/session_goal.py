@@ -34,7 +34,7 @@ TRIES = 2000  # random samples tested for a collision-free state
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Settings of a planning session and its goal, which the user selects in the panel."""
+    """Settings of a planning session and of its goal, which the user selects in the panel."""
 
     pipeline: str = "native"
     planner: str = "RRTConnect"
@@ -45,7 +45,7 @@ class PlanSettings:
     motion: str = FREE  # one of MOTIONS
 
     def check(self) -> None:
-        """Raise InputError if a planning session's setting is invalid."""
+        """Raise InputError if a setting of the planning session is invalid."""
         find_planner(self.pipeline, self.planner)
         check_scaling(self.velocity_scaling, "velocity scaling")
         check_scaling(self.acceleration_scaling, "acceleration scaling")
@@ -57,7 +57,7 @@ class PlanSettings:
             raise InputError(f"motion is {self.motion!r}", hint=f"choose one of {', '.join(MOTIONS)}")
 
     def as_in(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
-        """Return a copy of a session's planning settings with the values of a planning request."""
+        """Return a copy of the session's settings with the values of a planning request."""
         speeds: dict[str, Any] = {
             "velocity_scaling": request.velocity_scaling,
             "acceleration_scaling": request.acceleration_scaling,
@@ -77,7 +77,7 @@ class PlanSettings:
 
 @dataclass(frozen=True, eq=False)
 class GoalView:
-    """Goal state of the robot in a planning session, as the panel shows it.
+    """Goal state of the robot in a planning session, as shown in the panel.
 
     Attributes:
         positions: positions (dof,) of all joints; for an unreachable pose the nearest state found.
@@ -96,7 +96,9 @@ class GoalView:
 
 
 def judged(scene: PlanningScene, group: str, positions: Array, start: Array) -> GoalView:
-    """Check a session's goal positions (dof,) for collisions; margins are relaxed at `start` (dof,)."""
+    """Check the goal positions (dof,) of a session for collisions. Padding of obstacles that the state
+    `start` (dof,) already violates is reduced.
+    """
     names = scene.model.group(group).joint_names
     checker = KernelChecker(replace(scene, positions=positions), names)
     columns = checker.columns
@@ -115,7 +117,8 @@ def _touching(checker: KernelChecker, positions: Array, T: SE3 | None, by_pose: 
 
 
 def posed(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed: int) -> GoalView:
-    """Solve IK for a session's goal pose and return the collision-free solution nearest to `near` (dof,).
+    """Solve IK for the goal pose of a session and return the collision-free solution that is nearest to
+    `near` (dof,).
 
     If all solutions collide, the nearest of them is returned; for an unreachable pose, the closest state.
 
@@ -141,7 +144,7 @@ def posed(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed:
 
 
 def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator) -> Array:
-    """Sample a session's goal: a collision-free state (n,) of a group, uniform within joint limits.
+    """Sample a random collision-free goal (n,) of a group for the session, uniformly within the joint limits.
 
     Joints without limits are sampled within one turn around their current position.
 
@@ -160,7 +163,8 @@ def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator)
 
 
 def keep_upright(scene: PlanningScene, group: str) -> Constraints:
-    """Return a session's constraint that keeps the tip upright but lets it rotate about the vertical.
+    """Return a path constraint for the session that keeps the tip upright but lets it rotate about the
+    vertical.
 
     The tip axis that is nearest to the vertical at the start may tilt by at most `TILT`. Tolerances are
     rotation vectors in the axes of the target orientation; the component about the vertical axis is free.

@@ -21,7 +21,7 @@ STEP = 0.1  # [deg or mm]
 
 
 class StatesTab:
-    """Joint sliders of the "States" tab, in degrees and millimeters, for the goal or the start state."""
+    """Joint sliders of the "States" tab, which set the goal or the start state in degrees and millimeters."""
 
     def __init__(self, gui: GuiApi, session: PlanningSession, callbacks: Callbacks):
         self._gui, self._session, self._on = gui, session, callbacks.of
@@ -55,7 +55,9 @@ class StatesTab:
         self._session.set_positions(JointState((name,), np.array([value])), self.is_start)
 
     def _unit(self, name: str) -> tuple[str, float]:
-        """Return a joint's unit in the "States" tab and the factor from radians or meters to that unit."""
+        """Return the unit in which the "States" tab shows a joint, and the factor from radians or meters to
+        that unit.
+        """
         slides = self._session.scene.model.joint(name).type == "prismatic"
         return ("mm", 1000.0) if slides else ("deg", 180.0 / np.pi)
 

@@ -31,7 +31,7 @@ PATH_COLOR = (0, 114, 178)
 
 
 class CellViewer:
-    """Cell viewer: browser page with a cell's robot, objects, planned tool paths and status.
+    """Browser page that shows a cell: its robot, objects, planned tool paths and status.
 
     The page is served at `url`. The observer callbacks `on_...` only queue their data. The viewer's own
     thread computes the kinematics and sends the updates, so the thread that steps the physics never waits.
@@ -85,7 +85,7 @@ class CellViewer:
 
     @property
     def url(self) -> str:
-        """Return the cell viewer's URL, with the page's token, that opens the page on this machine."""
+        """Return the URL of the cell viewer, including the page's token, for a browser on this machine."""
         return self.page.url
 
     @property
@@ -93,12 +93,12 @@ class CellViewer:
         return self.page.port
 
     def open(self) -> None:
-        """Let the cell viewer answer browsers that open the page."""
+        """Let the cell viewer answer browsers that open its page."""
         self.page.open()
 
     @property
     def server(self) -> viser.ViserServer:
-        """Return the cell viewer's viser server, for adding scene nodes and widgets to the page."""
+        """Return the viser server of the cell viewer, for adding scene nodes and widgets to the page."""
         return self._server
 
     # --- Observer: called from the thread that steps the cell ---
@@ -118,7 +118,9 @@ class CellViewer:
             self._wake.notify()
 
     def close(self) -> None:
-        """Close the cell viewer: stop its server and threads, free the port; repeatable without effect."""
+        """Close the cell viewer: stop its server and threads and free the port. Further calls have no
+        effect.
+        """
         with self._wake:
             if self._closing:
                 return
@@ -158,7 +160,7 @@ class CellViewer:
         _place(self.object_frames[item.name], item.T_world_object)
 
     def show_scene(self, scene: PlanningScene) -> None:
-        """Show another scene with the same robot in the cell viewer: update objects and robot state."""
+        """Show another scene with the same robot in the cell viewer, with its objects and its robot state."""
         with self._wake:  # discard samples of the old scene
             self._sample = None
             old, self._scene = self._scene, scene
@@ -177,7 +179,7 @@ class CellViewer:
             self._place_links()
 
     def _shown(self, what: str, visible: bool) -> None:
-        """Handle a click on a visibility checkbox of the cell viewer's panel."""
+        """Handle a click on a checkbox in the cell viewer's panel that shows or hides a part of the view."""
         for handle in tuple({"collision": self._collisions, "path": self._paths}[what]):
             handle.visible = visible
 
@@ -223,7 +225,7 @@ class CellViewer:
                 _place(self.object_frames[name], T)
 
     def _draw_path(self, trajectory: JointTrajectory) -> None:
-        """Draw the planned path of each moving tool in the cell viewer as a line in the world frame.
+        """Draw the planned path of each moving tool in the cell viewer, as a line in the world frame.
 
         The new lines replace those of the previous plan.
         """
@@ -252,7 +254,9 @@ class CellViewer:
 
 
 def _merged(scene: PlanningScene, q: Array, joints: JointState) -> Array:
-    """Return a copy of `q` (dof,) with the actuated joints in `joints` overwritten, for the cell viewer."""
+    """Return a copy of `q` (dof,) with the positions of the actuated joints in `joints`, for display in the
+    cell viewer.
+    """
     q, at = q.copy(), {name: i for i, name in enumerate(scene.model.joint_names)}
     for name, value in zip(joints.joint_names, joints.positions, strict=True):
         if name in at:
@@ -266,7 +270,9 @@ def _place(frame: Any, T_world_frame: SE3) -> None:
 
 
 def _tool_links(scene: PlanningScene) -> tuple[str, ...]:
-    """Return the TCP links whose paths the cell viewer draws; without grippers, the chains' tip links."""
+    """Return the links whose paths the cell viewer draws: the TCPs of the grippers, or the tip links of the
+    chains if there are no grippers.
+    """
     tips = [g.tcp_link for g in scene.model.grippers.values()]
     tips = tips or [g.tip_link for g in scene.model.groups.values() if g.tip_link]
     return tuple(dict.fromkeys(tips))

@@ -22,7 +22,7 @@ POINT_M = 0.012  # [m] radius of the ball at a contact
 
 
 def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
-    """Draw an explanation of why planning failed into a view, and its summary into the panel.
+    """Draw the explanation of a planning failure in the view and show its summary in the panel.
 
     Colliding bodies are red, at the state of the collision. A green ghost of the whole robot shows
     `explanation.nearest`.
@@ -39,7 +39,9 @@ def show_explanation(viewer: CellViewer, scene: PlanningScene, explanation: Expl
 
 
 def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanation: Explanation) -> list[Any]:
-    """Draw why planning failed: colliding bodies, contact points and nearest state, without text."""
+    """Draw why planning failed, without text: the colliding bodies, the contact points and the nearest valid
+    state.
+    """
     api = server.scene
     handles: list[Any] = []
     bodies = list(dict.fromkeys(n for c in explanation.contacts for n in (c.body_a, c.body_b)))
@@ -64,14 +66,18 @@ def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanatio
 
 
 def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
-    """Return the scene for drawing why planning failed; defaults replace non-finite positions."""
+    """Return the scene in which the viewer draws why planning failed. Default positions replace those that
+    are not finite.
+    """
     positions = scene.state.updated(state).positions if state is not None else scene.positions
     usual = scene.model.default_positions()
     return replace(scene, positions=np.where(np.isfinite(positions), positions, usual))
 
 
 def _body(api: Any, scene: PlanningScene, name: str, kind: str, color: Color) -> list[Any]:
-    """Draw a link's or object's shapes in one color, to show why planning failed; return viser's handles."""
+    """Draw the shapes of a link or object in one color, to show why planning failed, and return the viser
+    handles.
+    """
     if name in scene.model.links:
         T = kinematic_tree(scene.model).link_pose(scene.positions, name)
         shapes = [(c.shape, T @ c.T_link_shape) for c in scene.model.links[name].collisions]

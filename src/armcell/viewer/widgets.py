@@ -18,7 +18,7 @@ _quiet = threading.local()
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Let a panel tab's thread set widgets during a `with` block without triggering their callbacks."""
+    """Let the thread of a panel tab set widgets during a `with` block without triggering their callbacks."""
     before, _quiet.on = getattr(_quiet, "on", False), True
     try:
         yield
@@ -27,7 +27,8 @@ def quietly() -> Iterator[None]:
 
 
 class Callbacks:
-    """Factory of callbacks for a panel tab's widgets that report errors and reset the widgets.
+    """Factory for the callbacks of widgets in a panel tab. If a callback fails, it reports the error and
+    resets the widgets.
 
     Args:
         say: shows an error text.
@@ -57,7 +58,7 @@ class Callbacks:
 
 
 def paragraph(text: str, color: str = "inherit", bold: bool = False) -> str:
-    """Return untrusted text for a panel widget as an escaped HTML paragraph with its line breaks kept."""
+    """Convert untrusted text to an escaped HTML paragraph for a panel widget. Line breaks are kept."""
     weight = "600" if bold else "inherit"
     style = f"padding:0.1em 0.75em;font-size:0.85em;line-height:1.35;color:{color};font-weight:{weight}"
     return f'<div style="{style};white-space:pre-wrap;overflow-wrap:anywhere">{html.escape(text)}</div>'

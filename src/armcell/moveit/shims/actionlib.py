@@ -33,7 +33,9 @@ def _seconds(duration: Any) -> float:
 
 
 class SimpleActionClient:
-    """actionlib.SimpleActionClient: action client with one goal at a time, which a new goal replaces."""
+    """Action client with one goal at a time, like actionlib.SimpleActionClient. A new goal replaces the
+    previous one.
+    """
 
     def __init__(self, ns: str, ActionSpec: Any):
         session = current_session()
@@ -41,7 +43,7 @@ class SimpleActionClient:
         self._session, self._sent = session, None
 
     def wait_for_server(self, timeout: Any = 0.0) -> bool:
-        """Shim of actionlib: wait for the action's server; return True if the server is available.
+        """Wait for the action server, as in actionlib, and return whether the server is available.
 
         Args:
             timeout: limit [s, wall clock] or Duration; 0 waits without limit.
@@ -83,7 +85,7 @@ class SimpleActionClient:
         return self.get_state()
 
     def wait_for_result(self, timeout: Any = 0.0) -> bool:
-        """Shim of actionlib: wait for the goal's result; return True if the result has arrived.
+        """Wait for the result of the action goal, as in actionlib, and return whether it has arrived.
 
         Args:
             timeout: limit [s, cell clock] or Duration; 0 waits without limit.
@@ -131,7 +133,7 @@ class SimpleActionClient:
 
 
 class SimpleActionServer:
-    """actionlib.SimpleActionServer: action server that runs its callback in a separate thread."""
+    """Action server that runs its callback in a separate thread, like actionlib.SimpleActionServer."""
 
     def __init__(
         self,

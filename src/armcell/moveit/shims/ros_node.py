@@ -17,36 +17,40 @@ from armcell.ros.names import resolve
 
 
 class ROSException(Exception):
-    """Base class of the exceptions of rospy's node."""
+    """Base class of the exceptions that rospy raises."""
 
 
 class ROSInterruptException(ROSException, KeyboardInterrupt):
-    """Exception of rospy's node: a blocking call was interrupted because the program shuts down."""
+    """Exception that rospy raises if a blocking call is interrupted because the program shuts down."""
 
 
 class ROSInitException(ROSException):
-    """Exception of rospy's node: the node is not initialized, or cannot be initialized."""
+    """Exception that rospy raises if the node is not initialized or cannot be initialized."""
 
 
 class ROSSerializationException(ROSException):
-    """Exception of rospy's node: a message cannot be serialized."""
+    """Exception that rospy raises if a message cannot be serialized."""
 
 
 class TransportException(ROSException):
-    """Exception of rospy's node: a connection to another ROS node failed."""
+    """Exception that rospy raises if a connection to another ROS node fails."""
 
 
 class ServiceException(Exception):
-    """Exception of rospy's node: a service call failed."""
+    """Exception that rospy raises if a service call fails."""
 
 
 class ROSTimeMovedBackwardsException(ROSInterruptException):
-    """Exception of rospy's node: ROS time moved backwards (simulation reset) during a sleep."""
+    """Exception that rospy raises if ROS time moves backwards during a sleep, e.g. because the simulation is
+    reset.
+    """
 
 
 # --- names and errors ---
 def resolved(name: str) -> str:
-    """Return a name of rospy's node as full graph name; `~private` names are below the node's name."""
+    """Return a name in the rospy node as a full graph name. A `~private` name is below the name of the
+    node.
+    """
     try:
         if name.startswith("~"):
             return resolve(name[1:].lstrip("/"), get_name())
@@ -62,7 +66,7 @@ def check_running() -> None:
 
 @contextlib.contextmanager
 def ros_errors(kind: type[Exception]) -> Any:
-    """Convert armcell's exceptions in a `with` block to exceptions of rospy's node."""
+    """Convert exceptions of armcell that a `with` block raises to the exceptions that rospy would raise."""
     try:
         yield
     except (ArmcellError, ServiceError) as error:
@@ -151,7 +155,7 @@ def get_time() -> float:
 
 
 def sleep(duration: float | Duration) -> None:
-    """rospy node's sleep: sleep by the cell's clock, like ROS with use_sim_time.
+    """Sleep for a duration of the cell's clock, as rospy.sleep does with use_sim_time.
 
     Args:
         duration: seconds or a Duration.
@@ -178,7 +182,7 @@ def wait_until(seconds: float) -> None:
 
 
 class Rate:
-    """rospy node's Rate: loop timer that sleeps to keep a loop at a rate [Hz] of the cell's clock."""
+    """Loop timer like rospy.Rate: its `sleep` keeps a loop at a fixed rate [Hz] of the cell's clock."""
 
     def __init__(self, hz: float, reset: bool = False):
         self.sleep_dur = Duration.from_sec(1.0 / hz)
@@ -199,7 +203,9 @@ class Rate:
 
 
 class Timer(threading.Thread):
-    """rospy node's Timer: calls back with a TimerEvent every period of the cell's clock."""
+    """Timer like rospy.Timer, which calls a function with a TimerEvent at a fixed period of the cell's
+    clock.
+    """
 
     def __init__(
         self, period: Duration, callback: Callable[[Any], None], oneshot: bool = False, reset: bool = False
@@ -231,7 +237,7 @@ class Timer(threading.Thread):
 
 
 class TimerEvent:
-    """rospy node's TimerEvent: expected and actual times of a timer's previous and current calls."""
+    """Expected and actual times of the current and previous calls of a timer, like rospy's TimerEvent."""
 
     def __init__(
         self, last_expected: Any, last_real: Any, current_expected: Any, current_real: Any, last_duration: Any

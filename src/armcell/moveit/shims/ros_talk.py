@@ -25,7 +25,7 @@ QUEUE_SIZE = 100  # default of this shim; without a queue size rospy blocks or q
 
 # --- topics ---
 class Publisher:
-    """rospy.Publisher: publisher of a topic on the bus."""
+    """Publisher of a topic on the bus, like rospy.Publisher."""
 
     def __init__(
         self, name: str, data_class: type, subscriber_listener: Any = None, tcp_nodelay: bool = False,
@@ -37,7 +37,9 @@ class Publisher:
             self._publisher = current_session().bus.advertise(self.name, self.type, latch)
 
     def publish(self, *args: Any, **kwds: Any) -> None:
-        """rospy.Publisher: publish a message, or a message that is created from the given field values."""
+        """Publish a message, or a message that is created from the given field values, like
+        rospy.Publisher.
+        """
         if len(args) == 1 and not kwds and getattr(args[0], "_type", None) == self.type:
             message = args[0]
         elif len(args) == 1 and not kwds and hasattr(args[0], "_type"):
@@ -58,7 +60,9 @@ class Publisher:
 
 
 class Subscriber:
-    """rospy.Subscriber, whose thread calls back with the script's own copy of each message."""
+    """Subscriber like rospy.Subscriber. In its own thread it calls a function with a copy of each message,
+    which the script may change.
+    """
 
     def __init__(
         self, name: str, data_class: type, callback: Callable[..., None] | None = None,
@@ -116,7 +120,7 @@ def get_published_topics(namespace: str = "/") -> list[list[str]]:
 
 # --- services ---
 class Service:
-    """rospy.Service: service server on the bus.
+    """Service server on the bus, like rospy.Service.
 
     The handler may return a response message, a list, tuple or dict of its fields, or the value of its first
     field.
@@ -153,7 +157,7 @@ def _response(cls: Any, given: Any) -> Any:
 
 
 class ServiceProxy:
-    """rospy.ServiceProxy: client that calls a service like a function."""
+    """Client of a ROS service that is called like a function, as rospy.ServiceProxy is."""
 
     def __init__(self, name: str, service_class: Any, persistent: bool = False, headers: Any = None):
         self.resolved_name, self.service_class = resolved(name), service_class

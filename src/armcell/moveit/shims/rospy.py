@@ -107,7 +107,7 @@ def _log(level: str, message: Any, args: tuple[Any, ...]) -> None:
 
 
 def logdebug(msg: Any, *args: Any, **kwargs: Any) -> None:
-    """rospy.logdebug: ignore a debug message, because ROS does not show debug messages by default."""
+    """Ignore a debug message: rospy.logdebug shows nothing by default."""
 
 
 def loginfo(msg: Any, *args: Any, **kwargs: Any) -> None:
@@ -157,11 +157,11 @@ logout = loginfo
 
 
 def logdebug_throttle(period: float, msg: Any, *args: Any) -> None:
-    """rospy: ignore a throttled debug message; debug messages are not shown."""
+    """Ignore a throttled debug message, as rospy does not show debug messages by default."""
 
 
 def logdebug_once(msg: Any, *args: Any) -> None:
-    """rospy: ignore a debug message that would be logged once; debug messages are not shown."""
+    """Ignore a debug message that would be logged once, as rospy does not show debug messages by default."""
 
 
 class _Exceptions:

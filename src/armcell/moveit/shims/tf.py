@@ -18,7 +18,9 @@ Exception = TransformException
 
 
 class TransformListener:
-    """Shim of tf's listener: returns transforms as (x, y, z), (x, y, z, w)."""
+    """Transform listener like the one of ROS 1's tf, which returns transforms as tuples (x, y, z) and (x, y,
+    z, w).
+    """
 
     def __init__(self, *args: Any, **kwargs: Any):
         self._buffer = tf2_ros.Buffer()
@@ -66,7 +68,7 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Shim of tf's broadcaster: publishes one transform per call."""
+    """Transform broadcaster like the one of ROS 1's tf, which publishes one transform per call."""
 
     def __init__(self, queue_size: int = 100):
         self._broadcaster = tf2_ros.TransformBroadcaster()

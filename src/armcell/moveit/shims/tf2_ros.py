@@ -23,27 +23,27 @@ MAX_DEPTH = 200
 
 
 class TransformException(Exception):
-    """Base class of tf2_ros's exceptions."""
+    """Base class of the exceptions that tf2_ros raises."""
 
 
 class LookupException(TransformException):
-    """tf2_ros error: a frame was never published on /tf or /tf_static."""
+    """Exception that tf2_ros raises if a frame was never published on /tf or /tf_static."""
 
 
 class ConnectivityException(TransformException):
-    """tf2_ros error: no chain of transforms connects two frames."""
+    """Exception that tf2_ros raises if no chain of transforms connects two frames."""
 
 
 class ExtrapolationException(TransformException):
-    """tf2_ros error: no transform is known for the requested time."""
+    """Exception that tf2_ros raises if no transform is known at the requested time."""
 
 
 class InvalidArgumentException(TransformException):
-    """tf2_ros error: an argument of a tf2 call, such as a transform, is invalid."""
+    """Exception that tf2_ros raises if an argument of a call, such as a transform, is invalid."""
 
 
 class TimeoutException(TransformException):
-    """tf2_ros error: no transform between the frames arrived within the timeout."""
+    """Exception that tf2_ros raises if no transform between two frames arrives within the timeout."""
 
 
 def _seconds(timeout: Any) -> float:
@@ -51,7 +51,7 @@ def _seconds(timeout: Any) -> float:
 
 
 class Buffer:
-    """tf2_ros.Buffer with the newest transform of each child frame."""
+    """Buffer that keeps the newest transform of each child frame, like tf2_ros.Buffer."""
 
     def __init__(self, cache_time: Any = None, debug: bool = True):
         self._session = current_session()
@@ -73,7 +73,8 @@ class Buffer:
     def lookup_transform(
         self, target_frame: str, source_frame: str, time: Any = None, timeout: Any = 0.0
     ) -> Any:
-        """tf2_ros.Buffer: return T_target_source as a TransformStamped; wait for it up to `timeout` [s].
+        """Return T_target_source as a TransformStamped, like tf2_ros.Buffer. The call waits up to `timeout`
+        [s] for the transform.
 
         Raises:
             TransformException: a frame does not exist, or the frames are not connected.
@@ -95,7 +96,7 @@ class Buffer:
     def transform(
         self, object_stamped: Any, target_frame: str, timeout: Any = 0.0, new_type: Any = None
     ) -> Any:
-        """tf2_ros.Buffer: transform a stamped pose, point or vector to another frame.
+        """Transform a stamped pose, point or vector to another frame, like tf2_ros.Buffer.transform.
 
         Raises:
             TransformException: a frame is unknown, the frames are not connected, or the type is not
@@ -149,7 +150,9 @@ class Buffer:
 
 
 class TransformListener:
-    """tf2_ros.TransformListener: fills a buffer from /tf and /tf_static."""
+    """Listener that fills a buffer with the transforms from /tf and /tf_static, like
+    tf2_ros.TransformListener.
+    """
 
     def __init__(self, buffer: Buffer, queue_size: Any = None, **more: Any):
         session = current_session()
@@ -164,7 +167,7 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """tf2_ros.TransformBroadcaster for transforms on /tf."""
+    """Broadcaster that publishes transforms on /tf, like tf2_ros.TransformBroadcaster."""
 
     TOPIC, LATCH = "/tf", False
 
@@ -180,7 +183,7 @@ class TransformBroadcaster:
 
 
 class StaticTransformBroadcaster(TransformBroadcaster):
-    """tf2_ros.StaticTransformBroadcaster for static transforms on /tf_static.
+    """Broadcaster that publishes static transforms on /tf_static, like tf2_ros.StaticTransformBroadcaster.
 
     Each message contains all transforms sent so far, so that late subscribers receive all of them.
     """

@@ -21,7 +21,8 @@ _AXES = ["xyz", "xyx", "xzy", "xzx", "yzx", "yzy", "yxz", "yxy", "zxy", "zxz", "
 
 
 def _axes(axes: str | Sequence[int]) -> tuple[list[int], bool]:
-    """Shim of tf.transformations: convert Euler axes such as "sxyz" to rotations about fixed axes.
+    """Convert the name of Euler axes, such as "sxyz", to rotations about fixed axes, as tf.transformations
+    defines them.
 
     Returns:
         The axes (0 to 2) in order, and whether the name describes a rotating frame.
@@ -38,7 +39,7 @@ def _axes(axes: str | Sequence[int]) -> tuple[list[int], bool]:
 
 
 def _about(axis: int, angle: float) -> Array:
-    """Shim of tf.transformations: return the (3, 3) rotation matrix about the x, y or z axis."""
+    """Return the (3, 3) matrix of a rotation about the x, y or z axis, for the shim of tf.transformations."""
     c, s = np.cos(angle), np.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     M = np.eye(3)
@@ -216,7 +217,9 @@ def rotation_matrix(angle: float, direction: ArrayLike, point: ArrayLike | None 
 
 
 def rotation_from_matrix(matrix: ArrayLike) -> tuple[float, Array, Array]:
-    """tf.transformations: return angle [rad], direction (3,) and a point (4,) of a matrix's rotation axis."""
+    """Return the angle [rad], the axis direction (3,) and a point (4,) on the axis of a matrix's rotation,
+    like tf.transformations.
+    """
     M = np.asarray(matrix, dtype=float)
     q = quaternion_from_matrix(M)
     length = float(np.linalg.norm(q[:3]))

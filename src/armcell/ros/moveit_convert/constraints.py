@@ -34,7 +34,7 @@ VIEW_AXES = {0: "z", 1: "y", 2: "x"}  # moveit_msgs/VisibilityConstraint
 
 
 def constraints_from_message(message: Any) -> Constraints:
-    """Convert a moveit_msgs/Constraints to armcell's `Constraints`.
+    """Convert a moveit_msgs/Constraints message to `Constraints` of armcell.
 
     This function does not check whether the constraints are consistent; the planner does.
 
@@ -86,7 +86,7 @@ def _orientation(c: Any) -> OrientationConstraint:
 
 
 def _unset(c: Any) -> list[str]:
-    """List a moveit_msgs/OrientationConstraint's fields that still have default values."""
+    """List the fields of a moveit_msgs/OrientationConstraint message that still have their default values."""
     tolerances = (c.absolute_x_axis_tolerance, c.absolute_y_axis_tolerance, c.absolute_z_axis_tolerance)
     return [
         *([] if c.link_name else ["link_name (empty)"]),
@@ -113,7 +113,7 @@ def _visibility(c: Any) -> VisibilityConstraint:
 
 
 def goal_from_message(message: Any, scene: PlanningScene) -> Goal:
-    """Convert a moveit_msgs/Constraints to a `JointGoal`, `PoseGoal` or `ConstraintGoal`.
+    """Convert the goal in a moveit_msgs/Constraints message to a `JointGoal`, `PoseGoal` or `ConstraintGoal`.
 
     Joint constraints become a `JointGoal`, a position with an orientation of one link becomes a `PoseGoal`,
     and any other combination becomes a `ConstraintGoal`.
@@ -135,7 +135,9 @@ def goal_from_message(message: Any, scene: PlanningScene) -> Goal:
 
 
 def _joint_goal(wanted: Constraints) -> Goal:
-    """Convert joint constraints to a `JointGoal` if all share one tolerance, else a `ConstraintGoal`."""
+    """Convert joint constraints to a `JointGoal`. If their tolerances differ, the result is a
+    `ConstraintGoal`.
+    """
     tolerances = {t for c in wanted.joints for t in (c.tolerance_above, c.tolerance_below)}
     names = [c.joint for c in wanted.joints]
     if len(tolerances) > 1 or len(set(names)) < len(names):
@@ -145,7 +147,7 @@ def _joint_goal(wanted: Constraints) -> Goal:
 
 
 def _pose_goal(wanted: Constraints, scene: PlanningScene) -> PoseGoal | None:
-    """Convert a position constraint (sphere or cube) and an orientation constraint to a `PoseGoal`.
+    """Convert a position constraint (sphere or cube) and an orientation constraint to one `PoseGoal`.
 
     Returns None if the constraints have another form.
     """
@@ -170,7 +172,7 @@ def _pose_goal(wanted: Constraints, scene: PlanningScene) -> PoseGoal | None:
 
 
 def constraints_message(schema: Schema, wanted: Constraints) -> Any:
-    """Convert armcell's `Constraints` to a moveit_msgs/Constraints; every weight is 1."""
+    """Convert `Constraints` of armcell to a moveit_msgs/Constraints message in which every weight is 1."""
     header = lambda frame: schema.new("std_msgs/Header", frame_id=frame)  # noqa: E731
     joints = [
         schema.new(

@@ -15,12 +15,14 @@ ADD, REMOVE, APPEND, MOVE = 0, 1, 2, 3  # moveit_msgs/CollisionObject
 
 
 def frame_of(header: Any) -> str:
-    """Return the frame of a collision object's header without a leading slash; empty means the world."""
+    """Return the frame in the header of a collision object, without a leading slash. An empty frame means the
+    world.
+    """
     return header.frame_id.lstrip("/") or WORLD
 
 
 def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
-    """Convert the shapes of a CollisionObject or BoundingVolume message to pairs (shape, T_object_shape).
+    """Convert the shapes in a CollisionObject or BoundingVolume message to pairs (shape, T_object_shape).
 
     A shape without a pose is at the origin, as in MoveIt.
 
@@ -47,7 +49,7 @@ def shapes_from_message(message: Any) -> tuple[tuple[Shape, SE3], ...]:
 
 
 def object_from_message(message: Any, like: CollisionObject | None = None) -> CollisionObject:
-    """Convert a moveit_msgs/CollisionObject to a scene's collision object.
+    """Convert a moveit_msgs/CollisionObject message to a collision object of the planning scene.
 
     If the object has one shape and no pose, the pose of the shape becomes the pose of the object, as in
     MoveIt.
@@ -73,7 +75,8 @@ def object_from_message(message: Any, like: CollisionObject | None = None) -> Co
 
 
 def object_message(schema: Schema, header: Any, item: CollisionObject, operation: int = ADD) -> Any:
-    """Convert a scene's collision object to a moveit_msgs/CollisionObject in the world frame.
+    """Convert a collision object of the planning scene to a moveit_msgs/CollisionObject message in the world
+    frame.
 
     Point clouds and octrees are omitted; an object that consists only of these has no shapes in its message.
 

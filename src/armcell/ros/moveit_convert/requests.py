@@ -26,7 +26,7 @@ It includes FixStartStateCollision, because a grasped object still touches its s
 
 
 def error_code_message(schema: Schema, code: ErrorCode | int, message: str = "") -> Any:
-    """Create a moveit_msgs/MoveItErrorCodes from an error code and a text.
+    """Create a moveit_msgs/MoveItErrorCodes message from an error code and a text.
 
     Only MoveIt 2 clients receive the text and its source.
     """
@@ -36,7 +36,8 @@ def error_code_message(schema: Schema, code: ErrorCode | int, message: str = "")
 def plan_request_from_message(
     message: Any, scene: PlanningScene, parameters: Mapping[str, Any] | None = None
 ) -> PlanRequest:
-    """Convert a moveit_msgs/MotionPlanRequest to a `PlanRequest`, with move_group's defaults.
+    """Convert a moveit_msgs/MotionPlanRequest message to a `PlanRequest`. Empty fields get the defaults of
+    MoveIt's move_group.
 
     An empty pipeline or planner selects the default, a scaling factor outside (0, 1] becomes 1, a missing
     planning time becomes 5 s, and less than one attempt becomes one. The workspace applies only if its frame
@@ -93,7 +94,7 @@ def _workspace(message: Any) -> tuple[Corner, Corner] | None:
 
 
 def cartesian_request_from_message(message: Any, scene: PlanningScene) -> CartesianRequest:
-    """Convert a moveit_msgs/GetCartesianPath request to a `CartesianRequest`.
+    """Convert the request of a moveit_msgs/GetCartesianPath service to a `CartesianRequest`.
 
     Waypoints are in the header's frame. A jump threshold of 0 allows any jump, as in MoveIt. If a request
     sets no threshold at all, armcell's defaults apply (0.2 rad and 0.05 m), because a path with jumps is not

@@ -52,7 +52,9 @@ logger = logging.getLogger(__name__)
 
 
 class Components(IntFlag):
-    """Bit flags of moveit_msgs/PlanningSceneComponents: the parts of a requested planning scene."""
+    """Bit flags in a moveit_msgs/PlanningSceneComponents message that select the requested parts of a
+    planning scene.
+    """
 
     SCENE_SETTINGS = 1
     ROBOT_STATE = 2
@@ -69,7 +71,7 @@ class Components(IntFlag):
 
 # --- a message as changes ---
 def object_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
-    """Convert a moveit_msgs/CollisionObject to planning scene changes.
+    """Convert a moveit_msgs/CollisionObject message to changes of the planning scene.
 
     Args:
         message: the CollisionObject message.
@@ -109,7 +111,7 @@ def _known(scene: PlanningScene, name: str) -> Any:
 
 
 def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
-    """Convert the new pose in a CollisionObject message to a planning scene change (scene diff).
+    """Convert a CollisionObject message that moves an object to a change of the planning scene.
 
     Older clients send the new pose as the pose of the object's only shape.
     """
@@ -121,7 +123,7 @@ def _moved(message: Any, scene: PlanningScene, frame: str) -> Change:
 
 
 def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | None = None) -> list[Change]:
-    """Convert a moveit_msgs/AttachedCollisionObject to planning scene changes.
+    """Convert a moveit_msgs/AttachedCollisionObject message to changes of the planning scene.
 
     Args:
         message: the AttachedCollisionObject message.
@@ -150,7 +152,7 @@ def attached_changes(message: Any, scene: PlanningScene, known: PlanningScene | 
 
 
 def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
-    """Convert a moveit_msgs/PlanningScene to a scene diff.
+    """Convert a moveit_msgs/PlanningScene message to a scene diff.
 
     The robot's joint positions and name are ignored, because the joints are measured. An allowed collision
     matrix changes only the pairs that it names. Without `is_diff`, the message replaces the world, unless its
@@ -194,7 +196,8 @@ def diff_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
 
 
 def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
-    """Convert a moveit_msgs/PlanningSceneWorld to a diff that replaces a scene's world and octomap.
+    """Convert a moveit_msgs/PlanningSceneWorld message to a scene diff that replaces the world objects and
+    the octomap.
 
     Raises:
         InputError: the message contains an invalid value or an unknown frame.
@@ -204,7 +207,7 @@ def world_from_message(message: Any, scene: PlanningScene) -> SceneDiff:
 
 
 def _world(message: Any, now: PlanningScene, known: PlanningScene) -> list[Change]:
-    """Convert a PlanningSceneWorld message to planning scene changes, in their order.
+    """Convert a PlanningSceneWorld message to changes of the planning scene, in the order of the message.
 
     Each object is converted in the scene that results from the previous changes, as far as they concern it:
     adding and moving other objects do not.
@@ -260,7 +263,7 @@ def _allowed(matrix: Any, scene: PlanningScene) -> list[Change]:
 def scene_message(
     schema: Schema, header: Any, scene: PlanningScene, parts: Components = Components.ALL
 ) -> Any:
-    """Convert armcell's scene to a moveit_msgs/PlanningScene with the requested components."""
+    """Convert the planning scene to a moveit_msgs/PlanningScene message with the requested components."""
     message = schema.new("moveit_msgs/PlanningScene", name="armcell", robot_model_name=scene.model.name)
     if parts & (Components.ROBOT_STATE | Components.ROBOT_STATE_ATTACHED_OBJECTS):
         attached = bool(parts & Components.ROBOT_STATE_ATTACHED_OBJECTS)
@@ -300,7 +303,8 @@ def scene_message(
 
 
 def _octomap_message(schema: Schema, header: Any, item: CollisionObject) -> Any:
-    """Convert the octree of a planning scene to an octomap_msgs/Octomap in OctoMap's binary format.
+    """Convert the octree of a planning scene to an octomap_msgs/Octomap message in the binary format of
+    OctoMap.
 
     The size of the smallest cell becomes the resolution.
     """

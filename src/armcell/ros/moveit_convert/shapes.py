@@ -30,7 +30,7 @@ PRISM = 5  # shape_msgs/SolidPrimitive's type of a prism, only in ROS 2; armcell
 
 
 def _primitives() -> dict[str, tuple[ShapeKind, SolidPrimitive]]:
-    """Return the shape classes that shape_msgs/SolidPrimitive supports, by shape name."""
+    """Return the shape classes that a shape_msgs/SolidPrimitive message can represent, by shape name."""
     return _primitives_of(tuple(shapes.imported().items()))
 
 
@@ -40,12 +40,12 @@ def _primitives_of(kinds: tuple[tuple[str, ShapeKind], ...]) -> dict[str, tuple[
 
 
 def primitive_type(name: str) -> int:
-    """Return the type number in shape_msgs/SolidPrimitive for a shape name such as "box"."""
+    """Return the type number that shape_msgs/SolidPrimitive assigns to a shape name such as "box"."""
     return _primitives()[name][1].type
 
 
 def primitive_shape(message: Any) -> Shape:
-    """Convert a shape_msgs/SolidPrimitive to armcell's box, sphere, cylinder or cone.
+    """Convert a shape_msgs/SolidPrimitive message to a box, sphere, cylinder or cone of armcell.
 
     Raises:
         InputError: the type is unknown, dimensions are missing, or a dimension is not positive.
@@ -66,7 +66,7 @@ def primitive_shape(message: Any) -> Shape:
 
 
 def prism(base: NDArray[np.float64], height: float) -> Mesh:
-    """Extrude a polygon by half of `height` to both sides, for shape_msgs' PRISM; return the mesh.
+    """Convert a prism of shape_msgs to a mesh: extrude its polygon by half of `height` to both sides.
 
     Args:
         base: corners (n, 2) [m] of a polygon without holes.
@@ -90,13 +90,16 @@ def prism(base: NDArray[np.float64], height: float) -> Mesh:
 
 
 def _area(corners: NDArray[np.float64]) -> float:
-    """Return the signed area [m2] of a prism shape's base (n, 2), positive if counterclockwise."""
+    """Return the signed area [m2] of a prism's base polygon (n, 2). The area is positive if the corners are
+    counterclockwise.
+    """
     (x, y), (u, v) = corners.T, np.roll(corners, -1, axis=0).T
     return float(np.sum(x * v - u * y)) / 2
 
 
 def _triangles(base: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Triangulate a prism shape's counterclockwise base (n, 2) into n - 2 triangles by ear clipping.
+    """Triangulate the base polygon (n, 2) of a prism into n - 2 triangles by ear clipping. The corners must
+    be counterclockwise.
 
     Source: Meisters 1975.
     """
@@ -121,7 +124,7 @@ def _inside(point: NDArray[np.float64], triangle: NDArray[np.float64]) -> bool:
 
 
 def mesh_shape(message: Any) -> Mesh:
-    """Convert a shape_msgs/Mesh to a mesh shape.
+    """Convert a shape_msgs/Mesh message to a mesh shape.
 
     Raises:
         InputError: the mesh has no triangles, or a triangle refers to a vertex that does not exist.
@@ -132,7 +135,7 @@ def mesh_shape(message: Any) -> Mesh:
 
 
 def plane_pose(message: Any) -> SE3:
-    """Return the pose of armcell's plane shape for a shape_msgs/Plane a x + b y + c z + d = 0.
+    """Return the pose at which armcell's plane shape represents the shape_msgs/Plane a x + b y + c z + d = 0.
 
     In armcell, the z axis of the plane's frame is the normal, and the half-space below z = 0 is solid.
 
@@ -149,7 +152,7 @@ def plane_pose(message: Any) -> SE3:
 
 
 class ShapeMessages:
-    """Lists of shape_msgs messages and poses for a collision object or bounding volume.
+    """Lists of the shape_msgs messages and their poses that describe a collision object or a bounding volume.
 
     `add` appends one shape at a time.
     """
@@ -161,7 +164,8 @@ class ShapeMessages:
         self.planes: list[tuple[Any, SE3]] = []
 
     def add(self, shape: Shape, T: SE3) -> None:
-        """Append a shape as shape_msgs message with its pose; a capsule becomes a cylinder and two spheres.
+        """Append the shape_msgs message of a shape, and its pose. A capsule becomes a cylinder and two
+        spheres.
 
         Point clouds and octrees are omitted, because these lists cannot represent them.
         """

@@ -15,7 +15,7 @@ from armcell.scene import AttachedBody, PlanningScene
 
 
 def joint_state_from_message(message: Any, model: RobotModel) -> JointState | None:
-    """Convert a sensor_msgs/JointState to a joint state without mimic joints.
+    """Convert a sensor_msgs/JointState message to a joint state that does not contain mimic joints.
 
     Returns:
         The joint state, or None if the message names no actuated joint.
@@ -39,7 +39,8 @@ def joint_state_from_message(message: Any, model: RobotModel) -> JointState | No
 
 
 def robot_state_from_message(message: Any, scene: PlanningScene) -> JointState | None:
-    """Convert a moveit_msgs/RobotState to a joint state; None if the message names no joints.
+    """Convert a moveit_msgs/RobotState message to a joint state. The result is None if the message names no
+    joints.
 
     Joints that the message does not name keep the scene's positions, with or without `is_diff`.
 
@@ -54,7 +55,8 @@ def robot_state_from_message(message: Any, scene: PlanningScene) -> JointState |
 
 
 def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attached: bool = True) -> Any:
-    """Convert a scene's robot state to a moveit_msgs/RobotState with all movable and mimic joints.
+    """Convert the robot state of a scene to a moveit_msgs/RobotState message with all movable and mimic
+    joints.
 
     Args:
         schema: the message types.
@@ -78,7 +80,9 @@ def robot_state_message(schema: Schema, header: Any, scene: PlanningScene, attac
 
 
 def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
-    """Convert an attached body of a robot state to an AttachedCollisionObject in its link's frame."""
+    """Convert a body that is attached to the robot to an AttachedCollisionObject message in the frame of its
+    link.
+    """
     own = schema.new("std_msgs/Header", stamp=header.stamp, frame_id=body.link)
     return schema.new(
         "moveit_msgs/AttachedCollisionObject",
@@ -89,7 +93,7 @@ def attached_message(schema: Schema, header: Any, body: AttachedBody) -> Any:
 
 
 def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory) -> Any:
-    """Convert armcell's trajectory to a trajectory_msgs/JointTrajectory.
+    """Convert a trajectory of armcell to a trajectory_msgs/JointTrajectory message.
 
     Velocities and accelerations are included if the trajectory has them.
     """
@@ -111,7 +115,9 @@ def trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory)
 
 
 def robot_trajectory_message(schema: Schema, header: Any, trajectory: JointTrajectory | None) -> Any:
-    """Convert armcell's trajectory to a moveit_msgs/RobotTrajectory; None gives an empty message."""
+    """Convert a trajectory of armcell to a moveit_msgs/RobotTrajectory message. None gives an empty
+    message.
+    """
     if trajectory is None:
         return schema.new("moveit_msgs/RobotTrajectory")
     message = trajectory_message(schema, header, trajectory)

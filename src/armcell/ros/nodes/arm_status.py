@@ -17,7 +17,7 @@ RUNNING, NORMAL = 7, 1  # simulated arms are always switched on, and no safety f
 
 
 class ArmStatusPublisher:
-    """Publisher of the arm status on ROS topics: each arm's wrench, robot mode and safety mode.
+    """Publisher that reports the wrench, the robot mode and the safety mode of each arm on ROS topics.
 
     The topics are /<arm group>/wrench, /<arm group>/robot_mode and /<arm group>/safety_mode; a cell with one
     arm omits the group. The wrench (geometry_msgs/WrenchStamped) acts on the hand without the hand's own
@@ -45,7 +45,9 @@ class ArmStatusPublisher:
         self._last: dict[str, tuple[int, int]] = {}
 
     def publish(self, driver: Driver) -> None:
-        """Measure and publish each arm's wrench and modes; only in the thread that steps the driver."""
+        """Measure and publish the wrench and the modes of each arm. Only the thread that steps the driver may
+        call this method.
+        """
         new = self._bus.schema.new
         known = driver.arm_modes() if Capability.REPORT_MODES in driver.capabilities else {}
         for arm, publishers in self._modes.items():

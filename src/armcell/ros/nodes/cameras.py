@@ -21,7 +21,7 @@ T_LINK_OPTICAL = SE3.from_quat_xyzw([0, 0, 0], [-0.5, 0.5, -0.5, 0.5])
 
 
 class CameraPublisher:
-    """Publisher of the images of a live cell's cameras as ROS topics.
+    """Publisher that sends the images of a live cell's cameras to ROS topics.
 
     Call it in the thread that steps the driver. Topics of a camera NAME, as in image_pipeline:
 
@@ -42,7 +42,8 @@ class CameraPublisher:
         self._cameras = [_Topics(bus, camera) for camera in cameras.values()]
 
     def publish(self, tf: Publisher | None = None) -> None:
-        """Publish the camera images that are due, and the camera frames on an existing /tf publisher.
+        """Publish the camera images that are due. The camera frames are published as well if /tf has a
+        publisher.
 
         Args:
             tf: publisher of /tf; None publishes no frames.
@@ -51,7 +52,7 @@ class CameraPublisher:
             topics.publish(tf)
 
     def frames(self) -> dict[str, int]:
-        """Return the number of images that each camera has delivered, by camera name."""
+        """Return the number of images that each camera has delivered so far, by the name of the camera."""
         return {topics.name: topics.delivered for topics in self._cameras}
 
     def close(self) -> None:
@@ -122,7 +123,9 @@ class _Topics:
             self._points.publish(cloud_message(schema, header, points, image.rgb))
 
     def _frames(self) -> list[Any]:
-        """Return a camera topic's transforms from the parent link to the camera's link and optical frames."""
+        """Return the transforms of a camera that are published on /tf: from the parent link to the camera's
+        link and to its optical frame.
+        """
         camera, bus = self._camera.camera, self._bus
         parent = WORLD if camera.link is None else camera.link
         T = camera.T_world_camera if camera.T_link_camera is None else camera.T_link_camera
@@ -139,5 +142,7 @@ class _Topics:
 
 
 def _with_nan(depth: np.ndarray) -> np.ndarray:
-    """Return a camera's depth image with NaN for pixels without a measurement, as in REP 118."""
+    """Return the depth image of a camera, with NaN in pixels that have no measurement, as REP 118
+    requires.
+    """
     return np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)

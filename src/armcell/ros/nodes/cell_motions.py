@@ -40,7 +40,8 @@ FALLEN = 0.03  # [m] an object that slipped by more from its grasp has fallen
 
 
 class CellMotions:
-    """Cell motions: interface to observe, edit and move a live cell from any thread while `run` executes.
+    """Interface through which clients in any thread observe, edit and move a live cell, while `run` executes
+    the motions.
 
     An object between closed fingers is attached to the hand automatically, no matter which client closed
     them, and returns to the world when the fingers open. Clients need not attach or detach grasped objects in
@@ -73,7 +74,7 @@ class CellMotions:
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step a live cell and execute its clients' motions until `close`."""
+        """Step a live cell and execute the motions of its clients until `close`."""
         try:
             with self.live:
                 self._connected()
@@ -85,7 +86,7 @@ class CellMotions:
             self.conductor.close()
 
     def _connected(self) -> None:
-        """Act on a live cell that was just connected, before its first step and motion."""
+        """Prepare a live cell that has just been connected, before its first step and its first motion."""
 
     def _after_step(self) -> None:
         if self.live.driver.now >= self._next_look:
@@ -94,32 +95,38 @@ class CellMotions:
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
-        """Start a live cell's motions in a new thread and return the thread."""
+        """Execute the motions of a live cell in a new thread and return the thread."""
         thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
         thread.start()
         return thread
 
     def close(self) -> None:
-        """Stop a live cell's running motions and request the end of `run`."""
+        """Stop the running motions of a live cell and request that `run` ends."""
         self._stop.set()
         self.conductor.stop()
 
     def say(self, text: str) -> None:
-        """Report the progress of a live cell's motion."""
+        """Report the progress of a motion to the clients of a live cell."""
         logger.info("trajectory: %s", text)
 
     # --- scene and held objects ---
     def scene(self) -> PlanningScene:
-        """Return a live cell's measured scene with added and held objects, to check motions."""
+        """Return the measured scene of a live cell, including added and held objects, for checking
+        motions.
+        """
         return self.conductor.call(self.now)
 
     def now(self) -> PlanningScene:
-        """Return a live cell's measured scene for its motions; call this only in the driver's thread."""
+        """Return the measured scene of a live cell for its motions. Only the thread of the driver may call
+        this method.
+        """
         self.look_at_hands()
         return self.live.ctx.scene()
 
     def look_at_hands(self) -> None:
-        """Update which objects a live cell's grippers hold; call this only in the driver's thread."""
+        """Update which objects the grippers of a live cell hold. Only the thread of the driver may call this
+        method.
+        """
         ctx = self.live.ctx
         world = ctx.base
         for gripper in self.model.grippers.values():
@@ -140,7 +147,8 @@ class CellMotions:
             self._widths[reading.held] = reading.width
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Edit the scene of a cell with motions by the function `make` and return the resulting scene.
+        """Change the scene of a live cell with the function `make` and return the resulting scene, against
+        which motions are checked.
 
         Raises:
             InputError: `make` raised it; the world is unchanged.
@@ -150,29 +158,33 @@ class CellMotions:
         return self.scene()
 
     def held(self, gripper: Gripper) -> str | None:
-        """Return the object between the fingers of a live cell's gripper, for the cell's motions, or None."""
+        """Return the object between the fingers of a gripper in the live cell, or None."""
         return self.conductor.call(lambda: self.live.driver.gripper(gripper.name).held)
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare contacts of `body` with `others` as expected by a cell's motions, or revoke this."""
+        """Declare that motions of the cell may bring `body` into contact with `others`, or revoke this
+        declaration.
+        """
         others = tuple(others)
         self.conductor.call(lambda: self.live.ctx.expect_contact(body, others, expected))
 
     def tell(self, kind: str, text: str, **data: Any) -> None:
-        """Queue an event for the observers of a live cell's motions."""
+        """Queue an event for the observers of a live cell and its motions."""
         self.conductor.soon(lambda: self.live.ctx.emit(kind, text, **data))
 
     # --- motions ---
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return a live cell's waiting and running motions, optionally only those of given joints."""
+        """Return the waiting and running motions of a live cell. If joints are given, only their motions are
+        returned.
+        """
         return self.conductor.works(joints)
 
     def stop(self) -> None:
-        """Stop every motion of a live cell that clients share."""
+        """Stop all motions of a live cell, including those of other clients."""
         self.conductor.stop()
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Start a gripper motion (open or close) of a live cell and return a handle to the motion.
+        """Start to open or close a gripper of a live cell and return a handle to this motion.
 
         Args:
             gripper: the gripper.
@@ -188,7 +200,8 @@ class CellMotions:
         planned_in: PlanningScene | None = None,
         controllers: Sequence[str] = (),
     ) -> Work:
-        """Start a trajectory_msgs/JointTrajectory as a cell motion once its joints' earlier motions end.
+        """Queue a trajectory_msgs/JointTrajectory as a motion of the cell. It starts when earlier motions of
+        its joints have ended.
 
         `say` reports the progress. A trajectory without points stops its joints, or all joints if it names
         none. The motion gate certifies the motion when it starts, with the contacts that `planned_in` allows.
@@ -229,12 +242,16 @@ class CellMotions:
         return self._put_beside(work, trajectory)
 
     def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
-        """Check that the controllers named for a cell motion move the motion's joints."""
+        """Check that the controllers which a client has named for a motion of the cell move all joints of
+        that motion.
+        """
         if controllers:
             chosen(self.controllers, controllers, joints)
 
     def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
-        """Return a view of a cell motion's driver that moves only through the named controllers, if any."""
+        """Return a view of the cell's driver that executes a motion only with the named controllers, if any
+        are named.
+        """
         return driver
 
     def _halt(self, trajectory: JointTrajectory) -> Work:
@@ -248,7 +265,9 @@ class CellMotions:
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 
     def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> Work:
-        """Cell motion of fingers to their widths [m]; fingers stopped by an object succeed."""
+        """Queue a motion of the cell that moves fingers to their widths [m]. It also succeeds if an object
+        stops the fingers.
+        """
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
@@ -260,7 +279,8 @@ class CellMotions:
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
-        """Queue a cell motion; wait for other arms to arrive if their motions conflict with it.
+        """Queue a motion of the cell. If it conflicts with motions of other arms, it is queued after those
+        arms have arrived.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -281,18 +301,21 @@ class CellMotions:
         raise InputError("the cell is closed")
 
     def _others(self, work: Work) -> list[Work]:
-        """Return a cell's queued and running motions that share no joint with the motion `work`."""
+        """Return the queued and running motions of the cell that share no joint with the motion `work`."""
         works = self.conductor.works()
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
-        """Return a cell motion that must start or end before the motion `work` can be checked, or None."""
+        """Return a motion of the cell that must start or end before the motion `work` can be checked, or
+        None.
+        """
         before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """Describe a cell motion's conflict with running motions if the conflict ends with them.
+        """Describe the conflict of a new motion with running motions of the cell, if the conflict disappears
+        when these motions end.
 
         Returns an empty string if there is no such conflict.
         """
@@ -325,7 +348,7 @@ class CellMotions:
 
 
 class _Announced(GuardedMotion):
-    """Guarded cell motion that reports its start after certification."""
+    """Guarded motion of a cell that reports its start once the motion is certified."""
 
     def __init__(
         self, cell: CellMotions, trajectory: JointTrajectory, planned_in: PlanningScene | None,

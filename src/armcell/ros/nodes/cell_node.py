@@ -32,7 +32,7 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANC
 
 
 class CellNode(CellMotions):
-    """Cell node: serves a live cell on the bus, publishes its states and executes trajectories.
+    """Node that serves a live cell on the bus: it publishes the states of the cell and executes trajectories.
 
     Input topics:
 
@@ -77,7 +77,9 @@ class CellNode(CellMotions):
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step a cell node's cell and execute clients' commands until `close`; then remove the node."""
+        """Step the cell of this node and execute the commands of its clients until `close`, after which the
+        node is removed.
+        """
         try:
             super().run()
         finally:
@@ -95,7 +97,7 @@ class CellNode(CellMotions):
         super()._after_step()
 
     def say(self, text: str) -> None:
-        """Publish a text on the cell node's topic /trajectory_status."""
+        """Publish a text of the cell node on the topic /trajectory_status."""
         super().say(text)
         if not self._status.closed:
             self._status.publish(self.bus.schema.new("std_msgs/String", text))
@@ -108,7 +110,8 @@ class CellNode(CellMotions):
             logger.info("trajectory refused: %s", error)
 
     def _follow(self, goal: Goal) -> Done:
-        """Execute a control_msgs/FollowJointTrajectory goal with a cell node, in the action's thread.
+        """Execute a control_msgs/FollowJointTrajectory goal for a client of the cell node, in the thread of
+        the action.
 
         The goal is accepted when the motion starts.
         """
@@ -144,7 +147,9 @@ class CellNode(CellMotions):
 
 
 class _Feedback:
-    """Cell node's FollowJointTrajectory feedback: desired and actual joint state, ten times a second."""
+    """Feedback on a FollowJointTrajectory goal of the cell node: the desired and actual joint states, ten
+    times a second.
+    """
 
     PERIOD = 0.1  # [s]
 
@@ -181,7 +186,7 @@ class _Feedback:
 
 
 def _tolerances(goal: Any) -> ExecutionSettings:
-    """Return the tolerances of a cell node's FollowJointTrajectory goal as execution settings.
+    """Convert the tolerances in a FollowJointTrajectory goal of the cell node to execution settings.
 
     The smallest tolerance of any joint applies to all joints; missing tolerances keep armcell's defaults.
     """

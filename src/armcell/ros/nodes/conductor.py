@@ -27,7 +27,8 @@ STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
 
 
 class Work:
-    """Motion in the conductor's queue, given as `steps` (creates a generator) or blocking `job`.
+    """Motion in the queue of the conductor, given either as `steps`, which creates a generator, or as a
+    blocking `job`.
 
     Attributes:
         joints: the joints of the motion; motions that share a joint never run at the same time.
@@ -63,17 +64,19 @@ class Work:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for the end of a conductor's queued motion; return False on timeout."""
+        """Wait up to `timeout` [s] for the end of a motion in the conductor's queue. Return False on
+        timeout.
+        """
         return self._over.wait(timeout)
 
     def stop(self, why: str) -> None:
-        """Stop a conductor's queued motion early; its outcome then contains the reason `why`."""
+        """Stop a motion in the conductor's queue early. Its outcome then contains the reason `why`."""
         if not self.cancel.is_set():
             self._why_stopped = why
         self.cancel.set()
 
     def outcome(self) -> ExecutionResult:
-        """Return the result of a finished motion in the conductor's queue.
+        """Return the result of a motion in the conductor's queue that has finished.
 
         Raises:
             InputError: the motion could not be executed as requested.
@@ -86,7 +89,7 @@ class Work:
         return result
 
     def then(self, listener: Callable[[Work], None]) -> Work:
-        """Register a listener that the driver's thread calls when a conductor's queued motion has ended.
+        """Register a function that the driver's thread calls when this motion of the conductor has ended.
 
         Call this method before the motion is queued.
         """
@@ -101,7 +104,7 @@ class Work:
 
 
 class Conductor(DriverProxy):
-    """Conductor: a motion queue that runs the motions of several clients on one driver in parallel.
+    """Queue that runs the motions of several clients in parallel on one driver.
 
     It forwards the driver's own methods, for jobs and in `call`. `advance` also steps the other motions and
     calls `after_step`.
@@ -119,7 +122,8 @@ class Conductor(DriverProxy):
 
     # --- from any thread ---
     def put(self, work: Work) -> Work:
-        """Add a motion to the conductor's queue; it starts when earlier motions of its joints have ended.
+        """Add a motion to the queue of the conductor. It starts when earlier motions of its joints have
+        ended.
 
         Raises:
             InputError: too many motions wait, or the cell is closed.
@@ -135,13 +139,15 @@ class Conductor(DriverProxy):
         return work
 
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return the conductor's waiting and running motions, optionally only those of given joints."""
+        """Return the waiting and running motions of the conductor. If joints are given, only their motions
+        are returned.
+        """
         with self._lock:
             every = [*self._running, *self._waiting]
         return every if joints is None else [w for w in every if w.joints & frozenset(joints)]
 
     def stop(self, for_good: bool = False) -> None:
-        """Stop all waiting and running motions in the conductor's queue.
+        """Stop all waiting and running motions in the queue of the conductor.
 
         Args:
             for_good: if True, also reject later motions, for example of goals that are still being planned.
@@ -152,7 +158,9 @@ class Conductor(DriverProxy):
             work.cancel.set()
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a function in the conductor's driver thread between two steps; return its result."""
+        """Run a function in the driver's thread of the conductor, between two steps, and return its
+        result.
+        """
         if threading.current_thread() is self._thread:
             return function()
         answer: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
@@ -172,7 +180,8 @@ class Conductor(DriverProxy):
         return value
 
     def soon(self, function: Callable[[], None]) -> None:
-        """Schedule a function in the conductor's driver thread between two steps, without waiting.
+        """Schedule a function that the conductor runs in the driver's thread between two steps. The call does
+        not wait.
 
         Exceptions of the function are only logged.
         """
@@ -189,7 +198,7 @@ class Conductor(DriverProxy):
 
     # --- the driver's thread ---
     def turn(self) -> None:
-        """Run the conductor's driver for one period, or run one complete blocking job."""
+        """Run the driver of the conductor for one period, or run one complete blocking job."""
         self._thread = threading.current_thread()
         with self._lock:
             job = next((w for w in self._ready() if w.job is not None), None)
@@ -209,7 +218,7 @@ class Conductor(DriverProxy):
         self._finish(job, result, error)
 
     def advance(self, duration: float) -> None:
-        """Advance the conductor's driver and all motions of its queue by `duration` [s]."""
+        """Advance the driver of the conductor and all motions in its queue by `duration` [s]."""
         driver, end = self._driver, self._driver.now + duration
         while driver.now < end - 1e-9:
             while not self._calls.empty():
@@ -219,7 +228,9 @@ class Conductor(DriverProxy):
             self._after_step()
 
     def settle(self) -> None:
-        """Stop all motions of the conductor, step the driver until they have ended; reject new motions."""
+        """Stop all motions of the conductor, step the driver until they have ended, and reject new
+        motions.
+        """
         with self._lock:
             self._closed = True
         self.stop()
@@ -228,7 +239,7 @@ class Conductor(DriverProxy):
             self.turn()
 
     def close(self) -> None:
-        """Close the conductor: end all motions, answer all waiting callers, and reject new motions."""
+        """End all motions of the conductor, answer all callers that wait, and reject new motions."""
         with self._lock:
             self._closed = True
             works = [*self._running, *self._waiting]
@@ -239,7 +250,7 @@ class Conductor(DriverProxy):
             self._calls.get()()
 
     def _ready(self) -> list[Work]:
-        """Return the conductor's waiting motions that share no joint with an earlier motion."""
+        """Return the waiting motions of the conductor that share no joint with an earlier motion."""
         taken = {joint for w in self._running for joint in w.joints}
         ready = []
         for work in self._waiting:
@@ -267,7 +278,8 @@ class Conductor(DriverProxy):
                 self._finish(work, None, error)
 
     def _step_all(self) -> None:
-        """Advance every running motion of the conductor by one step; successors start in the same period.
+        """Advance every running motion of the conductor by one step. Motions that waited for one of them
+        start in the same period.
 
         A motion that waits for another one starts in the driver period in which the other one ends.
         """
@@ -299,7 +311,8 @@ class Conductor(DriverProxy):
 
 
 class _Some(DriverProxy):
-    """View of the conductor's driver for one motion: `stop` holds only the joints of this motion.
+    """View of the conductor's driver for a single motion, in which `stop` holds only the joints of this
+    motion.
 
     The other joints continue their motions.
     """

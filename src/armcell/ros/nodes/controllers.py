@@ -48,7 +48,7 @@ CODES = {
 def chosen(
     controllers: Mapping[str, Iterable[str]], names: Sequence[str], joints: Iterable[str]
 ) -> list[str]:
-    """Select the external ROS controllers that move the given joints.
+    """Select those external ROS controllers that move the given joints.
 
     Args:
         controllers: joint names of each available controller.
@@ -73,16 +73,18 @@ def chosen(
 
 
 class Outlet(Protocol):
-    """Connection to one external ROS controller, of an action or topic interface."""
+    """Connection to one external ROS controller, through its action or its topic."""
 
     def missing(self, timeout: float) -> InputError | None:
-        """Wait up to `timeout` [s] for an external ROS controller; return the error if it is not
-        available.
+        """Wait up to `timeout` [s] for an external ROS controller. If it is not available, return the
+        error.
         """
         ...
 
     def begin(self, trajectory: JointTrajectory) -> Any:
-        """Send a motion to an external controller; return the handle that `ended` and `cancel` require."""
+        """Send a motion to an external ROS controller and return a handle, which `ended` and `cancel`
+        require.
+        """
         ...
 
     def ended(self, running: Any) -> Outcome | None: ...
@@ -93,7 +95,7 @@ class Outlet(Protocol):
 
 
 class Controllers:
-    """Clients of a cell's external ROS controllers.
+    """Clients that send motions to the external ROS controllers of a cell.
 
     Args:
         bus: the message bus.
@@ -121,7 +123,7 @@ class Controllers:
             client.close()
 
     def find(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
-        """Wait until the external ROS controllers of some joints are available.
+        """Wait until the external ROS controllers for some joints are available.
 
         Args:
             names: controllers to use; empty means all controllers of the joints.
@@ -140,7 +142,7 @@ class Controllers:
 
     # --- trajectories ---
     def follow(self, trajectory: JointTrajectory, names: Sequence[str] = ()) -> ControllerMotion:
-        """Execute a trajectory with the external ROS controllers of its joints.
+        """Execute a trajectory with those external ROS controllers that move its joints.
 
         Args:
             names: controllers to use; empty means all controllers of the joints.
@@ -157,7 +159,8 @@ class Controllers:
         return ControllerMotion(outlets, running, FACTOR * trajectory.duration + GRACE)
 
     def _part(self, trajectory: JointTrajectory, joints: Sequence[str]) -> JointTrajectory:
-        """Return the part of a trajectory for one external controller's joints.
+        """Return the part of a trajectory that one external controller executes, with all joints of this
+        controller.
 
         Joints of the controller that the trajectory does not move keep their positions.
         """
@@ -167,11 +170,12 @@ class Controllers:
 
     # --- grippers ---
     def moves_gripper(self, gripper: Gripper) -> bool:
-        """Return True if one of the external controllers moves the gripper's fingers."""
+        """Return whether one of the external ROS controllers moves the fingers of the gripper."""
         return gripper.joint_name in {j for joints in self.joints.values() for j in joints}
 
     def grip(self, gripper: Gripper, width: float, force: float) -> Callable[[], Outcome | None]:
-        """Send a gripper command to an external controller and return a function that polls its result.
+        """Send a command for a gripper to an external ROS controller and return a function that polls the
+        result.
 
         The function returns None until the command has ended.
 
@@ -199,7 +203,8 @@ class Controllers:
         return ended
 
     def _finger_motion(self, gripper: Gripper, width: float) -> Callable[[], Outcome | None]:
-        """Move the fingers with an external trajectory controller; return a function that polls for success.
+        """Move the fingers with an external trajectory controller and return a function that polls whether
+        they have arrived.
 
         The caller must detect from the joint states whether an object stops the fingers.
         """
@@ -219,14 +224,16 @@ class Controllers:
 
 
 def off_goal(state: JointState, trajectory: JointTrajectory) -> tuple[float, bool]:
-    """Return the largest distance from a trajectory's end [rad or m], and whether its joints rest."""
+    """Return the largest distance [rad or m] of a joint from the end of a trajectory, and whether the joints
+    are at rest.
+    """
     state = state.reindexed(trajectory.joint_names)
     error = float(np.max(np.abs(state.positions - trajectory.positions[-1])))
     return error, state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
 
 
 class ReportedMotion(ABC):
-    """A `Following` of a robot that reports not its progress, but the outcome."""
+    """Handle to a motion of a robot that reports only the outcome of the motion and not its progress."""
 
     _outcome: Outcome | None = None
 
@@ -246,11 +253,11 @@ class ReportedMotion(ABC):
 
     @abstractmethod
     def _poll(self) -> Outcome | None:
-        """Return the outcome, or None while the robot moves."""
+        """Return the outcome of the robot's motion, or None while the robot moves."""
 
 
 class ControllerMotion(ReportedMotion):
-    """Motion that external controllers execute together.
+    """Motion that several external ROS controllers execute together.
 
     If one controller fails, the other controllers are canceled.
 
@@ -282,8 +289,8 @@ class ControllerMotion(ReportedMotion):
                 self._outlets[name].cancel(self._running[name])
 
     def _poll(self) -> Outcome | None:
-        """Return the first failure of an external controller, PREEMPTED after `cancel`, or another
-        outcome.
+        """Return the outcome of the external controllers: the first failure, PREEMPTED after `cancel`, or
+        success. While they move, return None.
         """
         for name in self._left:
             if (result := self._outlets[name].ended(self._running[name])) is not None:
@@ -304,7 +311,7 @@ class ControllerMotion(ReportedMotion):
 
 
 class _Action:
-    """External controller with a FollowJointTrajectory action."""
+    """External ROS controller that executes motions through a FollowJointTrajectory action."""
 
     def __init__(self, bus: Bus, controller: Controller, joints: Callable[[], JointState]):
         self._bus, self._controller = bus, controller
@@ -342,7 +349,9 @@ class _Action:
 
 
 class _Topic:
-    """External controller with a trajectory topic; joint states show the end of a motion."""
+    """External ROS controller that executes motions through a trajectory topic. The joint states show when a
+    motion has ended.
+    """
 
     def __init__(self, bus: Bus, controller: Controller, joints: Callable[[], JointState]):
         self._bus, self._controller, self._measured = bus, controller, joints
@@ -378,7 +387,9 @@ class _Topic:
         return None
 
     def cancel(self, running: tuple[float, JointTrajectory]) -> None:
-        """Stop an external controller's motion with a one-point trajectory at the current positions."""
+        """Stop the motion of an external ROS controller by sending a trajectory with one point, the current
+        positions.
+        """
         here = self._measured().reindexed(running[1].joint_names)
         hold = resting(here.joint_names, here.positions, HOLD)
         self._publish(replace(hold, accelerations=None))
@@ -398,7 +409,7 @@ def _absent(controller: Controller, what: str) -> InputError:
 
 
 def _why(sent: SentGoal) -> str:
-    """Return the error code and text that an external controller reported for a failed goal."""
+    """Return the error code and the text with which an external controller reported that a goal failed."""
     code = getattr(sent.result, "error_code", 0)
     text = getattr(sent.result, "error_string", "") or sent.text
     words = [CODES.get(code, "") if isinstance(code, int) else "", text]

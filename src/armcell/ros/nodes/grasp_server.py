@@ -29,7 +29,7 @@ TIMEOUT = 180.0  # [s, wall clock] for one grasp
 
 @dataclass(frozen=True)
 class GraspServerSettings:
-    """Settings of the ROS grasp server: distances and planning time."""
+    """Settings of the ROS grasp server, such as distances and planning time."""
 
     above: float = 0.10  # [m] distance from pre-grasp to grasp
     lift: float = 0.20  # [m]
@@ -42,7 +42,7 @@ class GraspServerSettings:
 
 
 class GraspServer:
-    """Grasp server node: grasps and lifts an object on request by a service or a topic.
+    """Node that grasps and lifts an object when a client requests it by a service or a topic.
 
     Service /grasp (std_srvs/Trigger) grasps the only movable object. Topic /grasp_object (std_msgs/String)
     names the object to grasp. Topic /grasp_status (std_msgs/String, latched) reports the progress and the
@@ -74,7 +74,7 @@ class GraspServer:
         self.grasp(message.data)
 
     def grasp(self, name: str = "") -> tuple[bool, str]:
-        """Grasp an object and lift it for a client of the grasp server.
+        """Grasp an object for a client of the grasp server and lift it.
 
         Args:
             name: name of the object; empty means the only movable object.
@@ -128,7 +128,8 @@ class GraspServer:
         return next(iter(movable.values()))
 
     def _grasps(self, scene: PlanningScene, item: CollisionObject, group: str, tcp: str) -> list[Any]:
-        """Return the grasp server's grasps, best first: from above in four yaws, then from four sides.
+        """Return the grasps that the grasp server tries, best first: from above in four yaw angles, then from
+        four sides.
 
         Grasps from the sides are included only if `side_grasps` is set.
         """

@@ -40,7 +40,7 @@ REST_TIME = 0.1  # [s] that an arm must rest before automatic closing
 def gripping(
     driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event, patience: float = 1.0
 ) -> ExecutionSteps:
-    """Move a ROS-commanded gripper until it reaches the target width or an object stops it.
+    """Move a gripper on a command from ROS until it reaches the target width or an object stops it.
 
     A cancelled motion stops the fingers where they are, as ros_control's gripper_action_controller does;
     fingers that hold an object keep their force.
@@ -85,7 +85,9 @@ def gripping(
 
 
 def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[CollisionObject]:
-    """Return the objects near a closing gripper: their box, grown by `margin` [m], contains its tcp."""
+    """Return the objects near a closing gripper. An object is near if its bounding box, grown by `margin`
+    [m], contains the tcp.
+    """
     tcp = scene.frame_pose(gripper.tcp_link).translation
     found = []
     for item in scene.objects.values():
@@ -97,7 +99,7 @@ def around_tcp(scene: PlanningScene, gripper: Gripper, margin: float) -> list[Co
 
 
 def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
-    """Allow contacts between the fingers of a gripper group and the object that they close on.
+    """Allow contacts between the fingers of a gripper group and an object on which they close.
 
     A goal of a gripper group closes the fingers onto the object, so contact at the goal is not a collision.
     Other groups leave the scene unchanged.
@@ -113,7 +115,8 @@ def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[Gripper, float]]:
-    """Return the gripper commands in a trajectory: grippers and final widths [m] if only fingers move.
+    """Return the gripper commands that a trajectory contains if it moves only fingers: each gripper with its
+    final width [m].
 
     Returns an empty list for any other trajectory.
     """
@@ -124,12 +127,12 @@ def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[G
 
 
 def topics(model: RobotModel) -> dict[str, str]:
-    """Return the command topic of each ROS gripper, by gripper name."""
+    """Return the ROS topic that commands each gripper, by the name of the gripper."""
     return {g: TOPIC if len(model.grippers) == 1 else f"/{g}{TOPIC}" for g in model.grippers}
 
 
 class GripperMotions:
-    """Gripping motions of a cell on the bus, with the finger contacts that they cause.
+    """Motions that open and close the grippers of a cell on the bus, and the finger contacts that they cause.
 
     Args:
         live: the cell.
@@ -144,7 +147,7 @@ class GripperMotions:
         """True if a client has commanded a gripper to close."""
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Start to open or close a gripper on the bus; a force of 0 means its maximum force.
+        """Start to open or close a gripper on the bus. A force of 0 means the maximum force of the gripper.
 
         Args:
             gripper: the gripper.
@@ -167,7 +170,8 @@ class GripperMotions:
     def closing(
         self, driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
     ) -> ExecutionSteps:
-        """Close or open a gripper on the bus; before it closes, declare finger contacts as expected.
+        """Close or open a gripper on the bus. Contacts of the fingers are declared as expected before the
+        gripper closes.
 
         The simulation and the motion gate then accept these contacts.
         """
@@ -177,13 +181,15 @@ class GripperMotions:
         return gripping(driver, gripper, width, force, cancel, self._patience)
 
     def _expect_contact(self, gripper: Gripper) -> None:
-        """Declare contacts between a gripper's fingers and the objects near its tcp as expected."""
+        """Declare contacts between the fingers of a gripper and the objects near its tcp as expected."""
         for item in around_tcp(self._live.scene(), gripper, NEAR):
             self._live.ctx.expect_contact(item.name, gripper.finger_links)
             self._expected[gripper.name].add(item.name)
 
     def moved(self, joints: Iterable[str]) -> None:
-        """Revoke a gripper's expected finger contacts with objects that the arm has left."""
+        """Revoke the declaration of expected finger contacts for objects from which the arm has moved
+        away.
+        """
         driver = self._live.driver
         for gripper in self._live.model.grippers.values():
             expected = self._expected[gripper.name]
@@ -197,7 +203,7 @@ class GripperMotions:
 
 
 class GripperNode(GripperMotions):
-    """Node that serves the grippers of a cell by a command topic and an action for each gripper.
+    """Node with a command topic and an action for each gripper of a cell.
 
     The topic is /gripper_command, or /<gripper>/gripper_command if the cell has several grippers. The action
     is /<gripper>_controller/gripper_cmd.
@@ -272,7 +278,7 @@ class GripperNode(GripperMotions):
 
     # --- automatic closing, in the driver's thread ---
     def look(self) -> None:
-        """Close automatically the grippers of resting arms with an object between the fingers."""
+        """Automatically close the gripper of each arm at rest if an object is between the fingers."""
         driver = self._live.driver
         if not self._auto or driver.now < self._next:
             return

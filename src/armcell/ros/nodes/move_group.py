@@ -110,7 +110,7 @@ class MoveGroupNode:
         return error_code_message(self.bus.schema, code, message)
 
     def code_of(self, outcome: Outcome) -> Any:
-        """Convert the outcome of a motion that move_group executed to MoveItErrorCodes with its reason."""
+        """Convert the outcome of a motion that move_group executed to MoveItErrorCodes and a reason."""
         return self.code(outcome.code, outcome.message or ("" if outcome.ok else outcome.code.name))
 
     def state_message(self, scene: PlanningScene) -> Any:
@@ -118,7 +118,7 @@ class MoveGroupNode:
 
     # --- planning ---
     def plan(self, request: Any, scene: PlanningScene, cancel: threading.Event | None = None) -> PlanResult:
-        """Plan a moveit_msgs/MotionPlanRequest for move_group in a scene.
+        """Plan a motion for a moveit_msgs/MotionPlanRequest to move_group in a given scene.
 
         Args:
             request: the MotionPlanRequest message.
@@ -150,7 +150,7 @@ class MoveGroupNode:
         return result
 
     def _tell(self, group: str, result: PlanResult, asked: dict[str, Any]) -> None:
-        """Report a result of move_group's planning to the cell's observers, executed or not."""
+        """Report a planning result of move_group to the cell's observers, even if it is not executed."""
         if result.trajectory is None:
             text = f"planning for {group} failed: {result.code.name}: {result.message}"
             self.cell.tell("error", text, evidence={**asked, **result.evidence})
@@ -162,7 +162,7 @@ class MoveGroupNode:
         )  # fmt: skip
 
     def settled(self, group: str, cancel: threading.Event | None = None) -> None:
-        """Wait until the current motions of a move_group request's planning group have ended.
+        """Wait until the motions of the planning group that a move_group request names have ended.
 
         A plan that starts from a moving state would be invalid when it is executed.
         """
@@ -180,7 +180,7 @@ class MoveGroupNode:
             works[0].wait(0.05)
 
     def start_scene(self, request: Any, cancel: threading.Event | None = None) -> PlanningScene:
-        """Return the measured scene in which a move_group request starts.
+        """Return the measured scene in which a request to move_group starts.
 
         If the request gives no start state, wait until the group has come to rest.
         """
@@ -189,7 +189,7 @@ class MoveGroupNode:
         return self.cell.scene()
 
     def planned(self, request: Any, scene: PlanningScene, result: PlanResult) -> Any:
-        """Create move_group's MotionPlanResponse and publish a found motion on display_planned_path."""
+        """Create a MotionPlanResponse of move_group and publish the motion on display_planned_path."""
         # If the start state is invalid, the result already states the fault.
         state = self.state_message(_started(scene, request.start_state) if result.ok else scene)
         trajectory = robot_trajectory_message(self.bus.schema, self.header(), result.trajectory)
@@ -343,7 +343,7 @@ class MoveGroupNode:
         return self.new("QueryPlannerInterfacesResponse", described)
 
     def _parameters_of(self, request: Any) -> dict[str, Any]:
-        """Return the planner parameters for a move_group request; group parameters override general ones."""
+        """Return the planner parameters for a move_group request. Group parameters take precedence."""
         key = (request.pipeline_id, request.planner_id)
         return {
             **self._parameters.get((*key, ""), {}),
@@ -370,7 +370,7 @@ class MoveGroupNode:
 
     # --- the move_group action ---
     def _move(self, goal: Goal) -> Done:
-        """Plan and, unless `plan_only` is set, execute a MoveGroup goal.
+        """Plan a motion for a MoveGroup goal and execute it unless `plan_only` is set.
 
         With `replan`, plan and execute again if the execution fails.
         """
@@ -447,7 +447,7 @@ class MoveGroupNode:
 
     @contextmanager
     def stoppable(self, cancel: threading.Event) -> Iterator[None]:
-        """Register a move_group goal for a `with` block, so that a "stop" event cancels the goal.
+        """Let a "stop" event cancel the goal of a move_group action during a `with` block.
 
         The event also cancels the goal before its motion has started.
         """
@@ -480,7 +480,7 @@ SERVICES = {
 
 
 def waited(work: Work, cancel: threading.Event) -> Outcome:
-    """Wait for the end of a move_group motion and return its outcome; stop it if `cancel` is set."""
+    """Wait for the outcome of a move_group motion. If `cancel` is set, the motion stops."""
     while not work.wait(0.01):
         if cancel.is_set():
             work.cancel.set()
@@ -488,7 +488,7 @@ def waited(work: Work, cancel: threading.Event) -> Outcome:
 
 
 def done(outcome: Outcome, result: Any) -> Done:
-    """Return the final state of a move_group goal: SUCCEEDED, PREEMPTED or else ABORTED."""
+    """Return the final state of a move_group goal: SUCCEEDED, PREEMPTED or, otherwise, ABORTED."""
     state = State.SUCCEEDED if outcome.ok else State.ABORTED
     if outcome.code is ErrorCode.PREEMPTED:
         state = State.PREEMPTED
@@ -496,7 +496,7 @@ def done(outcome: Outcome, result: Any) -> Done:
 
 
 def _started(scene: PlanningScene, message: Any) -> PlanningScene:
-    """Return the start scene of a move_group request: positions and attached objects of its RobotState."""
+    """Return the scene at the start of a move_group request, after applying the request's RobotState."""
     state = robot_state_from_message(message, scene)
     if state is not None:
         scene = replace(scene, positions=scene.state.updated(state).positions)
@@ -507,13 +507,13 @@ def _started(scene: PlanningScene, message: Any) -> PlanningScene:
 
 
 def _moves(checker: ExactChecker, contact: Any) -> bool:
-    """Return True if the joints of a move_group request's group move a body of a contact."""
+    """Return whether the joints in a move_group request can move one of the bodies in contact."""
     moved = {checker.geometries[i].body for pair in checker.pairs for i in pair}
     return contact.body_a in moved or contact.body_b in moved
 
 
 def _request_code(request: Any, error: InputError) -> ErrorCode:
-    """Return move_group's error code for an invalid planning request.
+    """Return the error code with which move_group answers an invalid planning request.
 
     move_group returns FAILURE for unknown names, except that an unknown group and a missing goal have their
     own codes.
@@ -526,7 +526,7 @@ def _request_code(request: Any, error: InputError) -> ErrorCode:
 
 
 def code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
-    """Return move_group's error code for an unknown name by its kind, e.g. frame, link or object.
+    """Return the error code of move_group for an unknown name, such as a frame, link or object.
 
     Args:
         error: the error.

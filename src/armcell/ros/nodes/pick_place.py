@@ -52,7 +52,7 @@ logger = logging.getLogger(__name__)
 
 
 class PickPlaceNode:
-    """Node with MoveIt's actions /pickup and /place.
+    """Node with the actions /pickup and /place of MoveIt.
 
     Unlike MoveIt, armcell fills in fields that the message leaves empty:
 
@@ -103,7 +103,8 @@ class PickPlaceNode:
         return _BusPick(self, goal, gripper, self._grasps(scene, asked, gripper), result).run()
 
     def _gripper(self, group: str, end_effector: str) -> Gripper:
-        """Return the gripper that a pickup or place goal means: an end effector's, or an arm group's.
+        """Return the gripper to which a pickup or place goal refers by the name of an end effector or of an
+        arm's group.
 
         Raises:
             UnknownNameError: the end effector or group does not exist.
@@ -122,7 +123,7 @@ class PickPlaceNode:
         return model.gripper(arm_group=group or None)
 
     def _grasps(self, scene: PlanningScene, asked: Any, gripper: Gripper) -> list[ExplicitGrasp]:
-        """Return the grasps of a pickup goal (pick), best first, or computed ones if it has none.
+        """Return the grasps in a pickup goal, best first. If it contains none, they are computed.
 
         Raises:
             InputError: the grasp poses refer to another link than the group's tip.
@@ -257,7 +258,8 @@ class PickPlaceNode:
     def search(
         self, goal: Goal, action: str, stages: list[Stage], scene: PlanningScene, seconds: float
     ) -> tuple[PartialSolution | None, Outcome]:
-        """Search for the first complete plan of the stages of a pickup or place goal.
+        """Search for a plan that completes all stages of a pickup or place goal, and return the first one
+        found.
 
         Returns:
             The plan with SUCCESS, or None with an outcome that summarizes why the candidates failed.
@@ -282,7 +284,7 @@ class PickPlaceNode:
         return None, Outcome(code, summary)
 
     def perform(self, goal: Goal, action: str, solution: PartialSolution) -> Outcome:
-        """Execute the steps of a pick or place plan in order."""
+        """Execute the steps of a pick or place plan one after another."""
         self._node.feedback(goal, action, "MONITOR")
         with self._node.stoppable(goal.cancel):
             return self._steps(goal, solution)
@@ -337,7 +339,7 @@ class PickPlaceNode:
 
 
 class _BusPick(Pick):
-    """Pick task for a /pickup goal: plans in the cell's scene and moves the cell over the bus.
+    """Pick task for a /pickup goal, which plans in the scene of the cell and moves the cell over the bus.
 
     Args:
         node: searches, performs steps and reports.
@@ -400,7 +402,9 @@ class _BusPick(Pick):
 
 
 def _tip(scene: PlanningScene, gripper: Gripper) -> str:
-    """Return the link to which pickup and place goals refer: the group's tip, or else the tcp."""
+    """Return the link to which the poses in pickup and place goals refer: the tip of the group or, without a
+    tip, the tcp.
+    """
     return scene.model.group(gripper.arm_group).tip_link or gripper.tcp_link
 
 
@@ -409,7 +413,8 @@ def _pose(scene: PlanningScene, stamped: Any) -> SE3:
 
 
 def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, item: CollisionObject) -> None:
-    """Reject grasp poses of a pickup goal (pick) that refer to another link than the group's tip.
+    """Reject the grasp poses in a pickup goal if they evidently refer to another link than the tip of the
+    group.
 
     MoveIt's grasp poses refer to the parent link of the end effector, which in many packages is also the tip
     of the group. Poses are rejected if no grasp puts the tcp into the object as a pose of the tip, but at
@@ -424,7 +429,9 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
     low, high = item.bounds()
 
     def fit(link: str) -> int:
-        """Count the grasps of a pickup goal (pick) with the tcp in the object if they are poses of `link`."""
+        """Count the grasps in a pickup goal that place the tcp in the object, assuming that they are poses of
+        `link`.
+        """
         points = [(T @ scene.transform(link, gripper.tcp_link)).translation for T in Ts]
         return sum(bool(np.all(p >= low - NEAR) and np.all(p <= high + NEAR)) for p in points)
 
@@ -447,7 +454,9 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
 
 
 def _posture(message: Any, gripper: Gripper) -> float | None:
-    """Return the gripper width [m] of a pickup goal's posture at its last point; None without gripper."""
+    """Return the gripper width [m] at the last point of a posture in a pickup goal, or None if the posture
+    does not move the gripper.
+    """
     if not message.points or gripper.joint_name not in list(message.joint_names):
         return None
     value = float(message.points[-1].positions[list(message.joint_names).index(gripper.joint_name)])
@@ -457,7 +466,7 @@ def _posture(message: Any, gripper: Gripper) -> float | None:
 def _gripper_translation(
     scene: PlanningScene, message: Any, T_world_tip: SE3, tip: str
 ) -> GripperTranslation | None:
-    """Convert a pickup or place goal's moveit_msgs/GripperTranslation to a world-frame translation.
+    """Convert a moveit_msgs/GripperTranslation in a pickup or place goal to a translation in the world frame.
 
     A direction in the frame of the tip refers to the tip's pose at the grasp, not to its current pose.
 

@@ -58,7 +58,7 @@ BEGINS = "executing"  # prefix on /trajectory_status that reports the start of a
 
 
 class RemoteDriver(Driver):
-    """Remote driver: the driver of a simulator or robot that is connected to the bus.
+    """Driver for a simulator or robot that runs in another program and is connected to the bus.
 
     The robot plays whole trajectories: by its controllers, or by /planned_trajectory. The result of a motion
     comes from the controllers, from /trajectory_status if the simulator publishes it, or from the joint
@@ -143,7 +143,7 @@ class RemoteDriver(Driver):
 
     # --- subscriptions ---
     def _complain(self, text: str) -> None:
-        """Log a fault in the messages to a remote driver once for each kind, as messages arrive often."""
+        """Log a fault in the messages to the remote driver, once per kind because messages arrive often."""
         if self._complaints.is_new(re.sub(r"[-+.0-9]+", "", text)):
             logger.warning("%s", text)
 
@@ -206,8 +206,8 @@ class RemoteDriver(Driver):
         return take
 
     def _aim(self, gripper: str, width: float) -> None:
-        """Remember a remote gripper's commanded width [m]; it holds nothing until it had time to move
-        there.
+        """Remember the width [m] to which a remote gripper is commanded. It holds no object until it has had
+        time to move.
         """
         with self.lock:
             if abs(width - self._targets.get(gripper, np.inf)) > CLOSED:
@@ -219,18 +219,20 @@ class RemoteDriver(Driver):
     # --- state ---
     @property
     def is_seen(self) -> bool:
-        """Return whether joint states of the remote driver's robot have arrived."""
+        """Return whether the remote driver has received joint states of its robot."""
         return self._joints is not None
 
     @property
     def silence(self) -> float:
-        """Return the age of the remote driver's last joint states [s, wall clock]; 0 before the first."""
+        """Return how long ago the remote driver received joint states [s, wall clock]; 0 before the first."""
         with self.lock:
             return time.monotonic() - self._at if self._joints is not None else 0.0
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a remote driver's gripper has closed or was commanded to close since the start."""
+        """Return whether a gripper of the remote driver has closed since the start or was commanded to
+        close.
+        """
         with self.lock:
             targets, widths = dict(self._targets), dict(self._last_widths)
         return any(
@@ -239,8 +241,8 @@ class RemoteDriver(Driver):
         )
 
     def wait_for_state(self) -> None:
-        """Remote driver: wait for the first joint states, then for object poses; others stay as in the
-        cell.
+        """Wait until the remote driver receives joint states and then object poses. Objects whose pose does
+        not arrive stay where the cell defines them.
         """
         self._wait(STATE_TIMEOUT, lambda: self._joints is not None)
         if self._joints is not None and self._unseen:
@@ -255,11 +257,11 @@ class RemoteDriver(Driver):
             time.sleep(POLL)
 
     def find(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
-        """Wait until the ROS controllers of some of the remote driver's joints are available."""
+        """Wait until the ROS controllers for some joints of the remote driver are available."""
         self._controllers.find(joints, names)
 
     def joint_state(self) -> JointState:
-        """Return the last joint states that a remote driver received from the bus.
+        """Return the joint states that the remote driver has received last from the bus.
 
         Raises:
             InputError: no joint states have arrived, or the last joint states are too old; the error states
@@ -287,7 +289,7 @@ class RemoteDriver(Driver):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Refuse a single setpoint, because a remote driver's robot plays whole trajectories.
+        """Refuse to command a single setpoint, because the robot of a remote driver plays whole trajectories.
 
         Raises:
             UnknownNameError: the model has no such joint.
@@ -299,7 +301,7 @@ class RemoteDriver(Driver):
         )
 
     def follow(self, trajectory: JointTrajectory, controllers: Sequence[str] = ()) -> Following:
-        """Send a trajectory to the remote driver's robot and return its handle.
+        """Send a trajectory to the robot of the remote driver and return a handle to the motion.
 
         Args:
             controllers: names of the only controllers that may move the joints; empty means all.
@@ -317,7 +319,7 @@ class RemoteDriver(Driver):
         self.hold(())
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop joints of a remote driver's robot with an empty trajectory; no names mean all joints.
+        """Stop joints of the remote driver's robot with an empty trajectory. Without names, all joints stop.
 
         Goals that were sent to controllers are canceled by their own motions.
         """
@@ -346,7 +348,7 @@ class RemoteDriver(Driver):
         return GripperReading(known.width(state[known.joint_name]), force, held, fault)
 
     def _held(self, gripper: str) -> str | None:
-        """Return the object that stopped a remote gripper's fingers; evaluate joint states once."""
+        """Return the object that stopped the fingers of a remote gripper, or None."""
         state, (last, held) = self._joints, self._holds.get(gripper, (None, None))
         if state is None or state is last:
             return held
@@ -356,7 +358,7 @@ class RemoteDriver(Driver):
         return held
 
     def _grips_object(self, name: str, state: JointState, before: bool) -> bool:
-        """Return whether a remote gripper's fingers have come to rest wider open than commanded.
+        """Return whether the fingers of a remote gripper have come to rest wider open than commanded.
 
         Without a command, closer fingers than at first mean that the simulator closed them itself.
         """
@@ -377,7 +379,9 @@ class RemoteDriver(Driver):
 
 
 class _Played(ReportedMotion):
-    """Trajectory that a remote simulator plays; /trajectory_status or the joint states report its end."""
+    """Trajectory that a remote simulator plays. Its end is known from /trajectory_status or the joint
+    states.
+    """
 
     def __init__(self, driver: RemoteDriver, trajectory: JointTrajectory):
         self._driver, self._trajectory = driver, trajectory
@@ -405,7 +409,8 @@ class _Played(ReportedMotion):
 
 
 def _result_of(said: list[str], begun: bool) -> Outcome | None:
-    """Derive a remote motion's result from the /trajectory_status messages since it was sent.
+    """Determine the result of a remote motion from the /trajectory_status messages that arrived after it was
+    sent.
 
     Args:
         said: the status messages.
@@ -428,7 +433,7 @@ def _result_of(said: list[str], begun: bool) -> Outcome | None:
 
 
 class RemoteMotions(CellMotions):
-    """Motions of a cell whose robot is connected by a remote driver (`RemoteDriver`).
+    """Motions of a cell whose robot is connected by a remote driver.
 
     Clients wait until the robot is there. Only one motion runs at a time, even with several arms, because the
     simulator's status messages do not identify their motion.
@@ -476,7 +481,7 @@ class RemoteMotions(CellMotions):
 
 
 class _Restricted(DriverProxy):
-    """View of a remote driver that moves only through the named ROS controllers."""
+    """View of a remote driver that moves the robot only with the named ROS controllers."""
 
     def __init__(self, driver: Driver, remote: RemoteDriver, controllers: Sequence[str]):
         super().__init__(driver)

@@ -28,7 +28,7 @@ MONITORED = ("/move_group/monitored_planning_scene", "/monitored_planning_scene"
 
 
 class SceneNode:
-    """Node that serves a cell's planning scene on the bus, for queries and edits by clients.
+    """Node through which clients on the bus query and edit the planning scene of a cell.
 
     Services: /get_planning_scene, /apply_planning_scene, /clear_octomap. Input topics: /planning_scene,
     /planning_scene_world (replaces the world), /collision_object, /attached_collision_object. Output topics:
@@ -68,7 +68,7 @@ class SceneNode:
             member.close()
 
     def header(self) -> Any:
-        """Return a message header in the planning scene's frame, which is the world frame."""
+        """Return a message header in the frame of the planning scene, which is the world frame."""
         return self._bus.header(WORLD)
 
     def message(self, scene: PlanningScene, parts: Components = Components.ALL) -> Any:
@@ -94,7 +94,9 @@ class SceneNode:
         self._clearing.append(clear)
 
     def tell_changed(self) -> None:
-        """Schedule publication of the complete planning scene after a change that no client made."""
+        """Schedule the publication of the complete planning scene, after a change that did not come from a
+        client.
+        """
         self._changed.set()
 
     def _clear_octomap(self, request: Any) -> Any:
@@ -124,7 +126,7 @@ class SceneNode:
         self._changed.set()
 
     def _tell(self) -> None:
-        """Publish the complete planning scene to clients after each change.
+        """Publish the complete planning scene to clients after each change of the scene.
 
         Between changes, publish the robot state at 4 Hz while a client subscribes.
         """

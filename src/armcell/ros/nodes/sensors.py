@@ -30,7 +30,7 @@ DEPTH = 64  # maximum number of frames between a sensor and a frame of the scene
 
 
 class SensorNode:
-    """Node that updates the scene's octomap from the bus topics of 3D sensors.
+    """Node that updates the octomap of the scene with the measurements of 3D sensors on the bus.
 
     A message is interpreted in the frame of its header: a frame of the scene, or a frame that /tf or
     /tf_static connects with one. The robot's joint positions are those at the time stamp of the message.
@@ -127,7 +127,8 @@ class SensorNode:
             publisher.publish(cloud_message(self._bus.schema, message.header, left[None].astype(np.float32)))
 
     def _points(self, sensor: Sensor3d, message: Any) -> np.ndarray | None:
-        """Return the points (n, 3) [m] of a 3D sensor's cloud or depth image, in its message's frame.
+        """Return the points (n, 3) [m] in a point cloud or depth image of a 3D sensor, in the frame of the
+        message.
 
         Raises:
             InputError: the camera info for a depth image has not arrived yet.
@@ -148,7 +149,8 @@ class SensorNode:
 
     # --- robot state and pose of the sensor ---
     def _scene_at(self, stamp: float) -> PlanningScene:
-        """Return the scene with the joint positions at the time `stamp` [s] of a sensor's message.
+        """Return the scene with the joint positions that the robot had at the time `stamp` [s] of a sensor
+        message.
 
         A stamp of zero selects the newest joint positions.
 
@@ -166,7 +168,7 @@ class SensorNode:
         return scene.with_positions(scene.state.updated(state).positions)
 
     def _pose(self, scene: PlanningScene, frame: str) -> SE3:
-        """Return the pose T_world_frame of a 3D sensor's frame.
+        """Return the pose T_world_frame of the frame in which a 3D sensor measures.
 
         Raises:
             InputError: no transforms connect the frame with a frame of the scene.

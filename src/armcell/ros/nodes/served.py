@@ -45,7 +45,7 @@ def _serve_planner(
 
 
 class ServedCell:
-    """A live cell with all its ROS nodes (states, grippers, move_group), served until `close`.
+    """Live cell with all its ROS nodes (states, grippers, move_group), which are served until `close`.
 
     The service /resume (std_srvs/Trigger) makes the cell ready after a stop, or responds with the action that
     the operator must take first (`LiveCell.resume`). It runs in the caller's thread, because reconnecting to
@@ -88,16 +88,16 @@ class ServedCell:
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a served cell's gripper was commanded to close or can close automatically."""
+        """Return whether a gripper of the served cell was commanded to close or can close automatically."""
         return self.node.grippers.closes_by_itself or self.node.grippers.has_closed
 
     @property
     def is_running(self) -> bool:
-        """Return whether the thread of a served cell still steps the cell."""
+        """Return whether the thread of the served cell is still stepping the cell."""
         return self.thread.ident is not None and not self.over.is_set()
 
     def start(self, poll: float = 0.1, layer: Callable[[str], AbstractContextManager] = nullcontext) -> None:
-        """Connect a live cell and serve it with all nodes on the bus; return when the cell is ready.
+        """Connect a live cell, serve it with all its nodes on the bus, and return when the cell is ready.
 
         Args:
             poll: polling period [s] for the cell's thread.
@@ -125,7 +125,7 @@ class ServedCell:
         return self.bus.schema.new("std_srvs/TriggerResponse", outcome.ok, outcome.message or "ready")
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a function in the served cell's thread between two steps and return its result.
+        """Run a function in the thread of the served cell, between two steps, and return its result.
 
         If that thread has ended, run the function in the caller's thread.
         """
@@ -138,7 +138,9 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop all motions of a served cell for good, await the arms' rest, and update held objects."""
+        """Stop all motions of the served cell for good, wait until the arms are at rest, and update which
+        objects they hold.
+        """
         self.cell.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)
@@ -150,12 +152,14 @@ class ServedCell:
         self.call(self.cell.now)
 
     def _speed(self) -> float:
-        """Return the served cell's fastest joint speed [rad/s or m/s]; 0 if velocities are not measured."""
+        """Return the speed [rad/s or m/s] of the fastest joint in the served cell. It is 0 if velocities are
+        not measured.
+        """
         v = self.live.driver.joint_state().velocities
         return 0.0 if v is None else float(np.max(np.abs(v), initial=0.0))
 
     def close(self) -> None:
-        """Stop all motions of a served cell and remove its nodes from the bus."""
+        """Stop all motions of the served cell and remove its nodes from the bus."""
         self._stack.close()
         self.cell.close()
         if self.thread.ident is not None:
@@ -175,7 +179,8 @@ class ServedCell:
 
 
 class ServedPlanner(ServedCell):
-    """Served planner and grasp server for a cell whose simulator or robot is another program on the bus.
+    """Planner and grasp server that are served for a cell whose simulator or robot is another program on the
+    bus.
 
     The driver of the cell is a `RemoteDriver`.
     """
@@ -189,11 +194,15 @@ class ServedPlanner(ServedCell):
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a served gripper was commanded to close or was closed by the simulator."""
+        """Return whether a gripper of the served cell was commanded to close or was closed by the
+        simulator.
+        """
         return self.driver.has_closed
 
     def rest(self) -> None:
-        """Stop the motions of a remote cell behind a served planner and wait until they have ended."""
+        """Stop the motions of the remote cell for which the planner is served, and wait until they have
+        ended.
+        """
         works = self.cell.works()
         self.cell.stop()
         for work in works:

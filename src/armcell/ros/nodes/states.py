@@ -38,7 +38,7 @@ def check_rate(driver: Driver, rate: float) -> None:
 
 
 class StatePublisher:
-    """Publisher of a cell's joint states, transforms and object poses at a fixed rate of the driver's clock.
+    """Publisher of a cell's joint states, transforms and object poses, at a fixed rate of the driver's clock.
 
     It sets the bus's clock to the driver's clock. Topics:
 
@@ -93,11 +93,15 @@ class StatePublisher:
             self._members.append(description)
 
     def due(self, now: float) -> bool:
-        """Return True if joint states and transforms are due for publication at `now` [s, driver's clock]."""
+        """Return whether joint states and transforms must be published at the time `now` [s, driver's
+        clock].
+        """
         return now >= self._next - 1e-9
 
     def publish(self, driver: Driver) -> None:
-        """Publish joint states, transforms and poses; only in the thread that steps the driver."""
+        """Publish joint states, transforms and object poses. Only the thread that steps the driver may call
+        this method.
+        """
         now = driver.now
         self._next = max(self._next + self._period, now)  # avoids a burst of messages after a pause
         self._bus.clock.set(now)
@@ -122,7 +126,7 @@ class StatePublisher:
                     self._only.publish(stamped)
 
     def close(self) -> None:
-        """Remove the publishers of a cell's joint states, transforms and poses from the bus."""
+        """Remove the publishers of the cell's joint states, transforms and object poses from the bus."""
         for member in self._members:
             member.close()
 
@@ -141,7 +145,7 @@ class StatePublisher:
 
 
 class _Mimics:
-    """Mimic joints for published joint states, such as the second finger of a gripper."""
+    """Mimic joints that are added to published joint states, such as the second finger of a gripper."""
 
     def __init__(self, model: RobotModel):
         self._follows: dict[str, tuple[str, float, float]] = {}  # source joint, multiplier, offset
@@ -155,7 +159,7 @@ class _Mimics:
                 self._follows[name] = (source.name, factor, offset)
 
     def added(self, state: JointState) -> JointState:
-        """Extend joint states for publication by the mimic joints that follow their joints.
+        """Add the mimic joints to joint states before publication, with positions that follow other joints.
 
         The efforts of mimic joints are unknown and set to zero.
         """
@@ -174,7 +178,9 @@ class _Mimics:
 
 
 def _arms(model: RobotModel) -> dict[str, tuple[str, ...]]:
-    """Return each arm's joints with its grippers, for one joint state topic per arm; empty for one arm."""
+    """Return the joints of each arm and its grippers, for joint state topics per arm. With only one arm, the
+    result is empty.
+    """
     found: dict[str, tuple[str, ...]] = {}
     for gripper in model.grippers.values():
         own = found.get(gripper.arm_group, model.group(gripper.arm_group).joint_names)

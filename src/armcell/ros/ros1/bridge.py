@@ -27,7 +27,7 @@ CLOCK, USE_SIM_TIME = "/clock", "/use_sim_time"
 
 
 class BusBridge:
-    """BusBridge, the bridge between an armcell bus and a ROS 1 graph, active from `start` to `close`."""
+    """Bridge between the bus of armcell and a ROS 1 graph, active from `start` to `close`."""
 
     def __init__(self, bus: Bus, node: Ros1Node, names: NameMap):
         self._bus, self._node, self._names = bus, node, names
@@ -52,7 +52,7 @@ class BusBridge:
             self._thread.join(5.0)
 
     def wait_settled(self, timeout: float) -> bool:
-        """Wait until the ROS 1 master knows all topics and services of the bridged bus.
+        """Wait until the ROS 1 master knows all topics and services of the bus that the bridge offers.
 
         Args:
             timeout: limit [s].
@@ -95,7 +95,9 @@ class BusBridge:
             self._use_sim_time()
 
     def _use_sim_time(self) -> None:
-        """Set ROS 1's /use_sim_time for a bridged /clock; other nodes read the flag at start-up."""
+        """Set the ROS 1 parameter /use_sim_time if the bridge forwards /clock. Other nodes read this
+        parameter when they start.
+        """
         with contextlib.suppress(RpcError):
             if not self._bus.parameters.get(USE_SIM_TIME, False):
                 logger.info("/use_sim_time is set: the time of this graph is that of the cell")
@@ -138,12 +140,14 @@ class BusBridge:
         return call
 
     def topics(self) -> list[TopicInfo]:
-        """Return the bus topics to bridge to ROS 1, without the bridge's own publishers and subscribers."""
+        """Return the topics of the bus that the bridge should offer in ROS 1. Its own publishers and
+        subscribers do not count.
+        """
         return self._bus.topics(besides=self)
 
 
 class _ToBus:
-    """Forwarder of a ROS 1 publisher's messages to the bridged armcell bus.
+    """Receiver that forwards the messages of one ROS 1 publisher to the bus of armcell.
 
     Each ROS 1 publisher has its own instance, so that the bus keeps the latched message of every publisher.
     """
@@ -163,7 +167,8 @@ class _ToBus:
 def _change(
     have: dict[str, str], want: dict[str, str], leave: Callable[[str], None], join: Callable[[str, str], None]
 ) -> None:
-    """Advertise and withdraw bridged topics or services in ROS 1 until the offered names match.
+    """Advertise and withdraw topics or services of the bridge in ROS 1 until the offered names match the
+    wanted names.
 
     Args:
         have: dict from offered name to type; changed in place.

@@ -28,7 +28,7 @@ SETTLED = 10.0  # [s] to register everything
 
 @dataclass(frozen=True)
 class Ros1Status:
-    """State of a program's connection to a ROS 1 graph, for status lines."""
+    """State of the connection between a program and a ROS 1 graph, for status lines."""
 
     node: str
     master: str
@@ -41,7 +41,8 @@ class Ros1Status:
 
 
 class Ros1Graph:
-    """Connection of a bus to a ROS 1 graph, from `start` (or `with`) to `close`, with node and master.
+    """Connection between a bus and a ROS 1 graph, consisting of a node and, if necessary, a master. It lasts
+    from `start` (or `with`) to `close`.
 
     Args:
         on_end: called with the reason, in a thread of the node, when another node or the master requests
@@ -88,7 +89,7 @@ class Ros1Graph:
         self._stack.callback(self._forget_master)
 
     def start(self) -> None:
-        """Join the ROS 1 graph; return when the master knows everything on the bus.
+        """Join the ROS 1 graph and return when the master knows all topics and services of the bus.
 
         Raises:
             InputError: no master is reachable and the settings forbid the built-in one, or its port is taken.
@@ -121,7 +122,7 @@ class Ros1Graph:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Leave the ROS 1 graph and restore the bus to its state before `start`."""
+        """Leave the ROS 1 graph and restore the state that the bus had before `start`."""
         with deferred():
             self._stack.close()
 
@@ -138,7 +139,7 @@ class Ros1Graph:
         self._on_end(reason)
 
     def wait_settled(self, timeout: float = SETTLED) -> bool:
-        """Wait until the ROS 1 graph knows everything on the bus; return False on timeout.
+        """Wait until the ROS 1 graph knows all topics and services of the bus. Return False on timeout.
 
         Args:
             timeout: limit [s].
@@ -146,12 +147,14 @@ class Ros1Graph:
         return self.bridge.wait_settled(timeout)
 
     def say(self, level: str, text: str) -> None:
-        """Publish a line on the ROS 1 graph's /rosout; a level unknown to ROS becomes `info`."""
+        """Publish a log line on /rosout of the ROS 1 graph. A level that ROS does not know becomes `info`."""
         if self.rosout is not None:
             self.rosout.say(level if level in LEVELS else "info", text)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the addresses of the ROS 1 graph's node and built-in master; valid after `start`."""
+        """Return the addresses on which the ROS 1 node and the built-in master listen. They are valid after
+        `start`.
+        """
         return (*(self.master.endpoints() if self.master else ()), *self.node.endpoints())
 
     def _find_master(self) -> None:
@@ -195,7 +198,7 @@ class Ros1Graph:
         stack.callback(leave)
 
     def _follow_clock(self, stack: ExitStack) -> None:
-        """Set the bus clock from the ROS 1 graph's /clock, if ROS uses simulated time.
+        """Set the clock of the bus from /clock of the ROS 1 graph, if ROS uses simulated time.
 
         The clock stays local if the bus itself publishes /clock, or if /use_sim_time is not true.
         """

@@ -24,7 +24,7 @@ Ask = Callable[..., Any]
 
 
 class GraphParameters(Parameters):
-    """Thread-safe view of the ROS 1 graph's parameters at the master, under the names of the bus.
+    """Thread-safe view of the parameters that the ROS 1 master stores, under the names that the bus uses.
 
     Args:
         ask: calls the master: `ask(method, *arguments)`.
@@ -37,7 +37,7 @@ class GraphParameters(Parameters):
         self._telling = threading.Lock()
 
     def tell_all(self) -> None:
-        """Send all locally kept bus parameters to the parameter server of the ROS 1 master.
+        """Send all parameters that the bus has kept locally to the parameter server of the ROS 1 master.
 
         Raises:
             RpcError: the master does not answer.
@@ -93,7 +93,9 @@ class GraphParameters(Parameters):
 
 
 def _plain(value: Any) -> Any:
-    """Convert a parameter for the ROS 1 master: numpy values and tuples become types of XML-RPC."""
+    """Convert a parameter for the ROS 1 master: numpy values and tuples become types that XML-RPC
+    supports.
+    """
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, dict):

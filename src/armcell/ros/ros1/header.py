@@ -20,14 +20,14 @@ Fields = dict[str, str]
 
 
 def encoded(fields: Mapping[str, str]) -> bytes:
-    """Encode a TCPROS connection header as bytes, including its length prefix."""
+    """Encode the connection header of TCPROS as bytes. The result includes the length prefix."""
     lines = [f"{key}={value}".encode() for key, value in sorted(fields.items())]
     body = b"".join(LENGTH.pack(len(line)) + line for line in lines)
     return LENGTH.pack(len(body)) + body
 
 
 def decoded(body: bytes) -> Fields:
-    """Parse a TCPROS connection header that has no length prefix; return its fields.
+    """Parse a TCPROS connection header, given without its length prefix, and return its fields.
 
     Raises:
         WireError: the bytes are not a valid header.
@@ -54,7 +54,7 @@ def decoded(body: bytes) -> Fields:
 
 
 def receive(sock: socket.socket) -> Fields:
-    """Read a TCPROS connection header from a socket; the socket's timeout applies to each read.
+    """Read a TCPROS connection header from a socket. The timeout of the socket applies to each read.
 
     Raises:
         WireError: the received bytes are not a valid header.
@@ -67,7 +67,7 @@ def receive(sock: socket.socket) -> Fields:
 
 
 def exactly(sock: socket.socket, count: int) -> bytes:
-    """Read exactly `count` bytes of a TCPROS header from a socket.
+    """Read exactly `count` bytes from a socket, for the header or the body of a TCPROS message.
 
     Raises:
         ConnectionError: the peer closed the connection before `count` bytes arrived.

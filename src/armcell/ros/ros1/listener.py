@@ -23,7 +23,7 @@ Handle = Callable[[socket.socket, str], bool]
 
 
 class Listener:
-    """Listener for ROS 1 peers: a TCP socket that passes each connection to a handler.
+    """Listening TCP socket for ROS 1 peers, which passes each connection to a handler.
 
     Args:
         port: port to listen on; 0 selects a free port.
@@ -43,7 +43,7 @@ class Listener:
         self.refused = 0  # connections closed because `max_connections` were open
 
     def reserve(self) -> None:
-        """Bind a ROS 1 listener's port, without accepting connections yet.
+        """Bind the port on which a ROS 1 node listens, without accepting connections yet.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -71,7 +71,7 @@ class Listener:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop a ROS 1 listener and end every accepted connection."""
+        """Stop listening for ROS 1 peers and end every connection that was accepted."""
         self._closing = True
         if self._socket is None:
             return
@@ -89,7 +89,7 @@ class Listener:
                 thread.join(JOIN_TIMEOUT)
 
     def endpoint(self, service: str) -> Endpoint:
-        """Return the address of a ROS 1 listener's socket; valid after `start`."""
+        """Return the address on which the ROS 1 listener accepts connections. It is valid after `start`."""
         assert self._socket is not None
         return Endpoint.of(self._socket, service)
 
@@ -138,6 +138,6 @@ class Listener:
 
 
 def shut(sock: socket.socket) -> None:
-    """Shut down a listener's socket that another thread reads from; the reading thread closes the socket."""
+    """Shut down a socket from which another thread reads. That thread then closes the socket."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

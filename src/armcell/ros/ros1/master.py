@@ -30,7 +30,9 @@ NAME = "/master"
 
 @dataclass
 class _Registrations:
-    """The built-in ROS 1 master's registry of each topic's, service's or parameter's nodes, in order."""
+    """Registry in which the built-in ROS 1 master lists the nodes of each topic, service or parameter, in
+    order of registration.
+    """
 
     nodes: dict[str, list[str]] = field(default_factory=dict)
 
@@ -57,7 +59,9 @@ class _Registrations:
 
 
 class Ros1Master:
-    """Built-in ROS master at the port of `settings.master`, from `start` (or `with`) to `close`."""
+    """Built-in ROS master, which serves at the port of `settings.master` from `start` (or `with`) to
+    `close`.
+    """
 
     def __init__(self, settings: Ros1Settings):
         self.settings = settings
@@ -74,7 +78,7 @@ class Ros1Master:
         self._server = RpcServer(settings.bind, settings.master_address[1], self._methods(), "ros1 master")
 
     def reserve(self) -> None:
-        """Bind the port of the built-in ROS 1 master without accepting connections yet.
+        """Bind the port of the built-in ROS 1 master, without accepting connections yet.
 
         Raises:
             InputError: the port is taken.
@@ -92,7 +96,7 @@ class Ros1Master:
         self.uri = f"http://{self.settings.host}:{self._server.port}/"
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the address on which the built-in ROS 1 master listens; valid after `start`."""
+        """Return the address on which the built-in ROS 1 master listens. It is valid after `start`."""
         return (self._server.endpoint("ROS 1 master"),)
 
     def close(self) -> None:
@@ -137,7 +141,9 @@ class Ros1Master:
 
     @staticmethod
     def _key(value: Any, caller: str) -> str:
-        """Return a parameter's full name on the ROS 1 master; its parts may contain any character."""
+        """Return the full name of a parameter on the ROS 1 master. The parts of the name may contain any
+        character.
+        """
         if not isinstance(value, str) or not value:
             raise rpc.Rejected("ERROR: parameter [key] must be a non-empty string")
         if value.startswith("~"):
@@ -148,7 +154,7 @@ class Ros1Master:
 
     # --- nodes ---
     def _meet(self, node: str, api: str) -> None:
-        """Record a node's address at the ROS 1 master; shut down an older node of the same name."""
+        """Record the address of a node at the ROS 1 master. An older node of the same name is shut down."""
         before = self._apis.get(node)
         if before == api:
             return
@@ -332,7 +338,8 @@ def _copied(value: Any) -> Any:
 
 
 class _Tellers:
-    """Sender of the ROS 1 master's change notifications: several threads, in order for each node.
+    """Threads that notify ROS 1 nodes of changes at the master. Each node receives its notifications in
+    order.
 
     A node that does not answer delays no other node.
     """
@@ -374,7 +381,9 @@ class _Tellers:
 
 
 def _newest(todo: list[tuple[str, tuple[Any, ...]]]) -> list[tuple[str, tuple[Any, ...]]]:
-    """Keep only the ROS 1 master's last notification for each topic or parameter."""
+    """Remove outdated notifications of the ROS 1 master, so that only the last one for each topic or
+    parameter remains.
+    """
     last: dict[tuple[str, Any], tuple[str, tuple[Any, ...]]] = {}
     for method, arguments in todo:
         key = (method, arguments[0])

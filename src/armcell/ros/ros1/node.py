@@ -38,7 +38,8 @@ MAX_SUBSCRIBERS = 2048  # subscriber connections over all topics
 
 
 class Ros1Node:
-    """ROS 1 node with slave API and TCPROS port, part of a graph from `start` (or `with`) to `close`.
+    """ROS 1 node with a slave API and a TCPROS port. It is part of a ROS graph from `start` (or `with`) to
+    `close`.
 
     All names in its methods are full graph names.
 
@@ -71,7 +72,7 @@ class Ros1Node:
 
     # --- start and close ---
     def start(self) -> None:
-        """Start the ROS 1 node's servers and its registration with the master.
+        """Start the servers of the ROS 1 node and its registration with the master.
 
         Raises:
             InputError: no master answers, or the address cannot be listened on.
@@ -94,7 +95,7 @@ class Ros1Node:
         self.registrar.start()
 
     def close(self) -> None:
-        """Unregister the ROS 1 node and end all of its connections and threads."""
+        """Unregister the ROS 1 node and end all its connections and threads."""
         with self._lock:
             if self._closed:
                 return
@@ -131,11 +132,11 @@ class Ros1Node:
         return f"rosrpc://{self.settings.host}:{self._tcpros.address[1]}"
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the addresses on which the ROS 1 node listens; valid after `start`."""
+        """Return the addresses on which the ROS 1 node listens. They are valid after `start`."""
         return self._rpc.endpoint("ROS 1 node"), self._tcpros.endpoint("ROS 1 topics and services")
 
     def wait_registered(self, timeout: float | None = None) -> bool:
-        """Wait until the master knows all registrations of the ROS 1 node; return False on timeout.
+        """Wait until the master knows all registrations of the ROS 1 node. Return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -143,7 +144,7 @@ class Ros1Node:
         return self.registrar.wait(timeout)
 
     def ask_master(self, method: str, *arguments: Any) -> Any:
-        """Call a method of the ROS 1 master API for the node and return its value.
+        """Call a method of the ROS 1 master on behalf of the node and return the value of the answer.
 
         Raises:
             RpcError: the master does not answer, or answers with a failure.
@@ -152,7 +153,7 @@ class Ros1Node:
 
     # --- topics ---
     def publish(self, topic: str, type_name: str, attach: Attach, latching: Callable[[], bool]) -> None:
-        """Advertise a topic of the ROS 1 node; return its `Publication`."""
+        """Advertise a topic that the ROS 1 node publishes."""
         s = self.settings
         made = Publication(
             topic, type_name, self.schema, self.name, self._reactor, attach, latching, s.queue, s.queue_bytes
@@ -171,7 +172,7 @@ class Ros1Node:
             gone.close()
 
     def subscribe(self, topic: str, type_name: str, open_sink: Callable[[Fields], Sink]) -> None:
-        """Subscribe the ROS 1 node to a topic; return its `Subscription`.
+        """Subscribe the ROS 1 node to a topic.
 
         Args:
             type_name: message type; `*` accepts any.
@@ -207,7 +208,7 @@ class Ros1Node:
 
     # --- services ---
     def serve(self, name: str, type_name: str, answer: Answerer) -> None:
-        """Advertise a service of the ROS 1 node; return its `ServedService`."""
+        """Advertise a service that the ROS 1 node serves."""
         made = ServedService(name, type_name, self.schema, self.name, answer, self.settings.max_message)
         with self._lock:
             self._services[name] = made
@@ -220,7 +221,9 @@ class Ros1Node:
             self.registrar.drop(Kind.SERVICE, name)
 
     def find_service(self, name: str) -> str | None:
-        """Return the address of another ROS 1 node's service, or None if no other node serves it."""
+        """Return the address at which another ROS 1 node serves a service, or None if there is no such
+        node.
+        """
         try:
             uri = self.ask_master("lookupService", name)
         except RpcError:
@@ -228,7 +231,7 @@ class Ros1Node:
         return uri if isinstance(uri, str) and uri and uri != self.service_uri else None
 
     def call_service(self, name: str, type_name: str, request: Any) -> Any:
-        """Call another ROS 1 node's service and return the response; waits without a time limit.
+        """Call a service of another ROS 1 node and return the response. The call waits without a time limit.
 
         Raises:
             ServiceError: no node serves it, its type differs, or it reports a failure.
@@ -253,7 +256,7 @@ class Ros1Node:
         return self._caller.connect(name, uri, type_name, persistent=True)
 
     def service_type(self, name: str) -> str:
-        """Return the type of another ROS 1 node's service.
+        """Return the type of a service that another ROS 1 node serves.
 
         Raises:
             ServiceError: no node serves it, or its node does not answer.
@@ -397,6 +400,6 @@ class Ros1Node:
         sock.sendall(encoded({"error": text}))
 
     def _complain(self, peer: str, text: str) -> None:
-        """Count a connection error of the ROS 1 node, and log the first error of each kind."""
+        """Count a connection error of the ROS 1 node. Only the first error of each kind is logged."""
         if self._complaints.is_new(re.sub(r"[0-9]+", "", text[:200])):
             logger.warning("TCPROS: %s: %s", peer, " ".join(text[:400].split()))

@@ -13,13 +13,16 @@ def _parts(key: str) -> list[str]:
 
 
 class ParameterTree:
-    """Tree of ROS 1 parameters under full names; not thread-safe (the ROS master's lock guards it)."""
+    """Tree of ROS 1 parameters under their full names. It is not thread-safe; the lock of the ROS master
+    protects it.
+    """
 
     def __init__(self) -> None:
         self._root: dict[str, Any] = {}
 
     def get(self, key: str) -> Any:
-        """Return a parameter's value from the ROS 1 parameter tree; a namespace gives nested dicts.
+        """Return the value of a parameter from the ROS 1 parameter tree. A namespace is returned as nested
+        dicts.
 
         Raises:
             KeyError: the parameter is not set.
@@ -39,7 +42,7 @@ class ParameterTree:
         return True
 
     def set(self, key: str, value: Any) -> None:
-        """Set a value in the ROS 1 parameter tree; a dict replaces the whole namespace.
+        """Set a value in the ROS 1 parameter tree. A dict replaces the whole namespace.
 
         A parent in the key's path that holds a value becomes a namespace.
 
@@ -73,7 +76,8 @@ class ParameterTree:
         del node[last]
 
     def search(self, namespace: str, key: str) -> str | None:
-        """Search the ROS 1 parameter tree in a namespace, then in the enclosing namespaces, nearest first.
+        """Search for a ROS 1 parameter in a namespace and then in the enclosing namespaces, beginning with
+        the nearest.
 
         Only the first part of the key must exist.
 
@@ -106,7 +110,8 @@ class ParameterTree:
 
 
 def subscriber_update(subscribed: str, changed: str, value: Any) -> tuple[str, Any] | None:
-    """Return key and value that a subscriber of a ROS 1 parameter receives after a change in the tree.
+    """Return the key and the value that a node receives if it has subscribed to a ROS 1 parameter and the
+    parameter tree changes.
 
     Args:
         subscribed: full name that the node subscribed to.

@@ -32,7 +32,7 @@ Attach = Callable[[Callable[[Any], None]], Closable]
 
 
 class Publication:
-    """Publication: a topic that a ROS 1 node advertises, with one connection per subscriber.
+    """Topic that a ROS 1 node publishes, with one connection to each subscriber.
 
     The publication attaches each subscriber connection separately, so that each one gets the latched
     messages.
@@ -64,12 +64,14 @@ class Publication:
         self.failed = 0  # messages that could not be encoded
 
     def links(self) -> list[SubscriberLink]:
-        """Return the publication's current connections to ROS 1 subscribers of the topic."""
+        """Return the current connections of a published topic to its ROS 1 subscribers."""
         with self._lock:
             return list(self._links)
 
     def refusal(self, header: Fields) -> str | None:
-        """Return why the publication refuses a subscriber, in roscpp's and rospy's wording, or None."""
+        """Return the reason why a published topic refuses a ROS 1 subscriber, in the wording of roscpp and
+        rospy, or None if it does not.
+        """
         md5, kind = header["md5sum"], header.get("type", self.type)
         if md5 in (ANY, self.md5):
             return None
@@ -81,7 +83,9 @@ class Publication:
         )
 
     def accept(self, sock: socket.socket, header: Fields, peer: str) -> None:
-        """Start to serve a subscriber of a ROS 1 publication; `refusal` must have accepted its header."""
+        """Start to send the messages of a published topic to a ROS 1 subscriber, whose header `refusal` must
+        have accepted.
+        """
         fields = {
             "callerid": self._caller, "topic": self.topic, "type": self.type, "md5sum": self.md5,
             "message_definition": self._text, "latching": "1" if self._latching() else "0",
@@ -116,7 +120,8 @@ class Publication:
             self._reactor.flush(link)
 
     def _frame(self, message: Any) -> bytes:
-        """Encode a message of a ROS 1 publication with its length prefix, once for all subscribers.
+        """Encode a ROS 1 message with its length prefix, only once for all subscribers of the published
+        topic.
 
         If the message starts with a std_msgs/Header, its `seq` counts up.
         """
@@ -148,7 +153,9 @@ class Publication:
 
 
 class SubscriberLink:
-    """A ROS 1 publication's connection to one subscriber; its full send queue drops the oldest message."""
+    """Connection of a published topic to one ROS 1 subscriber. If its send queue is full, the oldest message
+    is dropped.
+    """
 
     _numbers = itertools.count(1)
 
@@ -170,12 +177,13 @@ class SubscriberLink:
 
     @property
     def waiting(self) -> bool:
-        """Return whether a ROS 1 publication's connection to a subscriber still has unsent bytes."""
+        """Return whether unsent bytes for a ROS 1 subscriber of the published topic remain."""
         with self._lock:
             return bool(self._rest or self._waiting)
 
     def put(self, frame: bytes) -> bool:
-        """Send or queue a ROS 1 publication's message; return True if the reactor must send the rest.
+        """Send or queue a message for a ROS 1 subscriber of the published topic. Return True if the reactor
+        must send the rest.
 
         Any thread may call this method.
         """
@@ -197,7 +205,7 @@ class SubscriberLink:
             return False
 
     def _send(self) -> bool:
-        """Send queued bytes of a ROS 1 publication to a subscriber; return True if bytes remain."""
+        """Send the queued bytes of a published topic to a ROS 1 subscriber. Return True if bytes remain."""
         while self._rest or self._waiting:
             if not self._rest:
                 frame = self._waiting.popleft()
@@ -214,7 +222,7 @@ class SubscriberLink:
         return False
 
     def readable(self) -> None:
-        """Detect the end of a subscriber's connection to a ROS 1 publication."""
+        """Detect whether a ROS 1 subscriber has closed its connection to the published topic."""
         with contextlib.suppress(BlockingIOError):
             if not self.sock.recv(4096):
                 raise ConnectionError("the subscriber closed the connection")

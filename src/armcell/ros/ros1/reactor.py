@@ -20,16 +20,18 @@ Task = Callable[[], None]
 
 
 class Channel(Protocol):
-    """Channel of a ROS 1 node's reactor: a non-blocking socket with handlers for its events."""
+    """Non-blocking socket of a ROS 1 node, with handlers for the events that the node's reactor reports."""
 
     sock: socket.socket
 
     def readable(self) -> None:
-        """Read received data from a reactor channel's socket; raise OSError when the connection is over."""
+        """Read the data that has arrived at a socket of the reactor. Raise OSError when the connection is
+        over.
+        """
         ...
 
     def writable(self) -> bool:
-        """Send the queued data of a reactor's channel; return True if unsent data remains.
+        """Send the data that is queued for a socket of the reactor. Return True if unsent data remains.
 
         Raises:
             OSError: the connection is over.
@@ -37,12 +39,12 @@ class Channel(Protocol):
         ...
 
     def ended(self, reason: str) -> None:
-        """Handle the end of a channel's connection; the reactor has closed the socket already."""
+        """Handle the end of a connection after the reactor has closed its socket."""
         ...
 
 
 class Reactor:
-    """Reactor: event loop for a ROS 1 node's sockets; any thread may add and drop channels.
+    """Event loop for the sockets of a ROS 1 node. Any thread may add and drop sockets.
 
     Runs from `start` to `close`.
     """
@@ -79,11 +81,11 @@ class Reactor:
         self._soon(lambda: self._end(channel, reason))
 
     def flush(self, channel: Channel) -> None:
-        """Let the reactor call a channel's `writable` as soon as its socket can send."""
+        """Let the reactor call `writable` of a channel as soon as the socket of the channel can send."""
         self._soon(lambda: self._watch(channel, True))
 
     def later(self, delay: float, task: Task) -> None:
-        """Run a task in the reactor thread of a ROS 1 node after `delay` [s]."""
+        """Run a task in the reactor thread of a ROS 1 node after a delay [s]."""
         at = time.monotonic() + delay
         self._soon(lambda: heapq.heappush(self._timers, (at, next(self._numbers), task)))
 

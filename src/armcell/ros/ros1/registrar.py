@@ -29,7 +29,7 @@ class Entry(NamedTuple):
 
 
 class Registrar:
-    """Registrar thread that registers a ROS 1 node's topics and services at the master.
+    """Thread that registers the topics and services of a ROS 1 node at the master.
 
     Args:
         caller: the node's name.
@@ -73,14 +73,17 @@ class Registrar:
             self._changed.notify_all()
 
     def publishers_are(self, topic: str, uris: list[str]) -> None:
-        """Let the registrar handle the ROS 1 master's publisherUpdate: a topic's new publishers."""
+        """Handle a publisherUpdate call, with which the ROS 1 master reports the current publishers of a
+        topic to the registrar.
+        """
         with self._telling:
             if topic == self._asking:
                 self._overtaken = True
             self._on_publishers(topic, uris)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the registrar has registered a ROS 1 node at the master; return False on timeout.
+        """Wait until the topics and services of a ROS 1 node are registered at the master. Return False on
+        timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -89,7 +92,9 @@ class Registrar:
             return self._changed.wait_for(lambda: not self._differences() or self._stop, timeout)
 
     def close(self) -> None:
-        """Unregister a ROS 1 node's topics and services at the master, and end the registrar thread."""
+        """Unregister the topics and services of a ROS 1 node at the master and end the thread of the
+        registrar.
+        """
         with self._changed:
             self._stop = True
             self._changed.notify_all()
@@ -103,7 +108,7 @@ class Registrar:
 
     # --- in the registrar's thread ---
     def _differences(self) -> list[tuple[Entry, str | None]]:
-        """Return the topics and services that the registrar must register and unregister at the ROS 1 master.
+        """Return the topics and services that must be registered or unregistered at the ROS 1 master.
 
         Returns:
             Pairs of an entry and its type or address; None instead of the type means to unregister.
@@ -159,7 +164,7 @@ class Registrar:
             self._changed.notify_all()
 
     def _subscribe(self, entry: Entry, what: str) -> None:
-        """Let the registrar register a subscriber at the ROS 1 master and pass on the publishers.
+        """Register a subscriber at the ROS 1 master and pass on the publishers that the master returns.
 
         If a publisherUpdate arrives during the call, the order of the answer and the update is unknown. The
         method then repeats the call, up to `OVERTAKEN` times; after that, the update counts.
@@ -183,7 +188,9 @@ class Registrar:
         return ask(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
 
     def _check(self) -> None:
-        """Let the registrar ask the ROS 1 master for the node; a restarted master does not know it."""
+        """Ask the ROS 1 master whether it still knows the node of the registrar. A master that was restarted
+        does not know the node.
+        """
         try:
             known = ask(self.master, "lookupNode", self._caller, self._caller, timeout=self._timeout)
         except RpcError as error:

@@ -17,12 +17,12 @@ NUMBERS = {"debug": 1, "info": 2, "warn": 4, "error": 8, "fatal": 16}  # rosgrap
 
 
 def level_name(level: int) -> str:
-    """Return the ROS name of a Python log level, for /rosout and rqt_logger_level."""
+    """Return the name that ROS gives to a log level of Python, for /rosout and rqt_logger_level."""
     return next((name for name, value in reversed(LEVELS.items()) if level >= value), "debug")
 
 
 class RosOut(logging.Handler):
-    """Publisher of armcell's log records on /rosout, from `start` to `close`.
+    """Publisher that sends the log records of armcell to /rosout, from `start` to `close`.
 
     Args:
         node: full name of the node that appears as the source of the records.

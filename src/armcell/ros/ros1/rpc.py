@@ -33,7 +33,7 @@ Answer = tuple[int, str, Any]
 
 
 class RpcError(ArmcellError):
-    """An XML-RPC call of ROS 1 that got no answer, or an answer that reports a failure.
+    """Error of a ROS 1 XML-RPC call that got no answer, or whose answer reports a failure.
 
     Attributes:
         code: the answered status code; None if no answer arrived.
@@ -45,7 +45,7 @@ class RpcError(ArmcellError):
 
 
 class Rejected(Exception):
-    """An invalid argument of a ROS 1 XML-RPC call; the exception's text is sent as the answer."""
+    """Exception for an invalid argument of a ROS 1 XML-RPC call. Its text is sent as the answer."""
 
 
 # --- calling ---
@@ -101,7 +101,8 @@ def call(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
 
 
 def parsed(data: bytes) -> tuple[tuple[Any, ...], str | None]:
-    """Parse a ROS 1 XML-RPC document; return its values, and the method name if it is a call.
+    """Parse an XML-RPC document of ROS 1 and return its values. If it is a call, return the method name as
+    well.
 
     Raises:
         ValueError: the data is not valid XML-RPC.
@@ -147,7 +148,8 @@ def text(name: str) -> Check:
 
 
 def graph_name(name: str) -> Check:
-    """Return a check that resolves an XML-RPC argument as a ROS graph name in the caller's namespace.
+    """Return a check for an XML-RPC argument that is a ROS graph name. The check resolves the name in the
+    namespace of the caller.
 
     The argument names a topic, service or parameter.
     """
@@ -185,7 +187,7 @@ def several(name: str, each: Check) -> Check:
 
 @dataclass(frozen=True)
 class Method:
-    """One method of a ROS 1 XML-RPC API, with checks for its arguments.
+    """Method of a ROS 1 XML-RPC API, with checks for its arguments.
 
     Args:
         run: called with the caller's name and the validated arguments.
@@ -221,7 +223,7 @@ class Method:
 
 
 class RpcServer:
-    """ROS 1 XML-RPC server for a set of methods, active from `start` to `close`."""
+    """XML-RPC server for methods of ROS 1, active from `start` to `close`."""
 
     def __init__(self, host: str, port: int, methods: Mapping[str, Method], name: str):
         self._methods = methods
@@ -233,7 +235,7 @@ class RpcServer:
         return self._listener.address[1]
 
     def reserve(self) -> None:
-        """Bind the port of a ROS 1 XML-RPC server without accepting connections yet.
+        """Bind the port of the ROS 1 XML-RPC server, without accepting connections yet.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -241,7 +243,7 @@ class RpcServer:
         self._listener.reserve()
 
     def start(self) -> None:
-        """Start to serve ROS 1 XML-RPC calls.
+        """Start to serve XML-RPC calls of ROS 1 programs.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -249,7 +251,7 @@ class RpcServer:
         self._listener.start()
 
     def endpoint(self, service: str) -> Endpoint:
-        """Return the address on which the ROS 1 XML-RPC server listens; valid after `start`."""
+        """Return the address on which the ROS 1 XML-RPC server listens. It is valid after `start`."""
         return self._listener.endpoint(service)
 
     def close(self) -> None:
@@ -261,7 +263,7 @@ class RpcServer:
         return False
 
     def answer(self, body: bytes) -> bytes:
-        """Return the answer of the ROS 1 XML-RPC server to the body of one HTTP request."""
+        """Return the answer of the ROS 1 XML-RPC server to the body of an HTTP request."""
         try:
             arguments, method = parsed(body)
             if method is None:
@@ -307,7 +309,7 @@ def _calls(arguments: Sequence[Any]) -> list[Any]:
 
 
 class _Connection(BaseHTTPRequestHandler):
-    """HTTP/1.1 connection of the ROS 1 XML-RPC server; supports only POST."""
+    """HTTP/1.1 connection to the ROS 1 XML-RPC server, which supports only POST."""
 
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "armcell", ""

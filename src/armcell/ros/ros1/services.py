@@ -30,7 +30,7 @@ Answerer = Callable[[Any], Any]
 
 
 class ServedService:
-    """A ROS 1 service that a node serves over TCPROS.
+    """Service that a ROS 1 node offers to others over TCPROS.
 
     Args:
         answer: called with the request message, returns the response message; raises ServiceError to report
@@ -44,14 +44,18 @@ class ServedService:
         self.calls = 0
 
     def refusal(self, header: Fields) -> str | None:
-        """Return why a ROS 1 service refuses a client, in roscpp's and rospy's wording, or None."""
+        """Return the reason why a ROS 1 service refuses a client, in the wording of roscpp and rospy, or None
+        if it does not.
+        """
         md5 = header["md5sum"]
         if md5 in (ANY, self.md5):
             return None
         return f"request from [{header['callerid']}]: md5sums do not match: [{md5}] vs. [{self.md5}]"
 
     def handle(self, sock: socket.socket, header: Fields) -> None:
-        """Answer a ROS 1 client's service calls until it disconnects; only one call if not persistent."""
+        """Answer the service calls of a ROS 1 client until it disconnects. A connection that is not
+        persistent ends after one call.
+        """
         fields = {
             "callerid": self._caller, "service": self.name, "md5sum": self.md5, "type": self.type,
             "request_type": f"{self.type}Request", "response_type": f"{self.type}Response",
@@ -89,7 +93,7 @@ def _refused(text: str) -> bytes:
 
 
 class Caller:
-    """Client for the services of other ROS 1 nodes; `close` also ends service calls in progress."""
+    """Client for services of other ROS 1 nodes. `close` also ends calls that are in progress."""
 
     def __init__(self, caller: str, schema: Schema, timeout: float, most: int):
         self._caller, self._schema, self._timeout, self._most = caller, schema, timeout, most
@@ -111,7 +115,7 @@ class Caller:
         return Connection(self, sock, name, type_name, self._schema, self._most, header)
 
     def probe(self, name: str, uri: str) -> str:
-        """Return the type of a ROS 1 service, read from its connection header.
+        """Return the type of a ROS 1 service, which its connection header contains.
 
         Raises:
             ServiceError: the service cannot be reached, or its header contains no type.
@@ -160,7 +164,7 @@ class Caller:
 
 
 class Connection:
-    """Client connection to a ROS 1 service; carries one call at a time."""
+    """Connection of a client to a ROS 1 service. It carries one call at a time."""
 
     def __init__(
         self, caller: Caller, sock: socket.socket, name: str, type_name: str, schema: Schema, most: int,
@@ -172,7 +176,7 @@ class Connection:
         self._turn = threading.Lock()
 
     def call(self, request: Any) -> Any:
-        """Call the ROS 1 service and return its response; waits without a time limit.
+        """Call the ROS 1 service and return its response. The call waits without a time limit.
 
         Raises:
             ServiceError: the service reports a failure, or the connection broke.

@@ -25,7 +25,7 @@ _NODE = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
 
 @dataclass(frozen=True)
 class Ros1Settings:
-    """Settings of a ROS 1 node: name and addresses; `from_environment` fills in empty values."""
+    """Settings of a ROS 1 node: its name and addresses. `from_environment` fills in values that are empty."""
 
     name: str = "armcell"  # node name without namespace
     namespace: str = "/"
@@ -51,7 +51,7 @@ class Ros1Settings:
 
     @property
     def is_local(self) -> bool:
-        """Return whether only programs on this machine can connect to the ROS 1 node with these settings."""
+        """Return whether only programs on this machine can connect to a ROS 1 node with these settings."""
         return is_loopback(self.bind)
 
 
@@ -96,7 +96,7 @@ def from_environment(
 
 
 def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Split arguments for a ROS 1 node's settings into remappings and special ones (`__name:=...`).
+    """Split the arguments of a ROS 1 node into remappings and special arguments such as `__name:=...`.
 
     Raises:
         InputError: an argument is not of the form from:=to.
@@ -112,7 +112,7 @@ def split_arguments(arguments: Iterable[str]) -> tuple[dict[str, str], dict[str,
 
 
 def _value(text: str) -> Any:
-    """Parse a private parameter's value in a ROS 1 node's settings as YAML, like rosrun."""
+    """Parse the value of a private parameter on the command line of a ROS 1 node as YAML, like rosrun."""
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError:
@@ -120,7 +120,8 @@ def _value(text: str) -> Any:
 
 
 def host_and_port(uri: str, scheme: str = "http") -> tuple[str, int]:
-    """Return a ROS 1 node setting's host and port (`http://host:port/`); the default port is 11311.
+    """Return the host and port in an address (`http://host:port/`) from the settings of a ROS 1 node. The
+    default port is 11311.
 
     Raises:
         InputError: the address is invalid.
@@ -152,7 +153,7 @@ def is_this_machine(host: str) -> bool:
 
 
 def own_address() -> str:
-    """Return this machine's address on its default route, for a ROS 1 node's settings."""
+    """Return the address of this machine on its default route, under which a ROS 1 node is reachable."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # documentation address (RFC 5737); UDP sends nothing here

@@ -25,10 +25,10 @@ FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] first and longest delay between attemp
 
 
 class Sink(Protocol):
-    """Receiver for the messages of one publisher in a ROS 1 subscription."""
+    """Receiver for the messages that one publisher sends to a ROS 1 subscription."""
 
     def take(self, body: bytes) -> None:
-        """Handle one serialized message from a publisher in a ROS 1 subscription.
+        """Handle one serialized message that a publisher has sent to the ROS 1 subscription.
 
         Raises:
             WireError: the bytes are not a message of the topic's type.
@@ -39,7 +39,7 @@ class Sink(Protocol):
 
 
 class Subscription:
-    """Subscription of a ROS 1 node to a topic.
+    """Subscription of a ROS 1 node to one topic.
 
     Args:
         type_name: message type; `*` accepts any.
@@ -63,12 +63,16 @@ class Subscription:
         self._closed = False
 
     def links(self) -> list[PublisherLink]:
-        """Return a ROS 1 subscription's publisher connections, including those being established."""
+        """Return the connections of a ROS 1 subscription to publishers, including those that are being
+        established.
+        """
         with self._lock:
             return list(self._links.values())
 
     def update(self, uris: list[str]) -> None:
-        """Connect a ROS 1 subscription to new publishers, and disconnect it from those no longer listed."""
+        """Connect a ROS 1 subscription to publishers that are new in the list, and disconnect it from those
+        no longer listed.
+        """
         with self._lock:
             if self._closed:
                 return
@@ -85,7 +89,7 @@ class Subscription:
             self.connect(link)
 
     def connect(self, link: PublisherLink) -> None:
-        """Start a ROS 1 subscription's connection to a publisher in a thread of the executor."""
+        """Connect a ROS 1 subscription to a publisher, in a thread of the executor."""
         if not self._closed:
             with contextlib.suppress(RuntimeError):  # the executor is shut down because the node is closing
                 self._executor.submit(link.connect)
@@ -122,7 +126,9 @@ class PublisherLink:
 
     # --- in the executor ---
     def connect(self) -> None:
-        """Connect a subscription to a publisher's TCPROS port and exchange headers; retry on failure."""
+        """Connect to the TCPROS port of a publisher and exchange headers. If this fails, the subscription
+        tries again.
+        """
         if self._closed:
             return
         try:
@@ -229,7 +235,7 @@ class PublisherLink:
         self._again()
 
     def close(self) -> None:
-        """Close a ROS 1 subscription's connection to a publisher; callable from any thread."""
+        """Close the connection of a ROS 1 subscription to a publisher. Any thread may call this method."""
         with self._lock:
             self._closed = True
             connected = self.connected

@@ -43,7 +43,7 @@ ACTION_TOPICS = {
 
 @dataclass(frozen=True)
 class Ros2Settings:
-    """Settings with which the bridge of a bus joins a ROS 2 domain."""
+    """Settings with which the bridge between the bus and a ROS 2 domain starts."""
 
     reach: Reach = field(default_factory=from_environment)
     node: str = "/armcell"  # node name in `ros2 node list`
@@ -57,7 +57,7 @@ class Ros2Settings:
 
 @dataclass(frozen=True)
 class Ros2Status:
-    """State of a ROS 2 bridge, for status lines."""
+    """State of the bridge to ROS 2, for status lines."""
 
     domain: int
     nodes: tuple[str, ...]  # full names of the other nodes
@@ -113,7 +113,7 @@ class Ros2Bridge:
         return self
 
     def close(self) -> None:
-        """Close the ROS 2 bridge: leave the domain and the bus; a second call has no effect."""
+        """Close the bridge, which leaves the ROS 2 domain and the bus. A second call has no effect."""
         context = self._context
         if context is None or self._stop.is_set():
             return
@@ -144,12 +144,12 @@ class Ros2Bridge:
         self.close()
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets that DDS opened for the ROS 2 bridge; valid after `start`."""
+        """Return the sockets that DDS opened for the bridge to ROS 2. They are valid after `start`."""
         return self._joined().participant.endpoints
 
     # --- status and discovery ---
     def status(self) -> Ros2Status:
-        """Return the current state of the ROS 2 bridge."""
+        """Return the current state of the bridge to ROS 2."""
         context = self._joined()
         return Ros2Status(
             self.settings.reach.domain,
@@ -163,19 +163,19 @@ class Ros2Bridge:
         )
 
     def topics(self) -> dict[str, str]:
-        """Return the topics of other ROS 2 nodes that the bridge sees, as a dict from name to type."""
+        """Return the topics that the bridge sees at other ROS 2 nodes, as a dict from name to type."""
         return self._joined().graph.topics()
 
     def services(self) -> dict[str, str]:
-        """Return the services of other ROS 2 nodes that the bridge sees, as a dict from name to type."""
+        """Return the services that the bridge sees at other ROS 2 nodes, as a dict from name to type."""
         return self._joined().graph.services()
 
     def nodes(self) -> list[str]:
-        """Return the full names of the other nodes in the bridge's ROS 2 domain."""
+        """Return the full names of the other nodes in the ROS 2 domain that the bridge has joined."""
         return self._joined().graph.nodes()
 
     def wait_for_node(self, name: str, timeout: float) -> bool:
-        """Wait until another node appears in the bridge's ROS 2 domain; return False on timeout.
+        """Wait until the bridge sees another node in the ROS 2 domain. Return False on timeout.
 
         Args:
             name: full name of the node.
@@ -195,7 +195,9 @@ class Ros2Bridge:
 
     # --- services in the domain ---
     def _find(self, name: str) -> Handler | None:
-        """Return the ROS 2 bridge's handler for a service in the domain, or None if no node serves it."""
+        """Return a handler with which the bridge calls a service in the ROS 2 domain, or None if no node
+        serves it.
+        """
         context = self._joined()
         type_name = context.graph.services().get(name)
         if type_name is None or type_name not in self.bus.schema.services or self._stop.is_set():
@@ -230,7 +232,9 @@ class Ros2Bridge:
                     part.look()
 
     def _look(self, context: Context) -> None:
-        """Update the ROS 2 bridge's endpoints to match the topics, services and actions of the bus."""
+        """Create and remove endpoints of the ROS 2 bridge so that they match the topics, services and actions
+        of the bus.
+        """
         self._descriptions.look()
         infos = {info.name: info for info in self.bus.topics(besides=self)}
         acting = self._action_names(infos)
@@ -256,7 +260,9 @@ class Ros2Bridge:
         context.announcer.tell()
 
     def _try(self, name: str, table: dict[str, Any], make: Any, type_name: str, *more: Any) -> None:
-        """Start to bridge a topic to ROS 2; if this fails, report the reason once."""
+        """Start to forward a topic between the bus and ROS 2. If this fails, the reason is reported only
+        once.
+        """
         if (name, type_name) in self._refused:
             return
         profile = self.settings.qos.get(name)
@@ -284,7 +290,7 @@ class Ros2Bridge:
 
     # --- actions, which are ROS 1's five topics on the bus ---
     def _action_names(self, infos: Mapping[str, TopicInfo]) -> dict[str, str]:
-        """Return the bus actions to bridge to ROS 2, as a dict from action name to type.
+        """Return the actions of the bus that the bridge offers in ROS 2, as a dict from action name to type.
 
         An action is every name with a topic `<name>/goal` whose message is an action goal.
         """
@@ -318,7 +324,8 @@ class Ros2Bridge:
 
 
 def _is_of_action(info: TopicInfo, acting: Mapping[str, str]) -> bool:
-    """Return whether a bus topic is one of a ROS 1 action's five topics, which ROS 2 bridges as an action.
+    """Return whether a topic of the bus belongs to an action. A ROS 1 action consists of five topics, which
+    ROS 2 does not use.
 
     The bridge does not forward these topics, because ROS 2 transports actions differently.
     """

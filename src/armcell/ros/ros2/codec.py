@@ -30,7 +30,8 @@ HEADER_BYTES = 4  # CDR's encapsulation header, before the fields
 
 
 class Ros2Codec:
-    """ROS 2 CDR codec (little-endian) for one schema and one ROS 2 distribution; thread-safe.
+    """Thread-safe codec for the messages of one schema in one ROS 2 distribution. The encoding is
+    little-endian CDR.
 
     Raises:
         UnknownNameError: the distribution does not exist.
@@ -52,7 +53,7 @@ class Ros2Codec:
 
     # --- types ---
     def message(self, name: str) -> type[Message]:
-        """Return the Python class of a message type for the ROS 2 codec.
+        """Return the Python class whose messages the ROS 2 codec encodes and decodes for a message type.
 
         Raises:
             UnknownNameError: the type does not exist.
@@ -63,7 +64,9 @@ class Ros2Codec:
         return self.message(name)(*values, **fields)
 
     def wire_class(self, name: str) -> type[Message]:
-        """Return the message class that the ROS 2 codec serializes, with exactly ROS 2's fields."""
+        """Return the message class that the ROS 2 codec serializes. It has exactly the fields that ROS 2
+        defines.
+        """
         if name not in self._wire:
             if name not in self.definitions:
                 raise UnknownNameError("ROS 2 type", name, self.definitions)
@@ -71,21 +74,22 @@ class Ros2Codec:
         return self._wire[name]
 
     def has_more(self, name: str) -> bool:
-        """Return whether a message has fields in the ROS 2 codec that ROS 1 lacks.
+        """Return whether the ROS 2 codec knows fields of a message type that ROS 1 does not have.
 
         Messages that a script creates lack those fields.
         """
         return name in self.schema.definitions and self.schema.whole(name) != self.schema.definition(name)
 
     def prepare(self, name: str) -> None:
-        """Generate the ROS 2 codec's serialization functions of a message type now, not at first use.
+        """Generate the serialization functions of the ROS 2 codec for a message type now instead of at its
+        first use.
 
         Generation takes up to 0.1 s.
         """
         self._store.get_msgdef(rosbags_name(name))
 
     def type_hash(self, name: str, kind: str = "msg") -> str | None:
-        """Return the REP 2016 type hash of a message, service or action from the ROS 2 codec.
+        """Return the REP 2016 type hash of a message, service or action in ROS 2, as computed by the codec.
 
         Returns:
             The hash, or None for distributions without type hashes.
@@ -94,7 +98,7 @@ class Ros2Codec:
 
     # --- bytes ---
     def encode(self, message: Any) -> memoryview:
-        """Encode a message with the ROS 2 codec as CDR bytes, including the encapsulation header.
+        """Encode a message as CDR bytes with the ROS 2 codec. The bytes begin with the encapsulation header.
 
         Raises:
             InputError: a field's value does not fit its type.
@@ -109,7 +113,7 @@ class Ros2Codec:
             raise InputError(f"{name} cannot be encoded: {error}") from None
 
     def decode(self, name: str, data: bytes | memoryview) -> Any:
-        """Decode a message with the ROS 2 codec from CDR bytes, which must contain nothing else.
+        """Decode CDR bytes with the ROS 2 codec. They must contain exactly one message.
 
         Raises:
             WireError: the bytes are not a message of this type.
@@ -131,7 +135,9 @@ class Ros2Codec:
         return self._tidies[name]
 
     def translation(self, name: str) -> _Translation:
-        """Return the codec's function that converts a bus message to ROS 2's field layout."""
+        """Return the function with which the codec converts a message of the bus to the field layout of ROS
+        2.
+        """
         if name not in self._translations:
             self._translations[name] = _Translation(self, name)
         return self._translations[name]
@@ -142,7 +148,8 @@ def _is_empty(codec: Ros2Codec, name: str) -> bool:
 
 
 def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
-    """Pair each ROS 2 field with the attribute of the bus's message class that the codec copies, or None.
+    """Pair each field of a ROS 2 message with the attribute from which the codec copies it, or with None if
+    the bus message lacks it.
 
     Names match regardless of case: CameraInfo's `d` in ROS 2 is `D` on the bus.
     """
@@ -160,7 +167,7 @@ _MISSING: Any = object()
 
 
 class _Translation:
-    """Function object of the ROS 2 codec that converts a bus message to ROS 2's field layout.
+    """Function object with which the codec converts a message of the bus to the field layout of ROS 2.
 
     Messages whose fields match already are returned without a copy.
     """
@@ -194,7 +201,7 @@ class _Translation:
 
 
 class _Makers(dict):
-    """ROS 2 codec's message constructors by rosbags type name, each built on first use.
+    """Message constructors of the ROS 2 codec by the type names of rosbags. Each one is built on first use.
 
     The deserializer calls a constructor with the values that it has read.
     """
@@ -224,5 +231,5 @@ def _maker(codec: Ros2Codec, name: str) -> Any:
 
 @cache
 def ros2_codec(schema: Schema, distro: str) -> Ros2Codec:
-    """Return the cached codec of a schema and a ROS 2 distribution."""
+    """Return the codec for a schema and a ROS 2 distribution, from a cache."""
     return Ros2Codec(schema, distro)

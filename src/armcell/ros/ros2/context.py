@@ -24,7 +24,8 @@ MAX_COMPLAINTS = 200  # different kinds of errors that are logged
 
 
 class Context:
-    """Shared context of a ROS 2 bridge (bus, DDS participant, workers), closed with the bridge.
+    """Objects that the parts of a ROS 2 bridge share: the bus, the DDS participant and the worker threads.
+    They are closed with the bridge.
 
     Raises:
         MissingExtraError: cyclonedds is not installed.
@@ -52,7 +53,7 @@ class Context:
         return self.participant.closed
 
     def complain(self, kind: str, text: str) -> None:
-        """Log each kind's first error in the ROS 2 bridge's context, and count all errors."""
+        """Count an error of the ROS 2 bridge. Only the first error of each kind is logged."""
         if self.complaints.is_new(kind):
             logger.warning("%s", text[:400])
 
@@ -79,7 +80,7 @@ class Context:
             endpoint.close()
 
     def service_id(self) -> str:
-        """Return a new service client or server id from the ROS 2 bridge's context.
+        """Return a new id for a service client or server of the ROS 2 bridge.
 
         Both endpoints (reader and writer) of the client or server carry the id.
         """
@@ -91,7 +92,9 @@ class Context:
 
     # --- work that may take long ---
     def work(self, run: Callable[..., Any], *arguments: Any) -> bool:
-        """Run a function in the worker pool of the ROS 2 bridge's context; False if too many calls wait."""
+        """Run a function in the worker pool of the ROS 2 bridge. Return False if too many calls are
+        waiting.
+        """
         with self._lock:
             if self._calls >= MAX_CALLS:
                 return False

@@ -41,11 +41,13 @@ OFFERED_INCOMPATIBLE, REQUESTED_INCOMPATIBLE = (
 
 
 class DdsError(ArmcellError):
-    """An error that the Cyclone DDS library reported."""
+    """Error that the Cyclone DDS library has reported."""
 
 
 class _Sample(ct.Structure):
-    """C struct that cyclonedds's types read and write: pointer to a sample's bytes and its size."""
+    """C struct through which cyclonedds reads and writes serialized data: a pointer to the bytes of a sample,
+    and their number.
+    """
 
     _fields_ = [("data", ct.c_void_p), ("size", ct.c_size_t)]
 
@@ -81,7 +83,7 @@ def _prototypes() -> dict[str, tuple[Any, tuple[Any, ...]]]:
 
 @cache
 def library() -> SimpleNamespace:
-    """Return the C functions of Cyclone DDS and of its Python package that armcell uses.
+    """Return the C functions of Cyclone DDS and of its Python package, as far as armcell uses them.
 
     Raises:
         MissingExtraError: cyclonedds is not installed.
@@ -101,7 +103,7 @@ def library() -> SimpleNamespace:
 
 
 def check(result: int, what: str) -> int:
-    """Check a result of the Cyclone DDS library: return valid results, raise for error codes.
+    """Return a result of the Cyclone DDS library if it is valid. Raise an exception if it is an error code.
 
     Raises:
         DdsError: the result is an error code.
@@ -112,7 +114,7 @@ def check(result: int, what: str) -> int:
 
 
 class Sample(NamedTuple):
-    """A received DDS sample in serialized form."""
+    """DDS sample that was received, in serialized form."""
 
     data: bytes
     writer: int  # instance handle of the publication
@@ -120,7 +122,7 @@ class Sample(NamedTuple):
 
 
 class _Domains:
-    """DDS domains that the process has joined with Cyclone DDS.
+    """DDS domains that this process has joined with Cyclone DDS.
 
     Each domain has one configuration and ends with its last participant.
     """
@@ -152,7 +154,7 @@ _DOMAINS = _Domains()
 
 
 class Participant:
-    """DDS participant in a domain, with one thread that reads for all of its readers.
+    """Participant in a DDS domain, with one thread that reads the data for all its readers.
 
     Attributes:
         endpoints: sockets that joining the domain opened; empty if the system does not report them, and for
@@ -194,13 +196,13 @@ class Participant:
         return self.guid_of(self.handle)
 
     def guid_of(self, handle: int) -> bytes:
-        """Return the 16-byte GUID of a DDS entity, its identifier on the network."""
+        """Return the 16-byte GUID that identifies a DDS entity on the network."""
         found = ct.create_string_buffer(16)
         check(self._dds.dds_get_guid(handle, found), "guid")
         return found.raw
 
     def close(self) -> None:
-        """Leave the DDS domain; must not be called from a reader's callback."""
+        """Leave the DDS domain. The callback of a reader must not call this method."""
         with self._lock:
             if self.closed:
                 return
@@ -224,7 +226,7 @@ class Participant:
         user_data: bytes = b"",
         ignore_own: bool = True,
     ) -> Reader:
-        """Create a Cyclone DDS reader for a topic.
+        """Create a reader of Cyclone DDS for a topic.
 
         Args:
             on_sample: called with each sample, in order of arrival, in the participant's reading thread.
@@ -258,7 +260,7 @@ class Participant:
         return Reader(self, DdsName("", "", ""), handle, self._watch(handle, take))
 
     def _type_hash(self, name: DdsName) -> bytes:
-        """Return the DDS user data that carries the REP 2016 hash of a topic's type.
+        """Return the user data with which a DDS endpoint announces the REP 2016 hash of its topic's type.
 
         rmw warns about every endpoint without a type hash.
         """
@@ -291,7 +293,7 @@ class Participant:
 
     # --- reading ---
     def _watch(self, reader: int, take: Callable[[], None]) -> int:
-        """Call `take` whenever a DDS reader has data; return the id for `forget`."""
+        """Call `take` whenever a DDS reader has data. The result is an id for `forget`."""
         condition = check(self._dds.dds_create_readcondition(reader, ANY_STATE), "condition")
         with self._lock:
             number = next(self._numbers)
@@ -336,7 +338,7 @@ class _Endpoint:
 
     @property
     def instance(self) -> int:
-        """Return the DDS endpoint's instance handle, its identifier within this process."""
+        """Return the handle that identifies the DDS endpoint within this process."""
         found = ct.c_uint64()
         check(self._dds.dds_get_instance_handle(self.handle, ct.byref(found)), "handle")
         return found.value
@@ -359,10 +361,10 @@ class _Endpoint:
 
 
 class Writer(_Endpoint):
-    """Cyclone DDS writer for serialized samples."""
+    """Writer of Cyclone DDS for serialized samples."""
 
     def write(self, data: bytes | bytearray | memoryview) -> bool:
-        """Write a serialized DDS sample; return False if the DDS writer's queue is full.
+        """Write a serialized DDS sample. Return False if the queue of the writer is full.
 
         Args:
             data: bytes of the sample, including CDR's 4-byte header.
@@ -380,11 +382,11 @@ class Writer(_Endpoint):
         return True
 
     def readers(self) -> list[int]:
-        """Return the handles of the DDS readers that receive a writer's samples."""
+        """Return the handles of the DDS readers that receive samples from this writer."""
         return self._matched(self._dds.dds_get_matched_subscriptions)
 
     def reader_qos(self, handle: int) -> Any:
-        """Return the QoS of a DDS reader matched to a writer, or None if the reader has left."""
+        """Return the QoS of a DDS reader that is matched to this writer, or None if the reader has left."""
         builtin = self._dds.builtin
         found = self._dds.c.ddspy_get_matched_subscription_data(
             self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos
@@ -393,18 +395,18 @@ class Writer(_Endpoint):
 
 
 class Reader(_Endpoint):
-    """Cyclone DDS reader that delivers samples until `close`."""
+    """Reader of Cyclone DDS that delivers samples to a callback until `close`."""
 
     def __init__(self, participant: Participant, name: DdsName, handle: int, number: int):
         super().__init__(participant, name, handle)
         self._number = number
 
     def writers(self) -> list[int]:
-        """Return the handles of the DDS writers whose samples a DDS reader receives."""
+        """Return the handles of the DDS writers whose samples this reader receives."""
         return self._matched(self._dds.dds_get_matched_publications)
 
     def writer_qos(self, handle: int) -> Any:
-        """Return the QoS of a DDS writer matched to a reader, or None if the writer has left."""
+        """Return the QoS of a DDS writer that is matched to this reader, or None if the writer has left."""
         builtin = self._dds.builtin
         found = self._dds.c.ddspy_get_matched_publication_data(
             self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos

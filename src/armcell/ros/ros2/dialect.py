@@ -16,7 +16,8 @@ from armcell.ros.schema import Schema
 
 
 def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
-    """Return the ROS 2 dialect of messages: all definitions of a distribution by `pkg/Name`.
+    """Return all message definitions of a ROS 2 distribution by `pkg/Name`, including the messages of its
+    actions.
 
     Raises:
         UnknownNameError: the distribution does not exist.
@@ -29,7 +30,7 @@ def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
 
 
 def _action_messages(action: str) -> dict[str, Definition]:
-    """Return the messages that rosidl derives from an action in a ROS 2 distribution's dialect.
+    """Return the messages that ROS 2's rosidl derives from the definition of an action.
 
     Source: design.ros2.org/articles/actions.html.
     """

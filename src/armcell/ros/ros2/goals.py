@@ -30,7 +30,7 @@ RUNNING = {
 
 
 class Goal:
-    """An action goal that a ROS 2 client has sent to an action of the bus."""
+    """Goal that a ROS 2 client has sent to an action of the bus."""
 
     def __init__(self, uuid: bytes, stamp: Any):
         self.uuid, self.stamp = uuid, stamp
@@ -46,7 +46,7 @@ class Goal:
 
 
 class ActionServing:
-    """Server of one bus action for goals of clients in the ROS 2 domain.
+    """Server that offers one action of the bus to clients in the ROS 2 domain.
 
     A separate thread handles the messages of the bus's action server, in order.
     """
@@ -88,7 +88,9 @@ class ActionServing:
         ]
 
     def close(self) -> None:
-        """Stop serving an action to ROS 2 and abort unfinished goals; waiting clients receive a result."""
+        """Stop offering an action to ROS 2. Unfinished goals are aborted, and clients that wait for them
+        receive a result.
+        """
         for server in self._servers:
             server.close()
         with self._lock:
@@ -193,7 +195,7 @@ class ActionServing:
                 self._tell()
 
     def _final(self, goal: Goal, state: State) -> int:
-        """Return the ROS 2 status of a finished action goal.
+        """Return the status that ROS 2 assigns to a finished action goal.
 
         A goal that a newer one preempted without a cancel request counts as aborted.
         """
@@ -216,7 +218,7 @@ class ActionServing:
             self._get_server.reply(asked, response)
 
     def _tell(self) -> None:
-        """Publish the status of all goals of an action to the ROS 2 domain."""
+        """Publish the status of all goals of an action in the ROS 2 domain."""
         new = self._context.codec.new
         with self._lock:
             goals = list(self._goals.values())

@@ -20,7 +20,7 @@ MAX_ENDPOINTS = 20_000  # limits the memory that a flood of endpoints can use
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A DDS writer or reader of another participant in the ROS 2 graph."""
+    """DDS writer or reader that belongs to another participant in the ROS 2 graph."""
 
     topic: str
     type: str
@@ -31,7 +31,9 @@ class Endpoint:
 
 
 class Graph:
-    """Thread-safe ROS 2 graph of a DDS domain's other participants; `version` counts changes."""
+    """Thread-safe record of the other participants in a DDS domain (the ROS 2 graph). `version` counts its
+    changes.
+    """
 
     def __init__(self, participant: Participant, codec: Ros2Codec):
         self._participant, self._codec = participant, codec
@@ -48,12 +50,14 @@ class Graph:
 
     # --- queries ---
     def endpoints(self, dds_topic: str, writes: bool) -> list[Endpoint]:
-        """Return the writers or readers of a DDS topic that other participants in the ROS 2 graph have."""
+        """Return the writers or the readers that other participants in the ROS 2 graph have for a DDS
+        topic.
+        """
         with self._lock:
             return [e for e in self._endpoints.values() if e.topic == dds_topic and e.writes == writes]
 
     def topics(self) -> dict[str, str]:
-        """Return the ROS 2 topics of other participants in the graph, as a dict from name to type.
+        """Return the topics that other participants in the ROS 2 graph have, as a dict from name to type.
 
         If endpoints of a topic have different types, the first endpoint counts.
         """
@@ -67,7 +71,7 @@ class Graph:
         return found
 
     def services(self) -> dict[str, str]:
-        """Return the ROS 2 services of other participants in the graph, as a dict from name to type.
+        """Return the services that other participants in the ROS 2 graph serve, as a dict from name to type.
 
         A service counts if its server reads requests and writes replies.
         """
@@ -121,7 +125,9 @@ class Graph:
 
 
 class Announcer:
-    """Announcer of this node's DDS endpoints in the ROS 2 graph, so that `ros2 node list` shows the node."""
+    """Publisher that announces the DDS endpoints of this node to the ROS 2 graph, so that `ros2 node list`
+    shows the node.
+    """
 
     def __init__(self, participant: Participant, codec: Ros2Codec, node: str):
         self._participant, self._codec = participant, codec
@@ -141,7 +147,7 @@ class Announcer:
             self._gids.pop(guid, None)
 
     def tell(self) -> None:
-        """Announce the node's endpoints to the ROS 2 graph if they changed since the last call."""
+        """Announce the endpoints of this node to the ROS 2 graph if they have changed since the last call."""
         with self._lock:
             gids = dict(self._gids)
         if gids == self._told:

@@ -17,7 +17,9 @@ from armcell.ros.ros2.names import DdsName, dds_type
 
 
 class Types:
-    """Cache of IDL types (`cyclonedds`) of messages, each built on first use; thread-safe."""
+    """Thread-safe cache of the IDL types that `cyclonedds` needs for messages. Each type is built on first
+    use.
+    """
 
     def __init__(self, codec: Ros2Codec):
         self._codec = codec
@@ -26,7 +28,7 @@ class Types:
         self._topics: dict[tuple[str, str], Any] = {}
 
     def of(self, name: DdsName) -> Any:
-        """Return the IDL type (`cyclonedds`) of a topic's message.
+        """Return the IDL type that `cyclonedds` needs for the message of a topic.
 
         Raises:
             InputError: DDS has no type for one of the fields.

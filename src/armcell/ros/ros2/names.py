@@ -16,7 +16,7 @@ _TYPE = re.compile(r"^(\w+)::(msg|srv|action)::dds_::(\w+)_$")
 
 
 class DdsName(NamedTuple):
-    """DDS name and type name of a ROS 2 topic."""
+    """Name and type name under which a ROS 2 topic is known in DDS."""
 
     topic: str
     type: str  # type name on DDS
@@ -25,7 +25,9 @@ class DdsName(NamedTuple):
 
 
 def dds_type(full: str) -> str:
-    """Convert a ROS 2 type name `std_msgs/msg/String` to `std_msgs::msg::dds_::String_`."""
+    """Convert the name of a ROS 2 type, such as `std_msgs/msg/String`, to its name in DDS,
+    `std_msgs::msg::dds_::String_`.
+    """
     package, kind, item = full.split("/")
     return f"{package}::{kind}::dds_::{item}_"
 
@@ -36,7 +38,8 @@ def _dds(name: str, kind: str) -> str:
 
 
 def ros_type(name: str) -> str | None:
-    """Convert a DDS type name `std_msgs::msg::dds_::String_` to `std_msgs/String`.
+    """Convert the name of a type in DDS, such as `std_msgs::msg::dds_::String_`, to its ROS name,
+    `std_msgs/String`.
 
     Returns:
         The ROS type name, or None if the DDS type is not a ROS type.
@@ -46,7 +49,7 @@ def ros_type(name: str) -> str | None:
 
 
 def topic(name: str, type_name: str, kind: str = "msg") -> DdsName:
-    """Return the DDS name of a ROS 2 topic.
+    """Return the name of a ROS 2 topic in DDS.
 
     Args:
         name: full name of the topic with its leading slash.
@@ -56,7 +59,7 @@ def topic(name: str, type_name: str, kind: str = "msg") -> DdsName:
 
 
 def request(name: str, type_name: str, kind: str = "srv") -> DdsName:
-    """Return the DDS name of the topic that carries a service's requests.
+    """Return the DDS name of the topic that carries the requests to a ROS 2 service.
 
     Args:
         kind: "srv", or "action" for the services of an action.
@@ -66,7 +69,7 @@ def request(name: str, type_name: str, kind: str = "srv") -> DdsName:
 
 
 def reply(name: str, type_name: str, kind: str = "srv") -> DdsName:
-    """Return the DDS name of the topic that carries a service's replies.
+    """Return the DDS name of the topic that carries the replies of a ROS 2 service.
 
     Args:
         kind: "srv", or "action" for the services of an action.
@@ -83,7 +86,7 @@ DISCOVERY = DdsName(
 
 
 def action_name(name: str, type_name: str) -> str:
-    """Return the ROS 2 name of an action on the bus.
+    """Return the name under which ROS 2 knows an action of the bus.
 
     ROS 1's MoveIt action `move_group` is `move_action` in MoveIt 2; other names do not change. Source:
     move_group/capability_names.h.
@@ -94,7 +97,7 @@ def action_name(name: str, type_name: str) -> str:
 
 
 def ros_topic(dds_topic: str) -> str | None:
-    """Convert a DDS topic name `rt/chatter` to the ROS topic `/chatter`.
+    """Convert the name of a DDS topic, such as `rt/chatter`, to the ROS topic `/chatter`.
 
     Returns:
         The ROS topic, or None if the DDS topic is not a ROS topic.
@@ -103,7 +106,7 @@ def ros_topic(dds_topic: str) -> str | None:
 
 
 def ros_service(dds_topic: str) -> str | None:
-    """Convert a DDS topic name `rq/add_two_intsRequest` to the service name `/add_two_ints`.
+    """Convert the name of a DDS topic, such as `rq/add_two_intsRequest`, to the ROS service `/add_two_ints`.
 
     Returns:
         The service name, or None if the DDS topic is not a ROS request topic.

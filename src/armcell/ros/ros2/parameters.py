@@ -26,7 +26,9 @@ USE_SIM_TIME = "use_sim_time"
 
 
 def kind_of(value: Any) -> int:
-    """Return the rcl_interfaces ParameterType of a parameter's value; NOT_SET if ROS 2 has none."""
+    """Return the ParameterType (rcl_interfaces) of a value, or NOT_SET if ROS 2 has no type for such a
+    parameter.
+    """
     if isinstance(value, (bytes, bytearray)):
         return 5
     if isinstance(value, np.generic):
@@ -42,7 +44,9 @@ def kind_of(value: Any) -> int:
 
 
 class ParameterServices:
-    """Server of a ROS 2 node's six parameter services, for the parameters of the bus."""
+    """Server of the six parameter services that every ROS 2 node has. It gives access to the parameters of
+    the bus.
+    """
 
     def __init__(self, context: Context, node: str):
         self._context, self._parameters = context, context.bus.parameters
@@ -78,7 +82,7 @@ class ParameterServices:
         return sorted({name[1:].replace("/", ".") for name in known} | {USE_SIM_TIME})
 
     def _read(self, name: str) -> Any:
-        """Return a bus parameter's value for a ROS 2 client, or None if it is not set."""
+        """Return the value of a bus parameter for a ROS 2 client, or None if the parameter is not set."""
         if name == USE_SIM_TIME:
             return self._context.bus.clock.is_simulated
         try:
@@ -140,7 +144,7 @@ class ParameterServices:
         return self._new("rcl_interfaces/SetParametersResult", not reason, reason)
 
     def _check(self, parameter: Any) -> str:
-        """Return why a ROS 2 client cannot set a parameter, or an empty string if it can."""
+        """Return the reason why a ROS 2 client cannot set a parameter. The text is empty if it can."""
         if parameter.name == USE_SIM_TIME:
             return "use_sim_time follows the clock of the cell"
         if parameter.value.type not in (NOT_SET, *FIELDS):
@@ -149,7 +153,7 @@ class ParameterServices:
 
 
 def _below(name: str, prefixes: list[str], depth: int) -> bool:
-    """Return whether a parameter is below one of the prefixes of ROS 2's ListParameters request.
+    """Return whether a parameter is below one of the prefixes in a ListParameters request of ROS 2.
 
     Args:
         depth: largest number of levels below the prefix; 0 means any.

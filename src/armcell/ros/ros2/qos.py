@@ -28,7 +28,8 @@ class Profile:
         return f"{reliability}, {'transient local' if self.latched else 'volatile'}"
 
     def lacks(self, requested: Profile) -> list[str]:
-        """List the QoS policies that a ROS 2 subscriber requests but a publisher's profile lacks.
+        """List the QoS policies that a ROS 2 subscriber requests but that the profile of the publisher does
+        not offer.
 
         The list is empty if publisher and subscriber are compatible.
         """
@@ -74,7 +75,8 @@ def offered(topic: str, type_name: str, latched: bool) -> Profile:
 
 
 def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Profile:
-    """Return a ROS 2 subscription's QoS profile: the strongest that every known publisher offers.
+    """Return the QoS profile for a ROS 2 subscription. It is the strongest profile that every known publisher
+    offers.
 
     Without known publishers, the profile is ROS 2's default.
     """
@@ -88,7 +90,7 @@ BLOCKING = 100_000_000  # [ns] longest wait for queue space when writing a servi
 
 
 def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False, wait: bool = False) -> Any:
-    """Convert a ROS 2 QoS profile to a `cyclonedds` Qos.
+    """Convert a QoS profile of ROS 2 to a `cyclonedds` Qos.
 
     Args:
         user_data: user data of the endpoint, which discovery distributes.
@@ -116,7 +118,7 @@ def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False,
 
 
 def profile_of(qos: Any) -> Profile:
-    """Convert the `cyclonedds` Qos of another endpoint to a QoS profile.
+    """Convert the `cyclonedds` Qos of another endpoint to a QoS profile of ROS 2.
 
     Discovery does not report the depth, which keeps its default.
     """
@@ -129,7 +131,7 @@ def profile_of(qos: Any) -> Profile:
 
 
 def user_values(qos: Any) -> dict[str, str]:
-    """Parse the `key=value;` pairs that ROS 2 stores in the user data of an endpoint's QoS."""
+    """Parse the `key=value;` pairs that ROS 2 stores in the user data of an endpoint."""
     policy = _policy(qos, "Userdata")
     text: str = policy.data.decode("latin-1") if policy is not None else ""
     pairs = [part.partition("=") for part in text.split(";")]

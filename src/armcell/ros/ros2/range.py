@@ -33,7 +33,8 @@ LOCALHOST."""
 
 
 def _has_network() -> bool:
-    """Return whether ROS 2 discovery can range beyond this machine by a network interface.
+    """Return whether this machine has a network interface through which ROS 2 discovery can find nodes on
+    other machines.
 
     The test sends no packets.
     """
@@ -47,7 +48,7 @@ def _has_network() -> bool:
 
 @dataclass(frozen=True)
 class Reach:
-    """A ROS 2 domain number and the range within which discovery finds other nodes."""
+    """Number of a ROS 2 domain, and the range within which discovery finds other nodes."""
 
     domain: int = 0
     range: str = "LOCALHOST"
@@ -62,11 +63,11 @@ class Reach:
 
     @property
     def is_open(self) -> bool:
-        """Return whether the discovery range lets ROS 2 nodes on other machines find this process."""
+        """Return whether ROS 2 nodes on other machines can discover this process."""
         return self.range in ("SUBNET", "SYSTEM_DEFAULT") or (bool(self.peers) and self.range == "LOCALHOST")
 
     def xml(self) -> str:
-        """Return the discovery range and domain as Cyclone DDS's XML configuration."""
+        """Return the domain and the discovery range as an XML configuration of Cyclone DDS."""
         multicast = interfaces = peers = tag = ""
         index = "auto"
         if self.range in ("LOCALHOST", "SUBNET"):
@@ -103,7 +104,7 @@ class Reach:
 def from_environment(
     domain: int | None = None, network: bool = False, environ: Mapping[str, str] = os.environ
 ) -> Reach:
-    """Return the domain number and discovery range from ROS 2's environment variables.
+    """Read the domain number and the discovery range from the environment variables of ROS 2.
 
     The variables are ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY, ROS_STATIC_PEERS and
     CYCLONEDDS_URI.

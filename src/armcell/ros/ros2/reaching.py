@@ -21,7 +21,7 @@ DONE = {SUCCEEDED: State.SUCCEEDED, CANCELED: State.PREEMPTED, ABORTED: State.AB
 
 
 class ActionReaching:
-    """Action server on the bus for reaching an action that is served in the ROS 2 domain."""
+    """Action server on the bus that forwards goals to an action in the ROS 2 domain."""
 
     def __init__(self, context: Context, owner: object, name: str, type_name: str):
         self._context, self.name, self.type = context, name, type_name
@@ -38,12 +38,12 @@ class ActionReaching:
 
     @property
     def is_there(self) -> bool:
-        """Return whether discovery can reach the action's server in the ROS 2 domain."""
+        """Return whether the server of the action has been discovered in the ROS 2 domain."""
         return self._send.is_there and self._get.is_there
 
     @property
     def busy(self) -> bool:
-        """Return whether bus clients that reach a ROS 2 action still wait for results."""
+        """Return whether clients on the bus are waiting for results of the ROS 2 action."""
         return bool(self._goals)
 
     def close(self) -> None:

@@ -31,7 +31,7 @@ MAX_KNOWN = 1000  # clients whose readiness is cached
 
 
 class Asked(NamedTuple):
-    """Identity of a received ROS 2 service call, which the reply must contain.
+    """Identity of a ROS 2 service call that was received. The reply must contain it.
 
     `client` and `seq` come from the request's header; `writer` is the local handle of the client's writer.
     """
@@ -42,7 +42,8 @@ class Asked(NamedTuple):
 
 
 def split(sample: Sample) -> tuple[Asked, bytes]:
-    """Split a ROS 2 service's serialized request or reply into its call header and its message bytes.
+    """Split the serialized request or reply of a ROS 2 service into the header of the call and the bytes of
+    the message.
 
     Raises:
         WireError: the sample is shorter than its header.
@@ -59,7 +60,7 @@ def joined(client: int, seq: int, encoded: memoryview) -> bytes:
 
 
 class Server:
-    """Server of a ROS 2 service on DDS.
+    """Server of a ROS 2 service, which uses two DDS topics for requests and replies.
 
     Args:
         on_request: called in a worker thread with this server, the request and the identity of the call; it
@@ -104,11 +105,13 @@ class Server:
             self.refuse(asked, str(error))
 
     def refuse(self, asked: Asked, why: str) -> None:
-        """Reply to a failed ROS 2 service call with default values and the reason of the failure."""
+        """Reply to a failed call of a ROS 2 service with default values and with the reason of the
+        failure.
+        """
         self.reply(asked, failed(self._context.codec.new(self._reply.message), why))
 
     def reply(self, asked: Asked, response: Any) -> None:
-        """Send the response to a ROS 2 service call once the client's reader is known.
+        """Send the response to a ROS 2 service call as soon as the reader of the client has been discovered.
 
         Raises:
             InputError: a field of the response does not fit its type.
@@ -124,7 +127,9 @@ class Server:
                 self._context.complain(f"reply {self.name}", f"service {self.name}: {error}")
 
     def _is_there(self, writer: int) -> bool:
-        """Return whether a ROS 2 service's client exists; wait up to `WAIT_FOR_CLIENT` for its reader."""
+        """Return whether the client of a ROS 2 service exists. Its reader must be discovered within
+        `WAIT_FOR_CLIENT`.
+        """
         give_up = time.monotonic() + WAIT_FOR_CLIENT
         while writer not in self._ready and not self._context.closed:
             qos = self._reader.writer_qos(writer)
@@ -146,7 +151,7 @@ class Server:
 
 
 class Client:
-    """Client of a ROS 2 service on DDS; thread-safe."""
+    """Thread-safe client of a ROS 2 service, which uses two DDS topics for requests and replies."""
 
     def __init__(self, context: Context, name: str, type_name: str, kind: str = "srv"):
         self._context, self.name, self.type = context, name, type_name
@@ -170,11 +175,13 @@ class Client:
 
     @property
     def is_there(self) -> bool:
-        """Return whether discovery has matched a ROS 2 service server's request reader and reply writer."""
+        """Return whether discovery has found both endpoints of a ROS 2 service server: its request reader and
+        its reply writer.
+        """
         return bool(self._writer.readers()) and bool(self._reader.writers())
 
     def wait(self, timeout: float) -> bool:
-        """Wait until a server of the ROS 2 service is available; return False on timeout.
+        """Wait until a server of the ROS 2 service is available. Return False on timeout.
 
         Args:
             timeout: limit [s].
@@ -204,7 +211,7 @@ class Client:
         return answer
 
     def ask(self, request: Any) -> Waiting:
-        """Send a ROS 2 service request without waiting; return a `Waiting` that receives the response.
+        """Send a request to a ROS 2 service without waiting. The returned `Waiting` receives the response.
 
         Raises:
             InputError: a field of the request does not fit its type.
@@ -242,7 +249,7 @@ class Client:
 
 
 class Waiting:
-    """A pending response to a ROS 2 service call."""
+    """Response to a ROS 2 service call that may still be pending."""
 
     def __init__(self, forget: Callable[[], None]):
         self._there = threading.Event()
@@ -254,7 +261,7 @@ class Waiting:
         self._there.set()
 
     def wait(self, timeout: float) -> Any:
-        """Wait for the response of a ROS 2 service; return the response, or None on timeout.
+        """Wait for the response of a ROS 2 service and return it. The result is None on timeout.
 
         The method may be called repeatedly.
 

@@ -21,7 +21,7 @@ OTHER = "this definition of the message"  # the only remaining cause if all QoS 
 
 
 class Outgoing:
-    """Outgoing topic: a topic of the bus that the bridge publishes in the ROS 2 domain."""
+    """Topic of the bus that the bridge publishes in the ROS 2 domain."""
 
     def __init__(
         self, context: Context, owner: object, topic: str, type_name: str, latched: bool,
@@ -37,7 +37,7 @@ class Outgoing:
         self.follow()
 
     def follow(self) -> None:
-        """Subscribe to an outgoing topic on the bus only while the ROS 2 domain needs its messages.
+        """Subscribe to the topic on the bus only while ROS 2 needs the messages that the bridge publishes.
 
         Messages that are expensive to produce (images, point clouds, TF) are needed only while the domain has
         a reader for them.
@@ -55,7 +55,8 @@ class Outgoing:
         self._context.drop(self._writer)
 
     def _put(self, message: Any) -> None:
-        """Send an outgoing topic's message to the ROS 2 domain without blocking; a full writer drops it.
+        """Send a message of the bus to the ROS 2 domain without blocking. If the writer's queue is full, the
+        message is dropped.
 
         The method runs in the publisher's thread.
         """
@@ -74,7 +75,7 @@ class Outgoing:
             context.has_dropped()
 
     def look(self) -> None:
-        """Report ROS 2 subscribers that cannot receive an outgoing topic, each with the reason."""
+        """Report the ROS 2 subscribers that cannot receive a topic of the bus, each with the reason."""
         others = self._context.graph.endpoints(self._writer.name.topic, writes=False)
         _check_types(self._context, self.topic, self._writer.name, [e.type for e in others])
         same = [e for e in others if e.type == self._writer.name.type]
@@ -88,7 +89,7 @@ class Outgoing:
 
 
 class Incoming:
-    """Incoming topic: a topic of the ROS 2 domain that the bridge publishes on the bus."""
+    """Topic of the ROS 2 domain that the bridge publishes on the bus."""
 
     def __init__(
         self, context: Context, owner: object, topic: str, type_name: str, profile: Profile | None = None
@@ -103,7 +104,7 @@ class Incoming:
         self._reader = self._read()
 
     def _wanted(self) -> Profile:
-        """Return the QoS profile to request for an incoming ROS 2 topic.
+        """Return the QoS profile that the bridge requests when it subscribes to a ROS 2 topic.
 
         The result is the configured profile, or else the profile that all known publishers offer.
         """
@@ -131,7 +132,9 @@ class Incoming:
                 context.complain(f"decode {self.topic}", f"{self.topic}: {error}")
 
     def look(self) -> None:
-        """Adapt an incoming ROS 2 topic to its publishers' QoS, and report incompatible publishers."""
+        """Adapt the bridge's subscription of a ROS 2 topic to the QoS of the publishers. Incompatible
+        publishers are reported.
+        """
         context = self._context
         others = context.graph.endpoints(self._name.topic, writes=True)
         _check_types(context, self.topic, self._name, [e.type for e in others])

@@ -32,7 +32,9 @@ ACTION_SERVICES = ("_SendGoal", "_GetResult")
 
 
 class TypeNames:
-    """Full names in ROS 2's type hashes: `pkg/msg/Name`, `pkg/srv/Name_Request`, `pkg/action/Name_Goal`."""
+    """Full names that the type hashes of ROS 2 use: `pkg/msg/Name`, `pkg/srv/Name_Request`,
+    `pkg/action/Name_Goal`.
+    """
 
     def __init__(self, services: Iterable[str], actions: Iterable[str]):
         self._parts: dict[str, str] = {}
@@ -44,12 +46,14 @@ class TypeNames:
                 self._parts[action + part] = f"{_full(action, 'action')}_{part.removeprefix('_')}"
 
     def full(self, name: str) -> str:
-        """Return the full name in ROS 2's type hashes of `pkg/Name`, or of a service's or action's part."""
+        """Return the full name that a type hash of ROS 2 uses for `pkg/Name`, or for a part of a service or
+        action.
+        """
         return self._parts.get(name) or _full(name, "msg")
 
 
 class TypeHashes:
-    """RIHS01 hashes of the types of one ROS 2 distribution.
+    """Type hashes (RIHS01) of all message, service and action types in one ROS 2 distribution.
 
     Args:
         definitions: definition of every message by its `pkg/Name`, including parts of services and actions.
@@ -63,7 +67,8 @@ class TypeHashes:
         self._hashes: dict[tuple[str, str], str] = {}
 
     def of(self, name: str, kind: str = "msg") -> str:
-        """Return the ROS 2 type hash of a message, service or action: `RIHS01_` and 64 hexadecimal digits.
+        """Return the type hash of a ROS 2 message, service or action: `RIHS01_` followed by 64 hexadecimal
+        digits.
 
         Args:
             kind: "msg" (also for a part of a service or action), "srv" or "action"; needed because an action
@@ -93,7 +98,9 @@ class TypeHashes:
         return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
 
     def _describe(self, name: str, described: dict[str, list[dict[str, Any]]]) -> str:
-        """Add the descriptions of a message and its nested messages to a type hash; return its full name."""
+        """Add the descriptions of a message and of its nested messages to the input of a type hash, and
+        return its full name.
+        """
         full = self.names.full(name)
         if full not in described:
             described[full] = []  # a type cannot contain itself, so the order does not matter
@@ -105,7 +112,9 @@ class TypeHashes:
     def _describe_service(
         self, full: str, request: str, response: str, described: dict[str, list[dict[str, Any]]]
     ) -> str:
-        """Add a service, its messages and its event message to the type description of a hash."""
+        """Add the descriptions of a service, its messages and its event message to the input of a type
+        hash.
+        """
         parts = {
             "request": self._describe(request, described),
             "response": self._describe(response, described),

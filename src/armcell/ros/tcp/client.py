@@ -30,7 +30,7 @@ LOGS = {"__log": logging.INFO, "__warn": logging.WARNING, "__error": logging.ERR
 
 @dataclass(frozen=True)
 class Bridge:
-    """Topics and services that a ROS-TCP client bridges, as dicts from name to type."""
+    """Topics and services that a ROS-TCP client connects with other programs, as dicts from name to type."""
 
     publish: dict[str, str] = field(default_factory=dict)  # topics from the bus to the endpoint
     subscribe: dict[str, str] = field(default_factory=dict)  # topics from the endpoint to the bus
@@ -44,7 +44,7 @@ class Bridge:
 
 
 class RosTcpClient:
-    """ROS-TCP client that reconnects automatically, from `start` (or `with`) to `close`.
+    """ROS-TCP client that runs from `start` (or `with`) to `close` and reconnects automatically.
 
     Args:
         bridge: topics and services to transport.
@@ -89,7 +89,7 @@ class RosTcpClient:
         self.close()
 
     def wait_connected(self, timeout: float | None = None) -> bool:
-        """Wait until the ROS-TCP client has registered all topics and services at the endpoint.
+        """Wait until the ROS-TCP client has registered all its topics and services at the endpoint.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -99,7 +99,8 @@ class RosTcpClient:
         return self._connected.wait(timeout)
 
     def topic_list(self, timeout: float) -> dict[str, str] | None:
-        """Return the ROS-TCP endpoint's topics for the client, as a dict from topic name to type.
+        """Return the topics that the endpoint reports to the ROS-TCP client, as a dict from topic name to
+        type.
 
         Args:
             timeout: limit [s] for the endpoint's answer.
@@ -163,7 +164,7 @@ class RosTcpClient:
 
 
 class _Connection(Peer):
-    """One connection of the ROS-TCP client to an endpoint; each reconnection creates a new one."""
+    """Single connection of the ROS-TCP client to an endpoint. Each reconnection creates a new object."""
 
     def __init__(self, bus: Bus, name: str, protocol: str, service_timeout: float):
         super().__init__(
@@ -198,7 +199,8 @@ class _Connection(Peer):
             self.offer(topic, type_name)
 
     def tell_error(self, text: str) -> None:
-        """Discard a client's error text: ROS-TCP endpoints do not accept error messages.
+        """Discard an error text of the ROS-TCP client, because ROS-TCP endpoints do not accept error
+        messages.
 
         The reference endpoint would close the connection.
         """

@@ -21,7 +21,7 @@ _U32 = struct.Struct("<I")
 
 
 class FrameError(ArmcellError):
-    """A malformed frame in a ROS-TCP stream.
+    """Error in the frames of a ROS-TCP stream.
 
     The connection must be closed, because the boundaries of later frames are unknown.
     """
@@ -47,7 +47,7 @@ class Frame(NamedTuple):
 
 
 def head(destination: str, length: int, terminate: bool = False) -> bytes:
-    """Return the bytes of a ROS-TCP frame that precede its body.
+    """Return the bytes that precede the body of a ROS-TCP frame.
 
     Args:
         length: length of the body [bytes].
@@ -58,7 +58,7 @@ def head(destination: str, length: int, terminate: bool = False) -> bytes:
 
 
 def command(name: str, params: dict[str, Any], terminate: bool = False) -> bytes:
-    """Return the complete frame of a ROS-TCP command.
+    """Return the complete frame for a ROS-TCP command.
 
     Example: `command("__subscribe", {"topic": ..., "message_name": ...})`.
     """
@@ -67,11 +67,11 @@ def command(name: str, params: dict[str, Any], terminate: bool = False) -> bytes
 
 
 class CommandError(ArmcellError):
-    """A ROS-TCP command frame whose JSON is invalid."""
+    """Error in the JSON of a ROS-TCP command frame."""
 
 
 def parameters(body: bytes) -> dict[str, Any]:
-    """Parse the JSON object of a ROS-TCP command frame.
+    """Parse the JSON object in a ROS-TCP command frame.
 
     Raises:
         CommandError: the body is too long, or is not a JSON object.
@@ -88,7 +88,7 @@ def parameters(body: bytes) -> dict[str, Any]:
 
 
 class FrameReader:
-    """Parser that splits a byte stream into ROS-TCP frames, for any fragmentation of the stream.
+    """Parser that splits a stream of bytes into ROS-TCP frames, however the bytes are fragmented.
 
     Its buffer never exceeds the bytes received, so a length field alone cannot make it allocate memory.
     """
@@ -98,7 +98,7 @@ class FrameReader:
         self._buffer = bytearray()
 
     def feed(self, data: bytes | memoryview) -> list[Frame]:
-        """Add received bytes to the parser; return the ROS-TCP frames that are now complete.
+        """Add received bytes to the parser and return the ROS-TCP frames that are now complete.
 
         Raises:
             FrameError: a length exceeds its maximum, or a destination is not UTF-8 text.

@@ -21,7 +21,8 @@ UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further message
 
 
 class Link:
-    """A ROS-TCP link: a connection's socket and its two threads, from `start` to `close`.
+    """Connection to a ROS-TCP peer: a socket and the two threads that read and write, from `start` to
+    `close`.
 
     Args:
         on_frame: called with each frame in the reading thread.
@@ -69,7 +70,7 @@ class Link:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until a ROS-TCP link's connection is over; return False on timeout.
+        """Wait until the ROS-TCP connection has ended. Return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -77,7 +78,7 @@ class Link:
         return self._over.wait(timeout)
 
     def close(self, reason: str = "closed here") -> None:
-        """End a ROS-TCP link and wait for its threads (except the calling thread)."""
+        """End the ROS-TCP connection and wait for its threads, except the calling thread."""
         self._end(reason)
         for thread in self._threads:
             if thread.ident is not None and thread is not threading.current_thread():
@@ -106,7 +107,7 @@ class Link:
         self._leave()
 
     def _say_goodbye(self, reason: str) -> None:
-        """Give a ROS-TCP link's peer time to read the reason for the disconnection before the socket closes.
+        """Keep the socket open for a moment, so that the ROS-TCP peer can read why the connection ends.
 
         Closing a socket with unread bytes would reset the connection and lose the text.
         """
@@ -136,12 +137,15 @@ class Link:
         self._leave()
 
     def put(self, *parts: Part) -> None:
-        """Send a ROS-TCP command or service answer over the link, from any thread, without blocking."""
+        """Send a ROS-TCP command or service answer over the connection without blocking. Any thread may call
+        this method.
+        """
         if not self._send_at_once(parts):
             self.outbox.put(*parts)
 
     def put_message(self, topic: str, *parts: Part) -> None:
-        """Send a topic's message over the ROS-TCP link; a full queue drops the topic's oldest message.
+        """Send a message of a topic over the ROS-TCP connection. If the topic's queue is full, its oldest
+        message is dropped.
 
         Any thread may call it.
         """
@@ -149,7 +153,8 @@ class Link:
             self.outbox.put_message(topic, *parts)
 
     def _send_at_once(self, parts: tuple[Part, ...]) -> bool:
-        """Send a small ROS-TCP frame from the calling thread if the link's outbox is empty.
+        """Send a small ROS-TCP frame directly from the calling thread if no earlier frames are waiting in the
+        outbox.
 
         Under load from Python threads this saves milliseconds, because a woken thread must wait for the
         interpreter.
@@ -178,7 +183,9 @@ class Link:
             self._sending.release()
 
     def _send(self, parts: list) -> None:
-        """Send the parts of a ROS-TCP frame; only the link's writing thread calls this, with the lock."""
+        """Send the parts of a ROS-TCP frame. Only the thread that writes calls this method, with the lock
+        held.
+        """
         if self._rest:
             self._socket.sendall(self._rest)
             self._rest = b""
@@ -191,7 +198,7 @@ class Link:
         self.bytes_out += size
 
     def _end(self, reason: str) -> None:
-        """End a ROS-TCP link's connection once and wake both of its threads.
+        """End the ROS-TCP connection, only once, and wake both of its threads.
 
         The last thread to leave closes the socket, so that its file descriptor is not reused too early.
         """
@@ -202,7 +209,7 @@ class Link:
             self._over.set()
 
     def _shut(self) -> None:
-        """Shut down a ROS-TCP link's socket, which wakes both threads from any blocking call."""
+        """Shut down the socket of a ROS-TCP connection, which wakes both threads from blocking calls."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
@@ -215,7 +222,9 @@ class Link:
 
 
 def _tune(sock: socket.socket) -> None:
-    """Set a ROS-TCP link's socket options: low latency, detection of dead peers, small kernel backlog."""
+    """Set the socket options of a ROS-TCP connection for low latency, detection of dead peers and a small
+    backlog in the kernel.
+    """
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 3)):
@@ -227,7 +236,8 @@ def _tune(sock: socket.socket) -> None:
 
 
 def _acknowledge_quickly(sock: socket.socket) -> None:
-    """Acknowledge a ROS-TCP link's received data at once, for peers that use Nagle's algorithm.
+    """Acknowledge received data at once, for ROS-TCP peers that use Nagle's algorithm and wait for the
+    acknowledgment.
 
     Unity's connector writes small pieces with Nagle's algorithm on, so each piece waits for our
     acknowledgment. The kernel resets the option, so it must be set again after each receive. A service

@@ -16,7 +16,7 @@ Part = bytes | memoryview
 
 
 class Caps(NamedTuple):
-    """Size limits of a ROS-TCP connection's outbox."""
+    """Limits on the size of the outbox of a ROS-TCP connection."""
 
     messages: int = 10  # per topic
     topic_bytes: int = 8 << 20  # per topic; one message is always kept
@@ -24,7 +24,8 @@ class Caps(NamedTuple):
 
 
 class Outbox:
-    """Outbox of a ROS-TCP connection: thread-safe send queues; many threads add, one thread sends.
+    """Thread-safe queues of the data that a ROS-TCP connection must send. Many threads add data and one
+    thread sends it.
 
     Args:
         on_overflow: called when waiting commands exceed `Caps.control_bytes`; must return quickly.
@@ -51,7 +52,7 @@ class Outbox:
         return self._control_bytes + sum(self._bytes.values())
 
     def put(self, *parts: Part) -> None:
-        """Queue a ROS-TCP command or answer in the outbox, ahead of all topics' messages."""
+        """Queue a ROS-TCP command or answer in the outbox, ahead of all messages of topics."""
         with self._condition:
             if self._closed or self._finishing or self.overflowed:
                 return
@@ -63,7 +64,9 @@ class Outbox:
             self._on_overflow()
 
     def put_message(self, topic: str, *parts: Part) -> None:
-        """Queue a ROS-TCP topic's message in the outbox; a full queue drops the oldest messages."""
+        """Queue a message of a ROS-TCP topic in the outbox. If the queue is full, the oldest messages are
+        dropped.
+        """
         size = _size(parts)
         with self._condition:
             if self._closed or self._finishing:
@@ -85,7 +88,9 @@ class Outbox:
             self._condition.notify()
 
     def forget(self, topic: str) -> None:
-        """Discard the outbox's messages of a ROS-TCP topic without subscribers (not counted as dropped)."""
+        """Discard the queued messages of a ROS-TCP topic that has lost its subscribers. They do not count as
+        dropped.
+        """
         with self._condition:
             for _ in self._topics.pop(topic, ()):
                 self._turns.remove(topic)
@@ -96,7 +101,7 @@ class Outbox:
         return not (self._control or self._turns)
 
     def wait(self, timeout: float | None) -> bool:
-        """Wait until the ROS-TCP outbox has data to send; return False on timeout.
+        """Wait until the ROS-TCP outbox contains data to send. Return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.
@@ -112,7 +117,8 @@ class Outbox:
             return not self.is_empty
 
     def take(self, max_bytes: int) -> list[Part]:
-        """Return the next parts of frames to send, in order, and remove them from the ROS-TCP outbox.
+        """Remove the next parts of ROS-TCP frames from the outbox and return them in the order in which they
+        must be sent.
 
         Args:
             max_bytes: approximate size [bytes]; at least one frame is returned if any waits.
@@ -133,7 +139,7 @@ class Outbox:
             return taken
 
     def finish(self) -> None:
-        """Stop accepting messages in the ROS-TCP outbox, but still send all queued messages."""
+        """Accept no further messages in the ROS-TCP outbox, but still send the messages that are queued."""
         with self._condition:
             self._finishing = True
             self._condition.notify_all()

@@ -34,7 +34,7 @@ Params = dict[str, Any]
 
 
 class Peer:
-    """Peer: a program connected by ROS-TCP; its creator sets `link` and starts it afterwards.
+    """Program at the other end of a ROS-TCP connection. The creator sets `link` and starts it afterwards.
 
     Args:
         address: name of the peer in logs.
@@ -71,13 +71,15 @@ class Peer:
         self.link.put(command(name, params, self.terminate))
 
     def complain(self, kind: str, text: str) -> None:
-        """Send an error to the ROS-TCP peer and log it, once per kind; count all errors."""
+        """Count an error of the ROS-TCP peer. The first error of each kind is also logged and sent to the
+        peer.
+        """
         if self.complaints.is_new(kind):
             logger.warning("%s: %s", self.address, text[: 2 * SHOWN])
             self.tell_error(text)
 
     def on_fault(self, reason: str) -> None:
-        """Handle malformed bytes from a ROS-TCP peer, after which the connection must end."""
+        """Handle malformed bytes from a ROS-TCP peer, after which the connection must be closed."""
         self.complain("frame", f"closed: {reason}")
 
     def tell_error(self, text: str) -> None:
@@ -86,7 +88,7 @@ class Peer:
 
     # --- topics ---
     def offer(self, topic: str, type_name: str) -> None:
-        """Offer a bus topic to the ROS-TCP peer from now on; a repeated call has no effect.
+        """Offer a topic of the bus to the ROS-TCP peer from now on. A repeated call has no effect.
 
         Raises:
             InputError: the topic carries another type.
@@ -111,7 +113,9 @@ class Peer:
         self._undo_if_closed()
 
     def encode(self, topic: str, message: Any) -> memoryview:
-        """Serialize a message for the ROS-TCP peer; the server overrides this to share the result."""
+        """Serialize a message for the ROS-TCP peer. The server overrides this method so that all peers share
+        the result.
+        """
         return self.codec.encode(message)
 
     def withdraw(self, topic: str) -> None:
@@ -185,7 +189,7 @@ class Peer:
 
     # --- receiving ---
     def on_frame(self, frame: Frame) -> None:
-        """Handle a frame received from the ROS-TCP peer; the link calls this in its reading thread."""
+        """Handle a frame from the ROS-TCP peer. The thread that reads the connection calls this method."""
         if self._pending is not None:
             (is_request, number), self._pending = self._pending, None
             if not frame.is_command:
@@ -240,7 +244,9 @@ class Peer:
             answer.give(frame.body)
 
     def _on_request(self, number: int, frame: Frame) -> None:
-        """Answer a ROS-TCP peer's service request in a worker thread, so that it blocks nothing else."""
+        """Answer a service request of the ROS-TCP peer in a worker thread, so that other frames need not
+        wait.
+        """
         with self._lock:
             full = self._calls >= MAX_CALLS
             if not full:
@@ -271,7 +277,9 @@ class Peer:
                 self._calls -= 1
 
     def _refuse(self, number: int, name: str, reason: str) -> None:
-        """Answer a ROS-TCP peer's failed service call with default values, so that it stops waiting."""
+        """Answer a failed service call of the ROS-TCP peer with default values, so that the peer does not
+        wait any longer.
+        """
         self.complain(f"service {name} {reason[:80]}", f"service {name[:80]}: {reason}")
         type_name = self._service_type(name)
         body: Any = b""
@@ -280,7 +288,9 @@ class Peer:
         self._respond(number, name, body)
 
     def _service_type(self, name: str) -> str | None:
-        """Return a service's type: the type that the ROS-TCP peer registered, else the type on the bus."""
+        """Return the type of a service: the one that the ROS-TCP peer has registered, otherwise the one on
+        the bus.
+        """
         with contextlib.suppress(InputError):
             return self.service_types.get(name) or self.bus.services().get(resolve(name))
         return None
@@ -294,7 +304,7 @@ class Peer:
 
     # --- end of the connection ---
     def close(self) -> None:
-        """Remove the ROS-TCP peer's topics and services from the bus after its connection has ended.
+        """Remove the topics and services of the ROS-TCP peer from the bus after the connection has ended.
 
         A second call has no effect.
         """
@@ -313,13 +323,15 @@ class Peer:
             self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _undo_if_closed(self) -> None:
-        """Remove a ROS-TCP peer's registration from the bus if the connection ended meanwhile."""
+        """Remove a registration of the ROS-TCP peer from the bus if the connection ended during the
+        registration.
+        """
         if self._closed:
             self.close()
 
 
 class _Answer:
-    """A ROS-TCP peer's pending answer to a service call."""
+    """Answer of a ROS-TCP peer to a service call, which `wait` returns as soon as it arrives."""
 
     def __init__(self) -> None:
         self._there = threading.Event()
@@ -335,7 +347,7 @@ class _Answer:
 
 
 def need(params: Params, name: str, kind: type) -> Any:
-    """Return a required parameter of a ROS-TCP peer's command; ignore other keys.
+    """Return a required parameter from a command of the ROS-TCP peer. Other keys are ignored.
 
     Raises:
         CommandError: the parameter is missing or has another type.

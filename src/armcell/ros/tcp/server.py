@@ -56,7 +56,7 @@ class ServerSettings:
 
 @dataclass(frozen=True)
 class ClientStatus:
-    """State of a client connected to the ROS-TCP server, for status lines."""
+    """State of a client that is connected to the ROS-TCP server, for status lines."""
 
     address: str
     protocol: str
@@ -69,7 +69,7 @@ class ClientStatus:
 
 
 class RosTcpServer:
-    """ROS-TCP server for a bus, from `start` (or `with`) to `close`.
+    """Server that connects ROS-TCP clients such as Unity to a bus, from `start` (or `with`) to `close`.
 
     Raises (reserve, start):
         InputError: the address cannot be listened on.
@@ -87,7 +87,7 @@ class RosTcpServer:
         self._thread = threading.Thread(target=self._accept, name="ros-tcp accept", daemon=True)
 
     def reserve(self) -> None:
-        """Bind the ROS-TCP server's port, but accept no connections before `start`.
+        """Bind the port of the ROS-TCP server, but accept no connections before `start`.
 
         This allows `start` to wait until the cell is ready.
         """
@@ -130,18 +130,18 @@ class RosTcpServer:
         self.close()
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the ROS-TCP server's address; empty before `reserve` or `start`."""
+        """Return the address of the ROS-TCP server; the result is empty before `reserve` or `start`."""
         return () if self._socket is None else (Endpoint.of(self._socket, "ROS-TCP"),)
 
     def clients(self) -> list[ClientStatus]:
-        """Return the state of all clients connected to the ROS-TCP server."""
+        """Return the states of all clients that are connected to the ROS-TCP server."""
         with self._lock:
             sessions = list(self._sessions)
         return [session.status() for session in sessions]
 
     # --- for sessions ---
     def encode(self, topic: str, codec: Codec, message: Any) -> memoryview:
-        """Serialize a message once for all clients of the ROS-TCP server with the same encoding."""
+        """Serialize a message only once for all clients of the ROS-TCP server that use the same encoding."""
         key = (resolve(topic), codec.name)
         have = self._encoded.get(key)
         if have is None or have[0] is not message:
@@ -149,7 +149,7 @@ class RosTcpServer:
         return have[1]
 
     def take_over(self, name: str, by: _Session) -> None:
-        """Transfer a service to a newer ROS-TCP client of the server, e.g. after Unity has restarted.
+        """Transfer a service from an older ROS-TCP client to a newer one, e.g. after Unity has restarted.
 
         If two clients implement the same service, the newer one takes over.
         """
@@ -202,7 +202,9 @@ class RosTcpServer:
 
 
 class _Session(Peer):
-    """The ROS-TCP server's session with one Unity client: its registrations and commands."""
+    """Connection of the ROS-TCP server with one client such as Unity, with the client's registrations and
+    commands.
+    """
 
     def __init__(self, server: RosTcpServer, sock: socket.socket, address: str):
         settings = server.settings

@@ -16,7 +16,7 @@ MAX_HULL_POINTS = 128
 
 
 def write_stl(mesh: Mesh, file: Path) -> None:
-    """Write a mesh [m] as a binary STL file for Unity.
+    """Write a mesh [m] for Unity as a binary STL file.
 
     Corners keep the mesh's order; normals follow the right-hand rule.
     """
@@ -32,7 +32,8 @@ def write_stl(mesh: Mesh, file: Path) -> None:
 
 
 def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
-    """Return a hull of at most `points` mesh corners, Unity's limit for colliders, and its error.
+    """Return a hull of at most `points` corners of a mesh, because Unity limits colliders to this number, and
+    the hull's error.
 
     The error is the largest distance [m] of an unused corner outside the planes of the hull's faces. The hull
     grows by the corner that is farthest outside, so it is inside the convex hull of the mesh.
@@ -56,7 +57,8 @@ def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
 
 
 def _spread(corners: Array) -> list[int]:
-    """Return indices of at least four mesh corners that span a volume, to start a hull for Unity.
+    """Return the indices of at least four mesh corners that span a volume, with which the hull for Unity
+    begins.
 
     The corners are the extremes along ten directions, and further corners if these are coplanar.
     """
@@ -73,7 +75,7 @@ def _spread(corners: Array) -> list[int]:
 
 
 def _oriented(points: Array, hull: ConvexHull) -> Mesh:
-    """Return a convex hull for Unity as a mesh whose faces have outward normals."""
+    """Return the convex hull of a mesh for Unity, with the normals of all faces pointing outward."""
     index = np.full(len(points), -1)
     index[hull.vertices] = np.arange(len(hull.vertices))
     faces, vertices = index[hull.simplices], points[hull.vertices]

@@ -31,7 +31,7 @@ FINGER_STIFFNESS, FINGER_DAMPING = 5000.0, 200.0  # [N/m, N s/m]
 
 
 def scene_json(cell: Cell, seed: int | None, folder: Path, urdf: str) -> tuple[dict[str, Any], list[str]]:
-    """Return a cell's scene as JSON scene data for Unity, and the names of omitted objects.
+    """Return the scene of a cell as JSON data for Unity, and the names of the objects that it omits.
 
     Point clouds and octrees are omitted.
 
@@ -79,7 +79,7 @@ def _gripper(gripper: Gripper, count: int) -> dict[str, Any]:
 
 
 def _drives(model: RobotModel, physics: PhysicsSettings) -> dict[str, dict[str, float]]:
-    """Return the drive parameters of all movable joints for Unity's scene file, by joint name.
+    """Return the drive parameters of all movable joints for the scene file of Unity, by joint name.
 
     The parameters are stiffness, damping and maximum force or torque. Arm joints use the gains of armcell's
     simulation, because its control law equals the law of Unity's drives.
@@ -129,7 +129,7 @@ def _object(item: CollisionObject, folder: Path, only: bool) -> dict[str, Any]:
 
 
 def _shapes(shape: Shape, name: str, folder: Path) -> list[dict[str, Any]]:
-    """Return a shape as JSON data for Unity's scene file.
+    """Return a shape as JSON data for the scene file of Unity.
 
     For a mesh, write STL files of the mesh and of its convex pieces, and return their paths.
     """

@@ -25,7 +25,8 @@ SMALL_INERTIA = 1e-7  # [kg m^2]
 
 
 def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Path:
-    """Write a robot's flattened URDF for Unity with its meshes (below `meshes/`) into a folder.
+    """Write the flattened URDF of a robot for Unity into a folder, and its meshes into the subfolder
+    `meshes/`.
 
     Returns:
         Path of the URDF.
@@ -45,12 +46,13 @@ def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Pat
 
 
 def file_name(name: str) -> str:
-    """Convert a link's or object's name to a valid part of a file name in an exported URDF."""
+    """Convert the name of a link or object to a text that is valid in the file names of an exported URDF."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
 
 
 def principal(inertial: Inertial | None) -> tuple[float, SE3, np.ndarray]:
-    """Return a link's mass [kg], principal frame and principal moments for the URDF of the Unity export.
+    """Return the mass [kg], the principal frame and the principal moments of a link for the URDF that Unity
+    imports.
 
     The frame T_link_principal has its origin at the center of mass. The moments (3,) are in [kg m^2]. Missing
     masses and moments become small positive values.
@@ -98,7 +100,7 @@ class _Writer:
     def _draw(
         self, element: etree._Element, link: str, number: int, shape: Shape, T: SE3, color: tuple
     ) -> int:
-        """Write a shape as visual elements of the exported URDF and return their number.
+        """Write a shape as visual elements of the exported URDF and return the number of elements.
 
         A capsule becomes three elements.
         """

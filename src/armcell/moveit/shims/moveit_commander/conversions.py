@@ -29,7 +29,9 @@ def pose_to_list(pose_msg: Any) -> list[float]:
 
 
 def list_to_pose(pose_list: Any) -> Any:
-    """Convert x, y, z and quaternion (7) or roll, pitch, yaw (6) to a Pose, like moveit_commander."""
+    """Convert a list to a Pose, like moveit_commander: x, y, z and either a quaternion (7 numbers) or roll,
+    pitch and yaw (6 numbers).
+    """
     values = [float(v) for v in pose_list]
     if len(values) == 6:
         values = [*values[:3], *quaternion_from_euler(*values[3:]).tolist()]

@@ -2,4 +2,4 @@
 
 
 class MoveItCommanderException(Exception):
-    """moveit_commander's exception: a request cannot be carried out; the text contains the reason."""
+    """Exception of moveit_commander for a request that cannot be carried out. Its text states the reason."""

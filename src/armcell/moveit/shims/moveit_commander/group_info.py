@@ -25,12 +25,14 @@ PICK, PLACE = "moveit_msgs/Pickup", "moveit_msgs/Place"
 
 
 def kind_of(value: Any) -> str:
-    """Return a message's type name without package, for moveit_commander's group; else empty."""
+    """Return the type name of a message without its package, for a moveit_commander group. Other values give
+    an empty text.
+    """
     return getattr(value, "_type", "").split("/")[-1]
 
 
 class GroupInfo:
-    """moveit_commander group's info: its joints, links and current state.
+    """Methods of a moveit_commander group that return its joints, its links and its current state.
 
     Raises:
         RuntimeError: the group does not exist.
@@ -80,7 +82,9 @@ class GroupInfo:
         return self._name
 
     def stop(self) -> None:
-        """Stop all motions in moveit_commander, also of other groups, like MoveIt's execution event."""
+        """Stop all motions, also those of other groups. moveit_commander does this because MoveIt's execution
+        event stops every motion.
+        """
         bus = self._session.bus
         with bus.advertise("/trajectory_execution_event", "std_msgs/String") as publisher:
             publisher.publish(bus.schema.new("std_msgs/String", "stop"))
@@ -97,7 +101,7 @@ class GroupInfo:
         ]  # fmt: skip
 
     def _variables(self) -> list[str]:
-        """Return the names of the moving joints of a moveit_commander group, including mimic joints."""
+        """Return the names of the joints that move in a moveit_commander group, including mimic joints."""
         mine = set(self._group.joint_names)
         return [
             j.name for j in self._session.model.joints.values()
@@ -138,7 +142,7 @@ class GroupInfo:
         return self._every_value({})
 
     def _every_value(self, positions: dict[str, float]) -> list[float]:
-        """Return the values of a moveit_commander group's moving joints, including mimic joints.
+        """Return the values of the joints that move in a moveit_commander group, including mimic joints.
 
         Args:
             positions: joint name -> position; joints that it does not contain keep their current positions.
@@ -184,7 +188,7 @@ class GroupInfo:
         self._start = None
 
     def set_start_state(self, msg: Any) -> None:
-        """Set the start state of a moveit_commander group's plans from a RobotState.
+        """Set the robot state from which a moveit_commander group plans, from a RobotState message.
 
         Joints that the message does not name keep their current positions.
         """

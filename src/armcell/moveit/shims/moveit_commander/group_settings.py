@@ -11,7 +11,9 @@ from armcell.moveit.shims.moveit_commander.group_targets import GroupTargets
 
 
 class GroupSettings(GroupTargets):
-    """moveit_commander group's settings for planning: tolerances, planner, speed."""
+    """Methods of a moveit_commander group that set how it plans: tolerances, planner, speed and
+    constraints.
+    """
 
     # --- tolerances ---
     def get_goal_tolerance(self) -> tuple[float, float, float]:
@@ -48,14 +50,16 @@ class GroupSettings(GroupTargets):
         self._replanning = bool(value)
 
     def get_known_constraints(self) -> list[str]:
-        """Return the constraint database names of a moveit_commander group: none, as armcell has none."""
+        """Return the constraint names in the database of a moveit_commander group. The list is empty, because
+        armcell has no such database.
+        """
         return []
 
     def get_path_constraints(self) -> Any:
         return self._session.messages.local(self._path_constraints or self._new("Constraints"))
 
     def set_path_constraints(self, value: Any = None, *, constraints: Any = None) -> None:
-        """Set a moveit_commander group's path constraints from a Constraints message; None clears them.
+        """Set the path constraints of a moveit_commander group from a Constraints message; None clears them.
 
         Tutorials also pass the argument as `constraints`.
         """
@@ -93,7 +97,9 @@ class GroupSettings(GroupTargets):
 
     # --- planner ---
     def set_planning_time(self, seconds: float) -> None:
-        """Set a moveit_commander group's planning time [s]; like MoveIt, ignore values that are not > 0."""
+        """Set the planning time [s] of a moveit_commander group. As in MoveIt, a value that is not positive
+        is ignored.
+        """
         if seconds > 0:
             self._time = float(seconds)
 

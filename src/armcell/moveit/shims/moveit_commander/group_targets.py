@@ -27,18 +27,18 @@ from armcell.scene import WORLD
 
 
 class GroupTargets(GroupInfo):
-    """moveit_commander group's targets: joint values, poses, named states."""
+    """Methods of a moveit_commander group that set its target: joint values, poses or named states."""
 
     # --- targets ---
     def get_joint_value_target(self) -> list[float]:
-        """Return the joint positions of moveit_commander's target, including mimic joints.
+        """Return the joint positions of the target in moveit_commander, including mimic joints.
 
         Joints without a target keep their current positions.
         """
         return self._every_value(self._joint_target)
 
     def set_joint_value_target(self, arg1: Any, arg2: Any = None, arg3: Any = None) -> bool:
-        """Set moveit_commander's joint target; raise if it is invalid, otherwise return True.
+        """Set the joint target in moveit_commander and return True. An invalid target raises an exception.
 
         MoveIt returns None, but tutorials test the result.
         """
@@ -131,7 +131,7 @@ class GroupTargets(GroupInfo):
         return scene.frame_pose(frame_of(stamped.header)) @ pose_from_message(stamped.pose)
 
     def _stamped(self, pose: Any) -> Any:
-        """Copy a Pose, PoseStamped or list to a PoseStamped as moveit_commander's target.
+        """Convert a target of moveit_commander (Pose, PoseStamped or list) to a new PoseStamped.
 
         The copy is independent of the caller's object, which the script may change later.
         """
@@ -171,7 +171,9 @@ class GroupTargets(GroupInfo):
         self._target(link, POSITION, [self._stamped([*map(float, xyz), *self._last(link)[3:]])])
 
     def _last(self, link: str) -> list[float]:
-        """Return a link's last pose target in moveit_commander, or its current pose if it has no target."""
+        """Return the last pose target of a link in moveit_commander, or the current pose of the link if it
+        has no target.
+        """
         if self._poses.get(link):
             return pose_to_list(self._poses[link][0].pose)
         return pose_to_list(self.get_current_pose(link).pose)
@@ -184,7 +186,7 @@ class GroupTargets(GroupInfo):
             raise MoveItCommanderException("Unable to set target pose") from None
 
     def set_pose_targets(self, poses: Any, end_effector_link: str = "") -> None:
-        """Set several pose targets of moveit_commander; the planner may reach any one of them."""
+        """Set several pose targets in moveit_commander. The planner may choose any one of them."""
         self._link(end_effector_link, "set the pose for")
         try:
             self._target(end_effector_link, POSE, [self._stamped(p) for p in poses])
@@ -192,7 +194,8 @@ class GroupTargets(GroupInfo):
             raise MoveItCommanderException("Unable to set target poses") from None
 
     def shift_pose_target(self, axis: int, value: float, end_effector_link: str = "") -> None:
-        """Set moveit_commander's pose target to the current pose, shifted along or rotated about one axis.
+        """Set the pose target in moveit_commander to the current pose, shifted along one axis or rotated
+        about it.
 
         Args:
             axis: 0 to 2 shift along x, y, z; 3 to 5 change roll, pitch, yaw.
@@ -240,7 +243,8 @@ class GroupTargets(GroupInfo):
             raise MoveItCommanderException(f"{text} {error}") from None
 
     def get_named_target_values(self, target: str) -> dict[str, float]:
-        """Return moveit_commander's named target as a dict from joint to position.
+        """Return the joint positions of a named target in moveit_commander, as a dict from joint name to
+        position.
 
         If the target does not exist, the method logs an error and returns an empty dict.
         """

@@ -32,7 +32,8 @@ UNREACHED = {
 
 
 class MoveGroupCommander(GroupSettings):
-    """moveit_commander.MoveGroupCommander: a planning group with its defaults, exceptions and results.
+    """Commander of one planning group, with the defaults, exceptions and return values of
+    moveit_commander.MoveGroupCommander.
 
     Raises:
         RuntimeError: the group does not exist.
@@ -40,7 +41,7 @@ class MoveGroupCommander(GroupSettings):
 
     # --- planning and moving ---
     def _take_target(self, joints: Any) -> None:
-        """Set the MoveGroupCommander's target from the argument of `go` or `plan`.
+        """Set the target of the MoveGroupCommander from the argument of `go` or `plan`.
 
         The argument may be a JointState, a Pose, the name of a remembered state, or joint values.
         """
@@ -98,7 +99,9 @@ class MoveGroupCommander(GroupSettings):
         return bool(code == SUCCESS)
 
     def _hint_at_target(self, code: int) -> None:
-        """Log a hint in MoveGroupCommander if the tool's direction or tip link makes a pose unreachable."""
+        """Log a hint for users of MoveGroupCommander if a pose is unreachable because of the tool's direction
+        or the tip link.
+        """
         if code not in UNREACHED or self._active != POSE:
             return
         scene = measured_scene()
@@ -111,14 +114,16 @@ class MoveGroupCommander(GroupSettings):
                 self._session.hint(f"target {why.split(':')[0]}", why)
 
     def _hint_at_grip(self, gripper: Gripper) -> None:
-        """Log a hint in MoveGroupCommander why a gripper that has just closed holds no object."""
+        """Log a hint for users of MoveGroupCommander that explains why a gripper that has just closed holds
+        no object.
+        """
         scene, cell = measured_scene(), self._session.served.cell
         closed = gripper.width(scene.state[gripper.joint_name]) < 0.5 * gripper.max_width
         if closed and cell.held(gripper) is None and (why := closed_on_nothing(scene, gripper)):
             self._session.hint(f"nothing in {gripper.name}", why)
 
     def plan(self, joints: Any = None) -> tuple[bool, Any, float, Any]:
-        """MoveGroupCommander.plan: plan a motion to the target without executing it.
+        """Plan a motion to the target without executing it, like MoveGroupCommander.plan.
 
         Returns:
             (success, RobotTrajectory, planning time [s], MoveItErrorCodes).
@@ -138,7 +143,7 @@ class MoveGroupCommander(GroupSettings):
         )  # fmt: skip
 
     def get_last_planning_result(self) -> Any:
-        """Return the MotionPlanResponse of MoveGroupCommander's last plan() or go().
+        """Return the MotionPlanResponse of the last `plan()` or `go()` of the MoveGroupCommander.
 
         Tutorials call this method, which MoveIt does not have.
 
@@ -158,7 +163,8 @@ class MoveGroupCommander(GroupSettings):
         self, waypoints: Any, eef_step: float, avoid_collisions: Any = None, path_constraints: Any = None,
         *more: Any, jump_threshold: float | None = None,
     ) -> tuple[Any, float]:  # fmt: skip
-        """MoveGroupCommander: plan straight lines of the end effector through waypoints.
+        """Plan straight lines of the end effector through waypoints, like
+        MoveGroupCommander.compute_cartesian_path.
 
         Args:
             waypoints: poses of the end-effector link.
@@ -210,7 +216,7 @@ class MoveGroupCommander(GroupSettings):
         return found.solution, found.fraction
 
     def execute(self, plan_msg: Any, wait: bool = True) -> bool:
-        """MoveGroupCommander: execute a RobotTrajectory; return whether it succeeded.
+        """Execute a RobotTrajectory, like MoveGroupCommander.execute, and return whether it succeeded.
 
         The complete result of plan() is accepted as well: if the plan succeeded, its trajectory is executed.
         """
@@ -239,7 +245,9 @@ class MoveGroupCommander(GroupSettings):
         return bool(finished(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
-        """Return why a MoveGroupCommander's plan does not lead to its goal; empty if it is complete."""
+        """Return why a plan of the MoveGroupCommander does not lead to its goal. For a complete plan, the
+        text is empty.
+        """
         fraction = next((f for p, f in self._partial if p is plan), 1.0)
         if fraction <= 0:
             return "the straight line could not begin, its fraction is 0; the reason is in the line above"
@@ -254,7 +262,8 @@ class MoveGroupCommander(GroupSettings):
 
     # --- objects ---
     def attach_object(self, object_name: str, link_name: str = "", touch_links: Any = ()) -> bool:
-        """MoveGroupCommander: attach an object to a link; return True if the request was sent.
+        """Attach an object to a link, like MoveGroupCommander.attach_object, and return True if the request
+        was sent.
 
         Without a link name, the link is the end effector's, or the first of the group.
         """
@@ -268,12 +277,15 @@ class MoveGroupCommander(GroupSettings):
         return True
 
     def _grippers(self) -> list[Gripper]:
-        """Return the grippers that MoveGroupCommander's group carries or is itself."""
+        """Return the grippers of the MoveGroupCommander's group: those that it carries, or the group itself
+        if it is a gripper.
+        """
         every = self._session.model.grippers.values()
         return [g for g in every if self._name in (g.arm_group, g.group)]
 
     def detach_object(self, name: str = "") -> bool:
-        """MoveGroupCommander: detach objects from the robot; return True, since the request was sent.
+        """Detach objects from the robot, like MoveGroupCommander.detach_object. True means only that the
+        request was sent.
 
         Args:
             name: an object, or a link whose objects are detached; without a name, all objects of the group.
@@ -306,7 +318,8 @@ class MoveGroupCommander(GroupSettings):
             )
 
     def pick(self, object_name: str, grasp: Any = (), plan_only: bool = False) -> int:
-        """MoveGroupCommander: pick an object; return the value of the result's MoveItErrorCodes.
+        """Pick an object, like MoveGroupCommander.pick, and return the value of the MoveItErrorCodes in the
+        result.
 
         Without grasps, armcell generates them. In given grasps it fills in a missing approach, lift or force.
         """
@@ -318,7 +331,8 @@ class MoveGroupCommander(GroupSettings):
         return self._picked_or_placed("pickup", goal, plan_only)
 
     def place(self, object_name: str, location: Any = None, plan_only: bool = False) -> bool:
-        """MoveGroupCommander: place a held object; return True on success (`pick` returns a code).
+        """Place a held object, like MoveGroupCommander.place. The method returns True on success, whereas
+        `pick` returns an error code.
 
         Args:
             location: pose of the placed object (Pose, PoseStamped or PlaceLocation), or a list of them; None
@@ -366,7 +380,8 @@ class MoveGroupCommander(GroupSettings):
         self, ref_state_in: Any, traj_in: Any, velocity_scaling_factor: float = 1.0,
         acceleration_scaling_factor: float = 1.0, algorithm: str = TIMING[0],
     ) -> Any:  # fmt: skip
-        """MoveGroupCommander: return a trajectory's path with new times, as fast as scaled limits allow.
+        """Compute new times for the path of a trajectory, as fast as the scaled limits allow, like
+        MoveGroupCommander.retime_trajectory.
 
         All algorithm names of MoveIt are accepted and give the same result.
         """
@@ -387,7 +402,8 @@ class MoveGroupCommander(GroupSettings):
         return self._session.messages.local(message)
 
     def get_jacobian_matrix(self, joint_values: Any, reference_point: Any = None) -> Any:
-        """MoveGroupCommander: return the (6, n) Jacobian in the base frame, linear rows above angular.
+        """Return the (6, n) Jacobian in the base frame, like MoveGroupCommander. The three linear rows
+        precede the angular ones.
 
         Args:
             joint_values: positions of the group's joints [rad or m].
@@ -403,7 +419,9 @@ class MoveGroupCommander(GroupSettings):
         return np.vstack([R @ J[:3], R @ J[3:]])
 
     def enforce_bounds(self, robot_state_msg: Any) -> Any:
-        """MoveGroupCommander: return the robot state with every joint clamped to its limits."""
+        """Return the robot state with every joint clamped to its limits, like
+        MoveGroupCommander.enforce_bounds.
+        """
         scene = measured_scene()
         state = robot_state_from_message(robot_state_msg, scene)
         bounded = self._session.messages.local(robot_state_msg)

@@ -19,7 +19,7 @@ ATTACHED = Components.ROBOT_STATE_ATTACHED_OBJECTS
 
 
 class PlanningSceneInterface:
-    """moveit_commander.PlanningSceneInterface: change and query the planning scene.
+    """Interface for changing and querying the planning scene, like moveit_commander.PlanningSceneInterface.
 
     Every change is complete when its call returns, so scripts need not wait. With `synchronous=False`,
     changes are published on topics, as in MoveIt.
@@ -81,7 +81,7 @@ class PlanningSceneInterface:
 
     # --- attaching ---
     def attach_object(self, object: Any, link: str | None = None, touch_links: Any = None) -> None:
-        """PlanningSceneInterface: attach an object to a link of the robot.
+        """Attach an object to a link of the robot, like PlanningSceneInterface.attach_object.
 
         Args:
             object: an AttachedCollisionObject, a CollisionObject, or the name of an object in the world.
@@ -130,7 +130,7 @@ class PlanningSceneInterface:
         self._submit(self._new("moveit_msgs/CollisionObject", id=name or "", operation=REMOVE))
 
     def remove_attached_object(self, link: str | None = None, name: str | None = None) -> None:
-        """PlanningSceneInterface: detach an object from the robot; the object stays in the world."""
+        """Detach an object from the robot, like PlanningSceneInterface. The object stays in the world."""
         item = self._new("moveit_msgs/CollisionObject", id=name or "", operation=REMOVE)
         message = self._new("moveit_msgs/AttachedCollisionObject", link_name=link or "", object=item)
         self._submit(message, attach=True)
@@ -149,7 +149,9 @@ class PlanningSceneInterface:
         maxz: float,
         with_type: bool = False,
     ) -> list[str]:
-        """PlanningSceneInterface: return the names of objects whose origin is in a planning frame box."""
+        """Return the names of the objects whose origin is inside a box in the planning frame, like
+        PlanningSceneInterface.
+        """
         low, high = (minx, miny, minz), (maxx, maxy, maxz)
         found = []
         for item in self._world():
@@ -173,7 +175,7 @@ class PlanningSceneInterface:
         return self.get_planning_scene(int(GEOMETRY)).world.collision_objects
 
     def get_planning_scene(self, components: Any) -> Any:
-        """PlanningSceneInterface: return a PlanningScene message with the requested components.
+        """Return a PlanningScene message with the requested components, like PlanningSceneInterface.
 
         Args:
             components: a bit mask, or a PlanningSceneComponents message.
@@ -222,7 +224,9 @@ class PlanningSceneInterface:
 
     @staticmethod
     def make_mesh(name: str, pose: Any, filename: str, scale: Any = (1, 1, 1)) -> Any:
-        """PlanningSceneInterface: return a CollisionObject with the scaled mesh of a file (STL, DAE, ...)."""
+        """Return a CollisionObject with the scaled mesh from a file (STL, DAE, ...), as
+        PlanningSceneInterface creates it.
+        """
         session = current_session()
         try:
             mesh = load_mesh(Path(filename.removeprefix("file://")), tuple(float(s) for s in scale))

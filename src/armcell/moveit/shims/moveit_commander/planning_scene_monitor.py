@@ -21,7 +21,9 @@ HINT = "describe a depth camera under `cameras:` of the cell file"
 
 
 class PlanningSceneMonitor:
-    """PlanningSceneMonitor: control of the scene's updates from the cell's cameras."""
+    """Monitor that starts and stops updates of the planning scene from the cell's cameras, like MoveIt's
+    PlanningSceneMonitor.
+    """
 
     def __init__(self, robot_description: str = "robot_description", name: str = ""):
         self._session = current_session()
@@ -29,7 +31,8 @@ class PlanningSceneMonitor:
         self._session.hint(NAME, f"MoveIt's Python has no {NAME}; {CLASSES[NAME]}")
 
     def startWorldGeometryMonitor(self, *topics: Any) -> None:
-        """PlanningSceneMonitor: wait for the cameras' first images, then update the octomap at 10 Hz.
+        """Wait for the first images of the cameras and then update the octomap at 10 Hz, like MoveIt's
+        PlanningSceneMonitor.
 
         The camera `overview`, which renders the report's pictures, is used only if it is the only camera.
         """
@@ -59,13 +62,19 @@ class PlanningSceneMonitor:
                 self._session.say("WARN", f"startWorldGeometryMonitor: no image of {watch.camera.name} yet")
 
     def stopWorldGeometryMonitor(self) -> None:
-        """PlanningSceneMonitor: stop the updates from the cameras and keep the octomap."""
+        """Stop updating the octomap from the cameras, like MoveIt's PlanningSceneMonitor. The octomap itself
+        is kept.
+        """
         for watch in self._watches:
             watch.close()
         self._watches.clear()
 
     def startSceneMonitor(self, scene_topic: str = "") -> None:
-        """PlanningSceneMonitor: do nothing, as armcell's move_group always applies scene diffs."""
+        """Do nothing: MoveIt's PlanningSceneMonitor has this method, but armcell's move_group always applies
+        scene diffs.
+        """
 
     def startStateMonitor(self, joint_states_topic: str = "", attached_objects_topic: str = "") -> None:
-        """PlanningSceneMonitor: do nothing, as armcell's move_group always tracks the joint states."""
+        """Do nothing: MoveIt's PlanningSceneMonitor has this method, but armcell's move_group always tracks
+        the joint states.
+        """

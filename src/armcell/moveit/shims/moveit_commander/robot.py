@@ -16,7 +16,7 @@ from armcell.scene import WORLD
 
 
 class RobotCommander:
-    """moveit_commander.RobotCommander: model and current state of the robot.
+    """Model and current state of the robot, like moveit_commander.RobotCommander.
 
     Groups are available by name or as attributes (`robot.arm`).
     """
@@ -49,7 +49,7 @@ class RobotCommander:
             return values[self._name] if self.variable_count() else []
 
         def move(self, position: Any, wait: bool = True) -> bool:
-            """RobotCommander's joint: move only this joint, with the group that owns it."""
+            """Move only this joint of the RobotCommander, with the planning group that owns the joint."""
             group = self._robot.get_default_owner_group(self._name)
             if group is None:
                 raise MoveItCommanderException(
@@ -88,7 +88,9 @@ class RobotCommander:
         return WORLD
 
     def get_robot_markers(self, *args: Any) -> Any:
-        """RobotCommander: return a MarkerArray of the robot's collision geometry at its current pose."""
+        """Return a MarkerArray that shows the robot's collision geometry at its current pose, like
+        RobotCommander.
+        """
         session, scene = current_session(), measured_scene()
         wanted = args[0] if args and isinstance(args[0], list | tuple) else list(scene.model.links)
         return markers(session, scene, wanted)
@@ -103,7 +105,7 @@ class RobotCommander:
         return list(self._group(group).joint_names)
 
     def get_joint_names(self, group: str | None = None) -> list[str]:
-        """RobotCommander: return the names of all joints, including fixed and mimic joints."""
+        """Return the names of all joints, including fixed and mimic joints, like RobotCommander."""
         model = current_session().model
         if group is None:
             return list(model.joints)
@@ -152,7 +154,7 @@ class RobotCommander:
         return self._groups[name]
 
     def get_default_owner_group(self, joint_name: str) -> str | None:
-        """RobotCommander: return the name of the smallest group that moves a joint, or None."""
+        """Return the name of the smallest planning group that moves a joint, or None, like RobotCommander."""
         groups = [g for g in current_session().model.groups.values() if joint_name in g.joint_names]
         return min(groups, key=lambda g: len(g.joint_names)).name if groups else None
 

@@ -12,4 +12,4 @@ def roscpp_initialize(args: Any) -> None:
 
 
 def roscpp_shutdown() -> None:
-    """Shim of roscpp_shutdown: do nothing, as the cell ends with the script."""
+    """Do nothing, because the cell ends with the script. In MoveIt, roscpp_shutdown ends the C++ node."""
