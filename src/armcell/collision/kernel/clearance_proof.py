@@ -16,7 +16,8 @@ from armcell.collision.kernel.simd import at_address, pointer
 
 @njit(cache=True, nogil=True)
 def first_below_clearance(handle, points, room, distance):
-    """Prove clearance: return where a motion (k, dof) may bring two of the robot's bodies too close.
+    """Return where along a motion (k, dof) two bodies of the robot may come closer than the clearance to
+    prove.
 
     Args:
         room: (dof,) largest deviation of each joint from the edges [rad or m].
