@@ -261,8 +261,8 @@ def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
 
 
 def passed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
-    """Return the trajectory time [s] that a robot has reached which runs slower than planned and is now at q
-    (n,).
+    """Return the time [s] on a trajectory that a robot at q (n,) has reached, for the proof of a motion that
+    runs slower than planned.
 
     Args:
         trajectory: the trajectory that the robot executes.

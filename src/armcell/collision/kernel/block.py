@@ -93,8 +93,8 @@ def check_address() -> int:
 
 @lru_cache(maxsize=1)
 def free_check_address() -> int:
-    """Return the address of a dummy block check that reports all lanes as collision-free. It lets tests
-    compile callers quickly.
+    """Return the address of a dummy block check that reports all lanes as collision-free, with which callers
+    compile quickly.
     """
     return int(cfunc(types.int64(types.int64, types.int64, types.int64))(_free_check).address or 0)
 

@@ -390,8 +390,8 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """Return in which direction the edges of a cloud's 16 triangles wind around a point, seen along z: 1, -1,
-    or 0 if not around it.
+    """Return whether an edge of each of a cloud's 16 triangles passes a point counterclockwise (1), clockwise
+    (-1) or not at all (0), seen along z.
 
     Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so
     that the two triangles at an edge agree to the last bit.

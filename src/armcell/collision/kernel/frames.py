@@ -285,8 +285,8 @@ def center(I, F, w, state, i, f, sphere, mode):
 
 @inner_njit
 def bend(I, F, w, reach, slack):
-    """Return the margin that a motion proof needs because frames have slack and change their velocity within
-    an interval.
+    """Return the margin that a motion proof adds to the spheres of a body, for the body's slack and for
+    changes of velocity in an interval.
 
     A proof needs this margin in addition to half width times speed. The accelerations of a body's points are
     at most the joints' summed rotation times `reach` (index in F: meters per unit of each joint), doubled for

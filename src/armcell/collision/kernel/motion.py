@@ -151,8 +151,8 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 @inner_njit
 def loosen(k, room):
-    """Compute how far [m] bodies and body pairs may deviate in a motion proof, from the joints' largest
-    deviations.
+    """Compute the slack [m] of bodies and body pairs in a motion proof: how far they may deviate, given each
+    joint's largest deviation.
 
     The deviations are room (dof,).
     """
