@@ -77,7 +77,7 @@ def passed(live, seconds: float, each=lambda: None) -> float:
     return longest
 
 
-def until(live, condition, seconds: float = 60.0, each=lambda: None) -> None:
+def until(live, condition, seconds: float = 300.0, each=lambda: None) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

@@ -21,6 +21,7 @@ from tests.execution.helpers import ARM, GRIPPER, alone, make, motion, scene, sw
 from tests.execution.ungated import execute
 
 from armcell.cell import LiveCell
+from armcell.collision.motion_proof import Moving, first_conflict
 from armcell.core import ErrorCode, InputError
 from armcell.drivers import Capability
 from armcell.ros import Bus
@@ -28,6 +29,13 @@ from armcell.ros.nodes import CellNode, RemoteDriver
 from armcell.tasks import TaskSettings
 
 SCALE = 4.0  # cell time per wall time
+
+
+@pytest.fixture(scope="module", autouse=True)
+def loaded():
+    """The first proof loads compiled code, which stops every thread of this process for seconds."""
+    for world in (alone(), scene().with_attached("cube", GRIPPER.tcp_link, GRIPPER.hand_links)):
+        first_conflict(world, Moving(swing(0.1, 1.0)))
 
 
 @contextmanager

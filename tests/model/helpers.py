@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import yaml
 from armcell.core import SE3
 from armcell.model import Part, RobotModel, compose, installed_robots, load_robot, load_urdf, parse_urdf
 from armcell.model.assets import installed_share, resolve_uri
-from armcell.model.loader import LIBRARY
+from armcell.model.loader import LIBRARY, xacro_texts
+from armcell.model.urdf import urdf_text
 
 MBM = Path(__file__).parents[3].joinpath("shared", "data", "mbm", "robots").resolve()  # may be a link
 EXAMPLES = next((s / "example-robot-data" / "robots" for s in installed_share()), Path("/nowhere"))
@@ -48,6 +50,13 @@ def robot(*elements: str) -> str:
 
 def model_of(*elements: str, file: Path = Path("/tmp/r.urdf")) -> RobotModel:
     return parse_urdf(robot(*elements), file)
+
+
+def with_limits(model: RobotModel, velocity: float = 2.0, acceleration: float = 5.0) -> RobotModel:
+    """With velocity and acceleration limits for all joints, which a URDF does not have."""
+    more = {"velocity": velocity, "acceleration": acceleration}
+    joints = {n: replace(j, limits=replace(j.limits, **more)) for n, j in model.joints.items()}
+    return replace(model, joints=joints)
 
 
 def chain_of(*joints: str) -> RobotModel:
@@ -94,14 +103,17 @@ def pin_library(name: str) -> pin.Model:
     """A library robot as pinocchio reads it: its URDF, or its parts put together."""
     data = yaml.safe_load((LIBRARY / name / "robot.yaml").read_text())
     if "urdf" in data:
-        return pin.buildModelFromUrdf(str(resolve_uri(data["urdf"], LIBRARY / name)))
+        file, args = resolve_uri(data["urdf"], LIBRARY / name), data.get("xacro_args")
+        return pin.buildModelFromXML(urdf_text(file, None, LIBRARY / name, xacro_texts(args, file)))
     model = pin.Model()
     if sum("parent_link" not in part for part in data["parts"]) > 1:  # ours get a root of their own
         model.addFrame(pin.Frame("world", 0, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     for part in data["parts"]:
         placed = SE3.from_mapping(part.get("pose", [0, 0, 0]))
         frame = model.getFrameId(part["parent_link"], pin.FrameType.BODY) if "parent_link" in part else 0
-        other = _named(pin_library(part["robot"]), part.get("prefix", ""))
+        own = LIBRARY / name / part["robot"]
+        alone = pin.buildModelFromUrdf(str(own)) if own.is_file() else pin_library(part["robot"])
+        other = _named(alone, part.get("prefix", ""))
         model = pin.appendModel(
             model, other, frame, pin.SE3(placed.rotation.matrix, np.array(placed.translation))
         )

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from armcell.cell.gripper_proof import GripperProof, with_proven_grippers
 from armcell.cell.setup_poses import with_poses
 from armcell.collision.self_collision import LinkPair, link_pairs
 from armcell.core import InputError
-from armcell.model import RobotModel
+from armcell.model import Gripper, Joint, RobotModel
 from armcell.model.loader import is_mjcf, load_mjcf_file, with_keyframes
 from armcell.model.setup import (
     MoveItConfig,
@@ -21,6 +22,7 @@ from armcell.model.setup import (
     merged_urdf,
     package_files,
     srdf_text,
+    with_frames_text,
     with_groups,
     write_folder,
     yaml_text,
@@ -45,6 +47,7 @@ class Proposal:
     model: RobotModel
     pairs: tuple[LinkPair, ...]
     urdf_text: str
+    proofs: tuple[GripperProof, ...] = ()
     package: MoveItConfig | None = None  # the source package; its files are copied unchanged
     mjcf: Path | None = None  # the source if it is MJCF; armcell loads it, and MoveIt the URDF
 
@@ -93,11 +96,15 @@ def propose(
         name, text = merged_urdf(parts, name)
         model = parse_urdf(text, parts[0].file)
     tell("groups and poses", 0)
-    model = with_keyframes(with_poses(with_groups(model, [p.prefix for p in parts]), seed))
+    model = find_grippers(with_groups(model, [p.prefix for p in parts]), tips=True)
+    model = with_keyframes(with_poses(model, seed))
+    text = with_frames_text(text, model)
     tell("pairs of links", 0)
     pairs = link_pairs(model, samples, seed, lambda done: tell("pairs of links", done))
     model = replace(model, disabled_collisions={p.links: p.reason for p in pairs if p.reason})
-    return Proposal(find_grippers(model), tuple(pairs), text, mjcf=mjcf)
+    tell("closing the gripper on a cube", 0)
+    model, proofs = with_proven_grippers(model)
+    return Proposal(model, tuple(pairs), text, proofs, mjcf=mjcf)
 
 
 def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
@@ -124,7 +131,8 @@ def propose_from_package(folder: Path) -> Proposal:
         InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type.
     """
     config = MoveItConfig.load(folder)
-    return Proposal(find_grippers(config.model), (), config.urdf_text, config)
+    model, proofs = with_proven_grippers(find_grippers(config.model))
+    return Proposal(model, (), config.urdf_text, proofs, config)
 
 
 def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
@@ -176,25 +184,27 @@ def _robot_yaml(model: RobotModel, source: dict[str, str], srdf: str) -> str:
         "srdf": f"config/{srdf}",
         "joint_limits": "config/joint_limits.yaml",
     }
+    if "mjcf" in source and model.frames:
+        data["frames"] = {name: _frame(joint) for name, joint in model.frames.items()}
     if model.grippers:
-        data["grippers"] = {
-            name: {
-                "arm_group": g.arm_group,
-                "group": g.group,
-                "joint_name": g.joint_name,
-                "tcp_link": g.tcp_link,
-                "finger_links": list(g.finger_links),
-                "hand_links": list(g.hand_links),
-                "width_per_joint": g.width_per_joint,
-                "width_offset": g.width_offset,
-                "max_width": g.max_width,
-                "max_force": g.max_force,
-                "finger_depth": g.finger_depth,
-                "pad_depth": g.pad_depth,
-            }
-            for name, g in model.grippers.items()
-        }
+        data["grippers"] = {name: _gripper_entry(gripper) for name, gripper in model.grippers.items()}
     return yaml_text(data, "The robot as armcell loads it; MoveIt reads config/ alone.")
+
+
+def _frame(joint: Joint) -> dict[str, Any]:
+    T = joint.T_parent_joint
+    xyz, rpy = ([round(float(v), 9) for v in values] for values in (T.translation, T.rotation.rpy))
+    return {"parent_link": joint.parent, "pose": {"xyz": xyz, "rpy": rpy}}
+
+
+def _gripper_entry(gripper: Gripper) -> dict[str, Any]:
+    """Return a gripper's entry that cell setup writes to robot.yaml: all fields but name and empty ones."""
+    entry = {f.name: getattr(gripper, f.name) for f in fields(Gripper) if f.name != "name"}
+    return {
+        key: [list(v) if isinstance(v, tuple) else v for v in value] if isinstance(value, tuple) else value
+        for key, value in entry.items()
+        if value != ()
+    }
 
 
 def _cell_yaml(model: RobotModel) -> str:

@@ -16,6 +16,7 @@ from armcell.model import Group, RobotModel
 from armcell.scene import CollisionObject, PlanningScene
 
 SAMPLES = 2000  # random states that measure the arm's reach
+SMALL = 0.6  # [m] arms with a smaller reach move less up and down
 GAP = 0.002  # [m] between the robot's base and the table
 HEIGHTS = (0.0, 0.1, 0.2, 0.4, 0.8)  # [m] tried heights of the robot's base above the table
 DISTANCES = (0.5, 0.6, 0.4, 0.7, 0.3)  # tried distances of the object, as fractions of the reach
@@ -27,7 +28,7 @@ description: {name} {does}.
 robot: {robot}
 {xacro}start: {start}
 padding: 0.005          # [m] kept between the robot and objects where possible
-
+{settings}
 objects:
   table:                # fixed, since it is not movable
     box: [{side}, {side}, 0.04]
@@ -76,6 +77,7 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
     common = {
         "name": model.name, "robot": robot, "start": _inline(start), "side": round(2.4 * reach, 2),
         "table": round(table - 0.02, 4), "eye": round(1.8 * reach, 2), "up": round(1.3 * reach, 2),
+        "settings": _settings(reach),
         "xacro": f"xacro_args: {_inline(xacro_args)}\n" if xacro_args else "",
     }  # fmt: skip
     moves = "".join(f"  - move: {state}\n" for state in states) or "  - hold: 1.0\n"
@@ -83,6 +85,9 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
         widest = min(g.max_width for g in model.grippers.values())
         edge = round(min(0.05, 0.6 * widest), 3)
         home = "".join(f"  - move: {s}\n" for s in states if s == "home")
+        # An arm with few joints cannot make up for the angle at which the jaws hold the object.
+        few = min(len(arm.joint_names) for arm in _arms(model) if arm.tip_link) < 6 and _turning(model)
+        pick = PICK.replace("  - place: {object: cube, on: mat}\n", "  - hold: 2.0\n") if few else PICK
         for distance in DISTANCES:
             for angle in ANGLES:
                 x, y = _at(distance * reach, angle)
@@ -92,9 +97,23 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
                     mat_z=round(table + 0.002, 4), z=round(table + edge / 2 + 0.0005, 4),
                     mass=round(800 * edge**3, 3),
                 )  # fmt: skip
-                task = PICK.replace("  - move: home\n", home)
+                task = pick.replace("  - move: home\n", home)
                 yield TEXT.format(**common, does="picks a cube", objects=objects, task=task)
     yield TEXT.format(**common, does="moves between its states", objects="", task=moves)
+
+
+def _turning(model: RobotModel) -> bool:
+    """Return whether a gripper's jaws turn as they close."""
+    return any(gripper.curve for gripper in model.grippers.values())
+
+
+def _settings(reach: float) -> str:
+    """Return the block `settings` of a small arm's cell: straight motions of a tenth of its reach."""
+    if reach >= SMALL:
+        return ""
+    names = ("approach_distance", "lift_distance", "lower_distance", "retreat_distance")
+    entries = ", ".join(f"{name}: {reach / 10:.3f}" for name in names)
+    return f"settings: {{{entries}}}   # [m] of a small arm\n"
 
 
 def _at(distance: float, angle_deg: float) -> tuple[float, float]:
@@ -107,7 +126,10 @@ def _inline(values: dict[str, str]) -> str:
 
 
 def _arms(model: RobotModel) -> list[Group]:
-    return [g for g in model.groups.values() if g.tip_link and g.joint_names]
+    """Return the arms of a starter cell's task: those that carry a gripper, else all."""
+    arms = [g for g in model.groups.values() if g.tip_link and g.joint_names]
+    carrying = {g.arm_group for g in model.grippers.values()}
+    return [g for g in arms if g.name in carrying] or arms
 
 
 def _reach(model: RobotModel) -> float:
@@ -116,8 +138,10 @@ def _reach(model: RobotModel) -> float:
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
     tips = [g.tip_link for g in _arms(model) if g.tip_link] or [list(model.links)[-1]]
-    far = 0.0
-    for q in rng.uniform(low, high, (SAMPLES, model.dof)):
+    moved = model.columns(n for g in _arms(model) for n in g.joint_names)
+    far, q = 0.0, model.default_positions()
+    for values in rng.uniform(low, high, (SAMPLES, model.dof)):
+        q[moved] = values[moved]
         far = max(far, *(float(np.hypot(*tree.link_pose(q, tip).translation[:2])) for tip in tips))
     return far
 

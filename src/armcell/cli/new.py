@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from armcell.cli.console import console
+
+if TYPE_CHECKING:
+    from armcell.model import RobotModel
 
 EXAMPLES = """
 Examples:
@@ -25,13 +29,11 @@ def new(
     ),
     force: bool = typer.Option(False, "--force", help="Write into a folder that is not empty."),
 ) -> int:
-    """Write a commented cell with table, object, camera and task that runs at once."""
-    from armcell.cell.starter import starter_cells
+    """Write a new, commented cell with table, object, camera and task that runs at once."""
     from armcell.core import InputError
     from armcell.model.known_robots import robot_names
     from armcell.model.loader import load_robot
-    from armcell.model.options import xacro_args
-    from armcell.model.setup import check_folder, write_folder
+    from armcell.model.setup import check_folder
 
     check_folder(folder, force)
     model = load_robot(robot)
@@ -42,16 +44,37 @@ def new(
         )
     named = robot in robot_names()
     path = robot if named else os.path.relpath(Path(robot).resolve(), folder.resolve())
-    for text in starter_cells(model, path, xacro_args()):
-        write_folder(folder, {"cell.yaml": text}, force=True)
-        if "pick: cube" not in text or _passes(folder):
-            break
+    write_starter(model, path, folder)
     console.print(f"written: {folder}/cell.yaml", markup=False)
     console.print(f"next:    armcell run {folder}   (or: armcell view {folder})", markup=False)
     return 0
 
 
+def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
+    """Write the first starter cell whose task succeeds without physics; return whether its task is a pick.
+
+    Args:
+        path: how the cell names the robot.
+    """
+    from armcell.cell.starter import starter_cells
+    from armcell.model.options import xacro_args
+    from armcell.model.setup import write_folder
+
+    text = ""
+    for text in starter_cells(model, path, xacro_args()):
+        write_folder(folder, {"cell.yaml": text}, force=True)
+        if "pick: cube" not in text or _passes(folder):
+            break
+    return "pick: cube" in text
+
+
 def _passes(folder: Path) -> bool:
+    """Return whether the checks of a cell pass and its task succeeds with arms that follow perfectly."""
+    from armcell.cell import load, run_task
     from armcell.cli.check import findings
 
-    return all(passed for passed, _, _ in findings(str(folder)))
+    if not all(passed for passed, _, _ in findings(str(folder))):
+        return False
+    cell = load(folder)
+    with cell.connect("fake", seed=0) as live:
+        return bool(run_task(cell, live, 0, "fake")["success"])

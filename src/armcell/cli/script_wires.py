@@ -103,7 +103,7 @@ class ScriptWires:
         return found
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:
-        """Connect the cell; with --plan-only, wait for the joint states of the other end."""
+        """Connect the wires of a script's cell; with --plan-only, wait for the other end's joint states."""
         from armcell.ros.nodes import ServedPlanner
 
         if session.graph is not None:

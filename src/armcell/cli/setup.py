@@ -96,10 +96,21 @@ def setup(
             return 1
         proposal = proposal_or_none
     write_cell(proposal, output, force)
+    if proposal.model.grippers:
+        _first_cell(output)
     console.print(f"written: {output}/ (MoveIt: {output}/config)", markup=False)
     console.print(f"next:    armcell check {output}", markup=False)
     console.print(f"in ROS:  {output}/{GUIDE} (roslaunch {output}/launch/move_group.launch)", markup=False)
     return 0
+
+
+def _first_cell(folder: Path) -> None:
+    """`armcell setup`: replace the cell by one with a table and a cube that the gripper reaches."""
+    from armcell.cli.new import write_starter
+    from armcell.model.loader import load_robot
+
+    if not write_starter(load_robot(folder), ".", folder):
+        console.print("no place was found where the gripper reaches a cube on a table: the cell only moves")
 
 
 def _parts(robots: list[Path], prefixes: list[str], at: list[str], rpy_deg: list[str]) -> list[UrdfPart]:
@@ -163,13 +174,30 @@ def _show(proposal: Proposal) -> None:
     console.print(f"{model.name}: {len(model.links)} links, {model.dof} driven joints", markup=False)
     console.print(table)
     for end in model.end_effectors.values():
-        known = "no parallel gripper with a tcp frame: to pick and place, add 'grippers' to robot.yaml"
-        if end.name in model.grippers:
-            known = f"opens {1000 * model.grippers[end.name].max_width:.0f} mm"
-        console.print(f"end effector {end.name} on {end.parent_link}: {known}", markup=False)
+        console.print(f"end effector {end.name} on {end.parent_link}: {_gripper(proposal, end.name)}",
+                      markup=False, soft_wrap=True)  # fmt: skip
     if proposal.loose_joints:
         console.print(f"in no group: {', '.join(proposal.loose_joints)}", markup=False)
     _show_pairs(proposal)
+
+
+def _gripper(proposal: Proposal, name: str) -> str:
+    """`armcell setup`: describe an end effector's gripper, or why it has none."""
+    from armcell.model.setup.gripper import reasons
+
+    hint = "to pick and place, describe it under 'grippers' in robot.yaml (docs/adding_a_gripper.md)"
+    proof = next((p for p in proposal.proofs if p.gripper.name == name), None)
+    if proof is None:
+        return f"no gripper found: {reasons(proposal.model).get(name, 'no arm carries it')}; {hint}"
+    g = proof.gripper
+    open_at, closed_at = g.joint_position(g.max_width), g.joint_position(0.0)
+    text = (
+        f"opens 0 to {1000 * g.max_width:.0f} mm ({g.joint_name} {closed_at:.3g} to {open_at:.3g}), jaws "
+        f"{' and '.join(g.finger_links)}, tcp {g.tcp_link}, {g.max_force:.0f} N per finger"
+    )
+    if proof.held:
+        return f"{text}; {proof.text}"
+    return f"{text}; not proven, so robot.yaml does not contain it: {proof.text}; {hint}"
 
 
 def _show_pairs(proposal: Proposal) -> None:

@@ -18,14 +18,14 @@ class Following(Protocol):
     """Handle for following a trajectory that the robot plays itself."""
 
     def clock(self) -> float | None:
-        """Return the robot's progress along the trajectory [s]; speed slider and pause slow it down.
+        """Return how far [s] a robot has got in following a trajectory; slider and pause slow it down.
 
         None if the robot does not report its progress; `state` then returns the outcome at the end.
         """
         ...
 
     def state(self) -> str | Outcome:
-        """Return the trajectory's state: "running", "done", "cancelled", or the reason of an abort.
+        """Return the state of following a trajectory: "running", "done", "cancelled", or an error.
 
         An outcome is the robot's own decision, which the joint states need not confirm.
         """

@@ -211,7 +211,7 @@ class _Execution:
                 return outcome
 
     def _check(self, source: SetpointSource) -> Outcome | None:
-        """Compare the arm with the setpoints; return the outcome that ends the motion, or None."""
+        """Compare the executor's arm with the setpoints; return the outcome that ends the motion, or None."""
         found = source.tracking_error()
         if found is not None:
             self.tracking = max(self.tracking, found[0])

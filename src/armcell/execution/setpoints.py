@@ -67,7 +67,9 @@ class SetpointSource(ABC):
         """Return the setpoints' largest tracking error [rad or m] and its column; None: only goals count."""
 
     def ended(self) -> Outcome | None:
-        """Return the outcome that ends the motion, other than a violated tolerance, or None."""
+        """Return the outcome that ends a setpoint source's motion, other than a violated tolerance, or
+        None.
+        """
         return None
 
     def settling_time(self) -> float:

@@ -219,7 +219,8 @@ def _judged(
             excess = float(least[i]) / gripper.max_force
             rejected.append(Rejection(name, f"{text} {gripper.max_force:.0f} N", 4, excess))
         else:
-            pose, opening = SE3(SO3(R[i]), at[i]), float(fitted.measures[good[i], 1])
+            opening = float(fitted.measures[good[i], 1])
+            pose = SE3(SO3(R[i]), at[i]) @ hand.gripper.grip_center(float(width[i]), opening).inv()
             pads = (PadContact.of(contacts[i, 0]), PadContact.of(contacts[i, 1]))
             hold = firm_force(float(needed[i]), gripper)
             found.append(Grasp(name, pose, float(width[i]), opening, hold, float(score[i]), contacts=pads))

@@ -54,8 +54,11 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
     """
     tree = kinematic_tree(model)
     q = model.default_positions()
-    q[model.columns((gripper.joint_name,))[0]] = gripper.joint_position(0.0)
-    T_tcp_world = tree.link_pose(q, gripper.tcp_link).inv()
+    # The jaws of a linkage or a single jaw turn as they close: their shape is that at a medium opening.
+    width = gripper.max_width / 2 if gripper.curve else 0.0
+    q[model.columns((gripper.joint_name,))[0]] = gripper.joint_position(width)
+    T_tcp_world = gripper.center(width).inv() @ tree.link_pose(q, gripper.tcp_link).inv()
+    sides = {gripper.finger_links[0]: "left", gripper.finger_links[-1]: "right"} if gripper.curve else {}
     groups: dict[str, list[Array]] = {"palm": [], "left": [], "right": []}
     for name in gripper.hand_links:
         T_tcp_link = T_tcp_world @ tree.link_pose(q, name)
@@ -70,9 +73,11 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
                     center, half = local_bounds(piece)
                     middle, reach = T.apply(center), np.abs(T.rotation.matrix) @ half
                     box = np.concatenate([middle - reach, middle + reach])
-                side = (
-                    "palm" if name not in gripper.finger_links else "left" if box[1] + box[4] > 0 else "right"
-                )
+                side = sides.get(name, "left" if box[1] + box[4] > 0 else "right")
+                if name not in gripper.finger_links:
+                    side = "palm"
+                elif gripper.curve:
+                    box[[1, 4]] += width / 2 if side == "right" else -width / 2
                 groups[side].append(box)
     if not groups["left"] or not groups["right"]:
         raise InputError(
@@ -80,7 +85,8 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
             hint="give its finger links collision shapes",
         )
     palm, left, right = (np.array(groups[k]).reshape(-1, 6) for k in ("palm", "left", "right"))
-    return Hand(gripper, palm, left, right, _pad(left, right))
+    pad = np.reshape(gripper.pad, (2, 2)) if gripper.pad else _pad(left, right)
+    return Hand(gripper, palm, left, right, pad)
 
 
 def _pad(left: Array, right: Array) -> Array:

@@ -9,6 +9,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from armcell.core import SE3, InputError, UnknownNameError
 from armcell.model.assets import resolve_uri
 from armcell.model.compose import Part, compose
@@ -18,7 +20,7 @@ from armcell.model.known_robots import LIBRARY, ROBOT_FILE, known_robot, robot_n
 from armcell.model.limits import with_joint_limits
 from armcell.model.robot import Gripper, RobotModel
 from armcell.model.setup.chains import with_groups
-from armcell.model.setup.gripper import find_grippers
+from armcell.model.setup.gripper import find_grippers, with_frame
 from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
 from armcell.model.srdf import with_srdf
 from armcell.model.urdf import load_urdf
@@ -34,6 +36,7 @@ _KEYS = {
     "joint_limits",
     "ik_solvers",
     "grippers",
+    "frames",
     "groups",
     "states",
     "xacro_args",
@@ -157,6 +160,7 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
         parts = [_part(p, folder, file, allow_env) for p in data["parts"]]
         model = compose(name, parts)
     model = replace(model, name=name, source=str(data.get("source", model.source)))
+    model = _with_frames(model, data.get("frames") or {}, file)
     if "srdf" in data:
         grippers = model.grippers
         model = replace(with_srdf(model, folder / str(data["srdf"])), grippers=grippers)
@@ -168,6 +172,23 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
     for name, entry in (data.get("grippers") or {}).items():
         grippers[name] = _gripper(model, name, entry, file)
     return replace(model, grippers=grippers)
+
+
+def _with_frames(model: RobotModel, frames: Any, file: Path) -> RobotModel:
+    """Load the frames of robot.yaml into the robot: `{name: {parent_link: LINK, pose: POSE}}`."""
+    if not isinstance(frames, dict):
+        raise InputError("is not a mapping", file=file, element="frames")
+    for name, entry in frames.items():
+        where = {"file": file, "element": f"frames/{name}"}
+        if not isinstance(entry, dict) or set(entry) != {"parent_link", "pose"}:
+            raise InputError("needs 'parent_link' and 'pose'", **where)
+        if entry["parent_link"] not in model.links:
+            raise UnknownNameError("link", str(entry["parent_link"]), model.links, **where)
+        if name in model.links:
+            raise InputError(f"the robot has a link {name!r} already", **where)
+        pose = SE3.from_mapping(entry["pose"], f"{file}: frames/{name}")
+        model = with_frame(model, str(name), entry["parent_link"], pose)
+    return model
 
 
 def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
@@ -252,6 +273,21 @@ def _part_robot(robot: str, folder: Path, file: Path, allow_env: bool | None) ->
         _around.reset(token)
 
 
+def _curve(rows: Any, where: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
+    """Load a gripper's curve: check rows of joint position, width, y, z; monotonic from closed to open."""
+    try:
+        table = np.array(rows, dtype=float)
+        fits = table.ndim == 2 and table.shape[0] >= 2 and table.shape[1] == 4 and np.isfinite(table).all()
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise InputError("curve needs rows of four numbers: joint position, width, y, z", **where)
+    steps = np.diff(table, axis=0)
+    if np.any(steps[:, 1] <= 0) or not (np.all(steps[:, 0] > 0) or np.all(steps[:, 0] < 0)):
+        raise InputError("curve must go from closed to open: the width grows in every row", **where)
+    return tuple(tuple(row) for row in table.tolist())
+
+
 def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
     where = {"file": file, "element": f"grippers/{name}"}
     known = {f.name for f in fields(Gripper)} - {"name"}
@@ -261,6 +297,8 @@ def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
         if key not in known:
             raise UnknownNameError("key", key, known, **where)
     values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+    if "curve" in values:
+        values["curve"] = _curve(values["curve"], where)
     try:
         gripper = Gripper(name=name, **values)
     except TypeError as error:

@@ -179,10 +179,12 @@ class EndEffector:
 @dataclass(frozen=True)
 @checked()
 class Gripper:
-    """A parallel gripper: two fingers that move symmetrically along the y axis of the tcp frame.
+    """A robot's gripper with two jaws that close along the y axis of the tcp frame.
 
     The z axis of the tcp frame points out of the hand, between the fingertips. `width` [m] is the gap between
-    the finger pads: `width = width_per_joint * q + width_offset`, with `q` the position of the driven joint.
+    the finger pads. With sliding fingers, `width = width_per_joint * q + width_offset`, with `q` the position
+    of the driven joint. For a linkage or a single moving jaw, `curve` tabulates the width, and the center of
+    the grip, which moves as the jaws close; `width_per_joint` [m/rad] is then the mean slope.
     """
 
     name: str
@@ -198,12 +200,49 @@ class Gripper:
     max_force: float = 70.0  # [N] per finger
     finger_depth: float = 0.02  # [m] usable finger length from the tcp toward the palm
     pad_depth: float = 0.01  # [m] finger length beyond the tcp
+    # Rows, from closed to open: joint position, width [m], y and z of the grip center in the tcp frame [m].
+    curve: tuple[tuple[float, ...], ...] = ()
+    pad: tuple[float, ...] = ()  # [m] lowest x and z, highest x and z of the pads; empty: from the meshes
+
+    @cached_property
+    def _table(self) -> Array:
+        """Return the columns (4, k) of the `curve` of a robot's gripper."""
+        return np.array(self.curve, dtype=float).reshape(-1, 4).T
 
     def joint_position(self, width: float) -> float:
+        """Return the position of a robot gripper's driven joint for a gap [m] between the pads."""
+        if self.curve:
+            return float(np.interp(width, self._table[1], self._table[0]))
         return (width - self.width_offset) / self.width_per_joint
 
     def width(self, joint_position: float) -> float:
+        """Return the gap [m] between a robot gripper's pads for a position of the driven joint."""
+        if self.curve:
+            ways = np.sign(self._table[0, -1] - self._table[0, 0])
+            return float(np.interp(ways * joint_position, ways * self._table[0], self._table[1]))
         return joint_position * self.width_per_joint + self.width_offset
+
+    def center(self, width: float) -> SE3:
+        """Return T_tcp_center, the grip center of a robot's gripper at a gap [m] between the pads."""
+        if not self.curve:
+            return SE3.identity()
+        return SE3.from_xyz(0.0, *(float(np.interp(width, self._table[1], self._table[k])) for k in (2, 3)))
+
+    def grip_center(self, width: float, opening: float) -> SE3:
+        """Return a robot gripper's T_tcp_center for an object `width` [m] wide, approached with `opening`
+        [m].
+
+        A single moving jaw approaches with the object centered between the jaws.
+        """
+        closed, opened = self.center(width).translation, self.center(opening).translation
+        return SE3.from_xyz(0.0, float(opened[1]), float(closed[2]))
+
+    @property
+    def scale(self) -> float:
+        """Finger travel of a robot's gripper per unit of the driven joint; 1 for symmetric sliding
+        fingers.
+        """
+        return abs(self.width_per_joint) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +264,7 @@ class RobotModel:
     disabled_collisions: Mapping[frozenset[str], str] = field(default_factory=dict)
     source: str = ""
     mjcf: tuple[MjcfPart, ...] = ()  # parts that physics takes from MJCF text
+    frames: Mapping[str, Joint] = field(default_factory=dict)  # links that robot.yaml or setup added, fixed
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

@@ -166,7 +166,7 @@ class Session:
             )  # fmt: skip
 
     def watch_other_end(self) -> None:
-        """Log a hint, once, if the external simulator or robot sends no more joint states."""
+        """Log a hint in a ROS script's session if its external simulator or robot sends no joint states."""
         if isinstance(self.served, ServedPlanner) and self.served.driver.silence > SILENT:
             self.hint(
                 "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "

@@ -27,6 +27,7 @@ from armcell.timing import (
     TimingSettings,
     TorqueLimitError,
     TorqueModel,
+    checked_limits,
     concatenated,
     jerk_limited,
     parameterize,
@@ -94,8 +95,10 @@ def certify_and_time(
         raise InputError("torque limits and jerk limits cannot be kept together", hint="ask for one of them")
     points = np.asarray(waypoints, dtype=float)
     names = checker.joint_names
-    velocity = checker.model.limits(names, "velocity") * velocity_scaling
-    acceleration = checker.model.limits(names, "acceleration") * acceleration_scaling
+    velocity, acceleration = (
+        checked_limits(checker.model.limits(names, kind) * share, kind, names)
+        for kind, share in (("velocity", velocity_scaling), ("acceleration", acceleration_scaling))
+    )
 
     def timed(path: BlendedPath) -> JointTrajectory:
         if jerk_limits:

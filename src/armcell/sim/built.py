@@ -157,7 +157,7 @@ def _gripper_index(
         joints=tuple((int(mj.joint(n).qposadr[0]), w) for n, w in finger_weights(model, gripper.joint_name)),
         lower=limits.lower,
         upper=limits.upper,
-        max_speed=min(limits.velocity, settings.finger_speed),
+        max_speed=min(limits.velocity, settings.finger_speed / gripper.scale),
         max_force=servo_force(gripper, settings) / abs(gripper.width_per_joint),
         finger_owners=np.array([owners[n] for n in gripper.finger_links], np.int64),
         hand=np.array([name in gripper.hand_links for name in owners]),

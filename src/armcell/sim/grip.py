@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
 from armcell.sim.built import BuiltModel, GripperIndex
+from armcell.sim.robot import servo_gains
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.stepping import (
     BLOCKED_LEAD,
@@ -70,14 +71,15 @@ class GripperDrive:
     def __init__(self, index: GripperIndex, settings: PhysicsSettings, law: Array):
         """Write the gripper servo's constants into `law` (7,), which `stepping.drive_fingers` reads."""
         self.index, self._law = index, law
-        self._kp = settings.gripper_kp
+        self._kp, kv = servo_gains(index.gripper, settings)
+        scale = index.gripper.scale
         self._ratio = abs(index.gripper.width_per_joint)
         dt = settings.timestep
-        lag = (settings.gripper_kv + 2 * settings.joint_damping) * index.max_speed / settings.gripper_kp
+        lag = (kv + 2 * settings.joint_damping * scale**2) * index.max_speed / self._kp
         law[CONTROL] = index.ctrl
-        law[BLOCKED_LEAD] = 3 * lag + 0.001  # [m] larger than the lag of free fingers
+        law[BLOCKED_LEAD] = 3 * lag + 0.001 / scale  # larger than the lag of free fingers
         law[STEP] = index.max_speed * dt
-        law[PUSH_STEP] = max(law[STEP], settings.grip_force_rate * self._ratio / settings.gripper_kp * dt)
+        law[PUSH_STEP] = max(law[STEP], settings.grip_force_rate * self._ratio / self._kp * dt)
         law[LEAD] = self._force_lead(index.max_force)
 
     def _force_lead(self, force: float) -> float:

@@ -26,6 +26,7 @@ from armcell.model import Gripper, RobotModel, hand_alone
 from armcell.scene import CollisionObject, PlanningScene, solid_inertia
 from armcell.sim.build import build
 from armcell.sim.built import BuiltModel
+from armcell.sim.robot import servo_gains
 from armcell.sim.settings import PhysicsSettings
 
 Array = NDArray[np.float64]
@@ -182,8 +183,9 @@ class _World:
         dt = s.timestep
         ways = np.sign(self.gripper.width_per_joint)
         meet = abs(q - self.gripper.joint_position(trial.width))
-        press = trial.force * abs(self.gripper.width_per_joint) / PhysicsSettings().gripper_kp + 0.004
-        rate = s.force_rate * abs(self.gripper.width_per_joint) / PhysicsSettings().gripper_kp
+        kp = servo_gains(self.gripper, PhysicsSettings())[0]
+        press = trial.force * abs(self.gripper.width_per_joint) / kp + 0.004 / self.gripper.scale
+        rate = s.force_rate * abs(self.gripper.width_per_joint) / kp
         meeting, pressing = meet / index.max_speed, press / rate
         close = meeting + pressing
         total = close + s.settle + s.lift + s.shake + s.hold

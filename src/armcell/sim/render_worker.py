@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 NICENESS = 10  # physics comes first: it gets nine tenths of a core that both processes want
-HANGS_AFTER = 60  # [s] time limit of an image, including the build of the model; then the process ends itself
+HANGS_AFTER = 180  # [s, wall clock] for an image and the build of the model; then the process ends itself
 
 
 def _draw(world: Any, order: tuple) -> Any:

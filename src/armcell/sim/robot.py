@@ -26,6 +26,7 @@ def add_robot(
 ) -> dict[str, Any]:
     bodies: dict[str, Any] = {}
     from_mjcf = mjcf_links(model)
+    scales = _finger_scales(model)
     # a composed model of several robots has the root link "world", which is MuJoCo's world body
     if model.root_link == WORLD:
         bodies[WORLD] = spec.worldbody
@@ -43,7 +44,7 @@ def add_robot(
         body = bodies[joint.parent].add_body(name=joint.child, pos=T.translation, quat=T.quat_wxyz)
         bodies[joint.child] = body
         if joint.movable:
-            _add_joint(body, joint, settings)
+            _add_joint(body, joint, settings, scales.get(joint.name, 1.0))
     massless = _massless_carriers(model)
     for name, body in bodies.items():
         link = model.links[name]
@@ -71,7 +72,18 @@ def add_robot(
     return bodies
 
 
-def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings) -> None:
+def _finger_scales(model: RobotModel) -> dict[str, float]:
+    """Return the simulated robot's finger travel [m] per unit of each turning gripper joint, by name."""
+    return {
+        name: gripper.scale
+        for gripper in model.grippers.values()
+        for name, _ in finger_weights(model, gripper.joint_name)
+        if model.joints[name].type != "prismatic"
+    }
+
+
+def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float = 1.0) -> None:
+    """Add a joint to the simulated robot; `scale` converts sliding-finger settings to a turning finger."""
     types = mujoco.mjtJoint
     limited = bool(np.isfinite(joint.limits.lower) and np.isfinite(joint.limits.upper))
     body.add_joint(
@@ -80,8 +92,12 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings) -> None:
         axis=joint.axis,
         limited=limited,
         range=[joint.limits.lower, joint.limits.upper] if limited else [0.0, 0.0],
-        armature=settings.armature,
-        damping=[max(settings.joint_damping, joint.damping), 0.0, 0.0],  # linear, then higher powers of speed
+        armature=settings.armature * scale**2,
+        damping=[
+            max(settings.joint_damping * scale**2, joint.damping),
+            0.0,
+            0.0,
+        ],  # linear, then higher powers of speed
         frictionloss=joint.friction,
         # MuJoCo's default soft limits would let a closing finger overshoot its limit by millimeters
         solref_limit=settings.object_solref,
@@ -188,7 +204,8 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
     actuator = spec.add_actuator(
         name=tendon_name(gripper.name), target=tendon.name, trntype=mujoco.mjtTrn.mjTRN_TENDON
     )
-    actuator.set_to_position(kp=settings.gripper_kp, kv=settings.gripper_kv)
+    kp, kv = servo_gains(gripper, settings)
+    actuator.set_to_position(kp=kp, kv=kv)
     limit = servo_force(gripper, settings)
     actuator.forcelimited = True
     actuator.forcerange = [-limit, limit]
@@ -211,7 +228,15 @@ def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
 
     A servo force f presses each finger with f / |width_per_joint|.
     """
-    return min(settings.gripper_force, gripper.max_force * abs(gripper.width_per_joint))
+    return min(settings.gripper_force * gripper.scale, gripper.max_force * abs(gripper.width_per_joint))
+
+
+def servo_gains(gripper: Gripper, settings: PhysicsSettings) -> tuple[float, float]:
+    """Return kp and kv of a simulated gripper's servo, per unit of its driven joint.
+
+    The settings are those of sliding fingers; a turning joint gets the gains with the same effect there.
+    """
+    return settings.gripper_kp * gripper.scale**2, settings.gripper_kv * gripper.scale**2
 
 
 def tendon_name(gripper: str) -> str:

@@ -20,6 +20,7 @@ from armcell.timing.parameterize import (
     TimingSettings,
     TorqueLimitError,
     TorqueModel,
+    checked_limits,
     parameterize,
     smoothing_departure,
 )
@@ -30,6 +31,7 @@ __all__ = [
     "TorqueLimitError",
     "TorqueModel",
     "check_scaling",
+    "checked_limits",
     "concatenated",
     "delayed",
     "jerk_limited",

@@ -33,6 +33,7 @@ I32 = NDArray[np.int32]
 FINGER_OVERSHOOT = 0.003  # [m]
 LINK_OVERSHOOT = 0.010
 OBJECT_OVERSHOOT = 0.005  # [m] for held objects, or `OBJECT_SHARE` of the largest extent if that is larger:
+LARGE_LINK = 1.5  # [m] longer shapes of links, such as a linear axis, get the coarser covers of objects
 OBJECT_SHARE = 1 / 15  # a large object needs no finer cover, and fitting one would take a minute
 
 REVOLUTE_KIND = 1  # as in frames
@@ -457,7 +458,8 @@ def _near_tables(body_groups: I32, pairs: I32, meeting: list[NDArray[np.bool_]])
 
 
 def _link_body(link: Link, scale: float, overshoot: float) -> _Body:
-    return _body([(_scaled(c.shape, scale), c.T_link_shape.matrix, overshoot) for c in link.collisions])
+    shapes = [(_scaled(c.shape, scale), c.T_link_shape.matrix) for c in link.collisions]
+    return _body([(s, T, overshoot if _size(s) < LARGE_LINK else _object_overshoot(s)) for s, T in shapes])
 
 
 def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
@@ -529,5 +531,10 @@ def _scaled(shape: Shape, scale: float) -> Shape:
 
 
 def _object_overshoot(shape: Shape) -> float:
+    return max(OBJECT_OVERSHOOT, OBJECT_SHARE * _size(shape))
+
+
+def _size(shape: Shape) -> float:
+    """Return the longest side [m] of a shape's bounding box, for the robot part of the kernel data."""
     _, half = local_bounds(shape)
-    return max(OBJECT_OVERSHOOT, OBJECT_SHARE * 2 * float(half.max()))
+    return 2 * float(half.max())

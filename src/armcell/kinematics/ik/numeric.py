@@ -7,15 +7,18 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from armcell.kinematics.ik.chain import Chain, errors_at
+from armcell.kinematics.ik.descent import descend
 from armcell.kinematics.ik.nullspace import slide_towards
 from armcell.kinematics.ik.search import search
 from armcell.kinematics.ik.seeds import rank, sampling_range
-from armcell.kinematics.ik.solver import IKSolver, Prepared, ik_solvers
+from armcell.kinematics.ik.solver import FULL, IKSettings, IKSolver, Prepared, ik_solvers
 
 Array = NDArray[np.float64]
 
 TABLED = 64  # maximum number of precomputed seeds, nearest first; the remaining seeds are random
 BATCH = 4  # number of solutions per call of the compiled search
+POLISH = 12  # iterations that bring an arm with fewer than six joints as near to the goal as it gets
 BARREN = 32  # if a solution exists, the search ends after this many seeds without a new one
 
 
@@ -45,8 +48,21 @@ class NumericIK(IKSolver):
                 if count == given > 0 and tried == BARREN:
                     return
                 for q in found[given:count]:
-                    yield q.copy()
+                    yield self._polished(chain, goal, q) if len(q) < FULL else q.copy()
                 given = count
+
+    def _polished(self, chain: Chain, goal: Array, q: Array) -> Array:
+        """Polish a numeric IK solution within the coarse tolerance: return positions (n,) at least as
+        near.
+        """
+        better = q.copy()
+        exact = IKSettings()
+        descend(
+            chain.table, chain.bounds, goal, chain.scale, POLISH, POLISH, exact.position_tolerance,
+            exact.rotation_tolerance, better, np.empty((len(chain.table), 6)), np.empty((len(q), 7)),
+        )  # fmt: skip
+        before, after = (sum(errors_at(chain.table, x, goal)) for x in (q, better))
+        return better if after < before else q.copy()
 
     def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
         if len(q) <= 6:

@@ -11,7 +11,7 @@ from armcell.model.setup.moveit_config import (
     package_files,
 )
 from armcell.model.setup.semantics import described, parse_srdf, srdf_text
-from armcell.model.setup.urdf_text import UrdfPart, merged_urdf
+from armcell.model.setup.urdf_text import UrdfPart, merged_urdf, with_frames_text
 
 __all__ = [
     "Chain",
@@ -28,6 +28,7 @@ __all__ = [
     "package_files",
     "parse_srdf",
     "srdf_text",
+    "with_frames_text",
     "with_groups",
     "write_folder",
     "yaml_text",

@@ -108,8 +108,10 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
             _follow(model, row[-1].child, found)  # `row` is a torso: the arms are further down
             continue
         driven, jaws = row, ends
-        while len(driven) > 1 and not ends and JAW.search(driven[-1].name + driven[-1].child):
+        if len(driven) > 1 and not ends and JAW.search(driven[-1].name + driven[-1].child):
             jaws, driven = [driven[-1]], driven[:-1]  # gripper with one moving and one fixed jaw
+            while len(driven) > 1 and JAW.search(driven[-1].name):
+                jaws, driven = [driven[-1]], driven[:-1]
         names = tuple(j.name for j in driven if j.actuated)
         if not names or all(JAW.search(j.name + j.child) for j in driven):
             continue
@@ -140,8 +142,8 @@ def _next_movable(model: RobotModel, link: str) -> list[Joint]:
 
 
 def _depth(model: RobotModel, joint: Joint) -> int:
-    """Return the number of movable joints on the longest branch below a joint, inclusive."""
-    return 1 + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
+    """Detect arm chains: return the number of actuated joints on a joint's longest branch, inclusive."""
+    return int(joint.actuated) + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
 
 
 def _rigid_below(model: RobotModel, link: str) -> list[str]:

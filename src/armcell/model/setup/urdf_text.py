@@ -16,6 +16,7 @@ from lxml import etree
 from armcell.core import InputError
 from armcell.model.assets import resolve_uri
 from armcell.model.files import parse_xml
+from armcell.model.robot import RobotModel
 from armcell.model.urdf import urdf_text
 
 NOWHERE = Path("/")
@@ -74,6 +75,23 @@ def merged_urdf(
         if placed:
             whole.append(_mount(base, part))
     return str(whole.get("name")), xml_text(whole)
+
+
+def with_frames_text(text: str, model: RobotModel) -> str:
+    """Return the URDF text with the frames that setup added to the robot, as links with fixed joints."""
+    missing = [j for j in model.frames.values() if f'<link name="{j.child}"' not in text]
+    if not missing:
+        return text
+    root = parse_xml(text, NOWHERE)
+    for joint in missing:
+        etree.SubElement(root, "link", name=joint.child)
+        element = etree.SubElement(root, "joint", name=joint.name, type="fixed")
+        etree.SubElement(element, "parent", link=joint.parent)
+        etree.SubElement(element, "child", link=joint.child)
+        T = joint.T_parent_joint
+        xyz, rpy = (" ".join(f"{v:.9g}" for v in values) for values in (T.translation, T.rotation.rpy))
+        etree.SubElement(element, "origin", xyz=xyz, rpy=rpy)
+    return xml_text(root)
 
 
 def xml_text(root: etree._Element) -> str:

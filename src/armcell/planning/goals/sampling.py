@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armcell.core import (
     SE3,
     SO3,
+    Box,
     ConstraintGoal,
     Constraints,
     Goal,
@@ -33,6 +34,7 @@ from armcell.planning.constraints.evaluation import (
     rotation_of,
     satisfied,
 )
+from armcell.planning.constraints.manifold import LEAST, ConstraintManifold
 from armcell.planning.moved_frame import MovedFrame
 from armcell.scene import PlanningScene
 
@@ -43,6 +45,7 @@ SHARE = 0.9  # used share of the tolerances; the rest is for the solver's own to
 ATTEMPTS = 500  # random references per goal
 TRIES = 50  # attempts to sample a point inside a shape
 EQUIVALENTS = 4  # number of positions that differ by full turns
+FULL = 6  # joints of an arm that reaches any orientation; with fewer, only a projection finds a reachable one
 
 
 def is_region(goal: Goal) -> bool:
@@ -66,6 +69,8 @@ def sample_goal_positions(
         deadline: [s] of time.monotonic(), after which sampling ends.
     """
     if isinstance(goal, PoseGoal):
+        if is_wide(goal) and len(scene.model.group(group).joint_names) < FULL:
+            return _of_constraints(scene, group, _constraints_of(goal), rng, deadline)
         return _of_pose(scene, group, goal, rng, deadline)
     if isinstance(goal, ConstraintGoal):
         return _of_constraints(scene, group, goal.constraints, rng, deadline)
@@ -148,6 +153,24 @@ def _of_pose(
             return
 
 
+def _constraints_of(goal: PoseGoal) -> Constraints:
+    """Return constraints that keep a sampled goal's link within a pose goal's tolerances.
+
+    The regions are cubes inside the balls of the tolerances: a projection onto them has three directions.
+    """
+    side = 2 * max(goal.position_tolerance / np.sqrt(3), LEAST[1])
+    cube = Box(side, side, side), SE3(SO3.identity(), goal.T_world_link.translation)
+    turn = np.asarray(goal.orientation_tolerance, dtype=float)
+    if turn.ndim == 0:
+        turn = np.full(3, turn if turn >= np.pi else turn / np.sqrt(3))
+    x, y, z = (float(v) for v in np.maximum(turn, LEAST[0]))
+    turned = OrientationConstraint(goal.T_world_link.rotation, (x, y, z), goal.link)
+    return Constraints(
+        positions=(PositionConstraint((cube,), goal.link),),
+        orientations=() if min(x, y, z) >= np.pi else (turned,),
+    )
+
+
 def _random(ik: IKSolver, rng: np.random.Generator) -> Array:
     return rng.uniform(
         np.where(np.isfinite(ik.lower), ik.lower, -np.pi), np.where(np.isfinite(ik.upper), ik.upper, np.pi)
@@ -202,6 +225,8 @@ def _of_constraints(
     start = scene.positions[columns]
     wide_low = np.where(np.isfinite(low), low, np.minimum(start - np.pi, high))
     wide_high = np.where(np.isfinite(high), high, np.maximum(start + np.pi, low))
+    few = len(start) < FULL and bool(wanted.positions or wanted.orientations)
+    manifold = ConstraintManifold(scene, group, wanted) if few else None
     for k in range(ATTEMPTS):
         q = np.clip(start, low, high) if k == 0 else rng.uniform(wide_low, wide_high)
         if k % 4 == 1:  # joints without a constraint keep their position
@@ -209,7 +234,9 @@ def _of_constraints(
             names = scene.model.group(group).joint_names
             stays = np.array([name not in asked for name in names])
             q = np.where(stays, start, q)
-        if wanted.positions or wanted.orientations:
+        if manifold is not None:
+            solution = manifold.projected(q, low, high)
+        elif wanted.positions or wanted.orientations:
             solution = _pulled(scene, group, wanted, q, rng, clip=k % 2 == 0)
         else:
             solution = q

@@ -40,7 +40,7 @@ FALLEN = 0.03  # [m] an object that slipped by more from its grasp has fallen
 
 
 class CellMotions:
-    """Interface to observe, edit and move a live cell from any thread while `run` executes.
+    """Cell motions: interface to observe, edit and move a live cell from any thread while `run` executes.
 
     An object between closed fingers is attached to the hand automatically, no matter which client closed
     them, and returns to the world when the fingers open. Clients need not attach or detach grasped objects in
@@ -73,7 +73,7 @@ class CellMotions:
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step the cell and execute commands until `close`."""
+        """Step a live cell and execute its clients' motions until `close`."""
         try:
             with self.live:
                 self._connected()
@@ -85,7 +85,7 @@ class CellMotions:
             self.conductor.close()
 
     def _connected(self) -> None:
-        """Act on the connected cell before its first step."""
+        """Act on a live cell that was just connected, before its first step and motion."""
 
     def _after_step(self) -> None:
         if self.live.driver.now >= self._next_look:
@@ -94,32 +94,32 @@ class CellMotions:
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
-        """Start the node in a new thread and return the thread."""
+        """Start a live cell's motions in a new thread and return the thread."""
         thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
         thread.start()
         return thread
 
     def close(self) -> None:
-        """Stop the running motions and request the end of `run`."""
+        """Stop a live cell's running motions and request the end of `run`."""
         self._stop.set()
         self.conductor.stop()
 
     def say(self, text: str) -> None:
-        """Report the progress of a motion."""
+        """Report the progress of a live cell's motion."""
         logger.info("trajectory: %s", text)
 
     # --- scene and held objects ---
     def scene(self) -> PlanningScene:
-        """Return the measured scene with the objects that clients added and the grippers hold."""
+        """Return a live cell's measured scene with added and held objects, to check motions."""
         return self.conductor.call(self.now)
 
     def now(self) -> PlanningScene:
-        """Return the measured scene, like `scene()`; call this only in the driver's thread."""
+        """Return a live cell's measured scene for its motions; call this only in the driver's thread."""
         self.look_at_hands()
         return self.live.ctx.scene()
 
     def look_at_hands(self) -> None:
-        """Update which objects the grippers hold; call this only in the driver's thread."""
+        """Update which objects a live cell's grippers hold; call this only in the driver's thread."""
         ctx = self.live.ctx
         world = ctx.base
         for gripper in self.model.grippers.values():
@@ -140,7 +140,7 @@ class CellMotions:
             self._widths[reading.held] = reading.width
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Edit the world with the function `make` and return the resulting scene.
+        """Edit the scene of a cell with motions by the function `make` and return the resulting scene.
 
         Raises:
             InputError: `make` raised it; the world is unchanged.
@@ -150,29 +150,29 @@ class CellMotions:
         return self.scene()
 
     def held(self, gripper: Gripper) -> str | None:
-        """Return the name of the object between a gripper's fingers, or None."""
+        """Return the object between the fingers of a live cell's gripper, for the cell's motions, or None."""
         return self.conductor.call(lambda: self.live.driver.gripper(gripper.name).held)
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare contacts of `body` with `others` as part of the task, or revoke a declaration."""
+        """Declare contacts of `body` with `others` as expected by a cell's motions, or revoke this."""
         others = tuple(others)
         self.conductor.call(lambda: self.live.ctx.expect_contact(body, others, expected))
 
     def tell(self, kind: str, text: str, **data: Any) -> None:
-        """Queue an event for the cell's observers."""
+        """Queue an event for the observers of a live cell's motions."""
         self.conductor.soon(lambda: self.live.ctx.emit(kind, text, **data))
 
     # --- motions ---
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return the waiting and running motions, optionally only motions of given joints."""
+        """Return a live cell's waiting and running motions, optionally only those of given joints."""
         return self.conductor.works(joints)
 
     def stop(self) -> None:
-        """Stop every motion of the cell."""
+        """Stop every motion of a live cell that clients share."""
         self.conductor.stop()
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Start to open or close a gripper and return a handle to the motion.
+        """Start a gripper motion (open or close) of a live cell and return a handle to the motion.
 
         Args:
             gripper: the gripper.
@@ -188,7 +188,7 @@ class CellMotions:
         planned_in: PlanningScene | None = None,
         controllers: Sequence[str] = (),
     ) -> Work:
-        """Start a trajectory_msgs/JointTrajectory once earlier motions of its joints have ended.
+        """Start a trajectory_msgs/JointTrajectory as a cell motion once its joints' earlier motions end.
 
         `say` reports the progress. A trajectory without points stops its joints, or all joints if it names
         none. The motion gate certifies the motion when it starts, with the contacts that `planned_in` allows.
@@ -229,12 +229,12 @@ class CellMotions:
         return self._put_beside(work, trajectory)
 
     def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
-        """Check that the named controllers move the joints."""
+        """Check that the controllers named for a cell motion move the motion's joints."""
         if controllers:
             chosen(self.controllers, controllers, joints)
 
     def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
-        """Return a view of the driver that moves only through the named controllers, if any."""
+        """Return a view of a cell motion's driver that moves only through the named controllers, if any."""
         return driver
 
     def _halt(self, trajectory: JointTrajectory) -> Work:
@@ -248,7 +248,7 @@ class CellMotions:
         return self.conductor.put(Work("stop", joints, steps).then(self._ended))
 
     def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> Work:
-        """Move fingers to their target widths [m]; fingers that an object stops count as success."""
+        """Cell motion of fingers to their widths [m]; fingers stopped by an object succeed."""
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
             self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
@@ -260,7 +260,7 @@ class CellMotions:
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
-        """Queue a motion; wait for other arms to arrive if their motions conflict with it.
+        """Queue a cell motion; wait for other arms to arrive if their motions conflict with it.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -281,18 +281,18 @@ class CellMotions:
         raise InputError("the cell is closed")
 
     def _others(self, work: Work) -> list[Work]:
-        """Return the queued and running motions that share no joint with the motion `work`."""
+        """Return a cell's queued and running motions that share no joint with the motion `work`."""
         works = self.conductor.works()
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
-        """Return a motion that must start or end before `work` can be checked, or None."""
+        """Return a cell motion that must start or end before the motion `work` can be checked, or None."""
         before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """Describe a motion's conflict with running motions if the conflict ends with them.
+        """Describe a cell motion's conflict with running motions if the conflict ends with them.
 
         Returns an empty string if there is no such conflict.
         """
@@ -325,7 +325,7 @@ class CellMotions:
 
 
 class _Announced(GuardedMotion):
-    """A guarded motion that reports its start after certification."""
+    """Guarded cell motion that reports its start after certification."""
 
     def __init__(
         self, cell: CellMotions, trajectory: JointTrajectory, planned_in: PlanningScene | None,

@@ -32,7 +32,7 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANC
 
 
 class CellNode(CellMotions):
-    """Node that serves a live cell on the bus while `run` executes.
+    """Cell node: serves a live cell on the bus, publishes its states and executes trajectories.
 
     Input topics:
 
@@ -67,12 +67,13 @@ class CellNode(CellMotions):
         self._states = StatePublisher(bus, live.scene_at_start, rate)
         self.cameras = CameraPublisher(bus, live.cameras)
         self._status = bus.advertise(STATUS, "std_msgs/String", latch=True)
-        self._subs = [bus.subscribe(TRAJECTORY, "trajectory_msgs/JointTrajectory", self._on_trajectory)]
+        trajectories = bus.subscribe(TRAJECTORY, "trajectory_msgs/JointTrajectory", self._on_trajectory)
         self.grippers = self._gripper_node = GripperNode(live, bus, self.conductor, self.say, auto_grip)
-        self._actions = [
+        actions = [
             ActionServer(bus, f"/{name}/follow_joint_trajectory", ACTION, self._follow, accepts=False)
             for name in self.controllers
         ]
+        self._members = *actions, trajectories, self.grippers, self._status, self._states, self.cameras
 
     # --- the driver's thread ---
     def run(self) -> None:
@@ -80,14 +81,7 @@ class CellNode(CellMotions):
         try:
             super().run()
         finally:
-            for member in (
-                *self._actions,
-                *self._subs,
-                self._gripper_node,
-                self._status,
-                self._states,
-                self.cameras,
-            ):
+            for member in self._members:
                 member.close()
 
     def _connected(self) -> None:
@@ -101,7 +95,7 @@ class CellNode(CellMotions):
         super()._after_step()
 
     def say(self, text: str) -> None:
-        """Publish a text on /trajectory_status."""
+        """Publish a text on the cell node's topic /trajectory_status."""
         super().say(text)
         if not self._status.closed:
             self._status.publish(self.bus.schema.new("std_msgs/String", text))

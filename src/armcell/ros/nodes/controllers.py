@@ -76,11 +76,13 @@ class Outlet(Protocol):
     """Connection to one external ROS controller, of an action or topic interface."""
 
     def missing(self, timeout: float) -> InputError | None:
-        """Wait up to `timeout` [s] for the controller; return the error if it is not available."""
+        """Wait up to `timeout` [s] for an external ROS controller; return the error if it is not
+        available.
+        """
         ...
 
     def begin(self, trajectory: JointTrajectory) -> Any:
-        """Send a motion to the controller; return the handle that `ended` and `cancel` require."""
+        """Send a motion to an external controller; return the handle that `ended` and `cancel` require."""
         ...
 
     def ended(self, running: Any) -> Outcome | None: ...
@@ -91,7 +93,7 @@ class Outlet(Protocol):
 
 
 class Controllers:
-    """Clients of a cell's external controllers.
+    """Clients of a cell's external ROS controllers.
 
     Args:
         bus: the message bus.
@@ -101,7 +103,6 @@ class Controllers:
 
     def __init__(self, bus: Bus, controllers: Sequence[Controller], joints: Callable[[], JointState]):
         self._bus, self._measured = bus, joints
-        self._by_name = {c.name: c for c in controllers}
         self.joints = {c.name: c.joints for c in controllers}
         makers = {"FollowJointTrajectory": _Action, "JointTrajectory": _Topic}
         self._outlets: dict[str, Outlet] = {
@@ -119,11 +120,8 @@ class Controllers:
         for _, client in self._grippers.values():
             client.close()
 
-    def __bool__(self) -> bool:
-        return bool(self._by_name)
-
     def find(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
-        """Wait until the controllers of some joints are available.
+        """Wait until the external ROS controllers of some joints are available.
 
         Args:
             names: controllers to use; empty means all controllers of the joints.
@@ -142,7 +140,7 @@ class Controllers:
 
     # --- trajectories ---
     def follow(self, trajectory: JointTrajectory, names: Sequence[str] = ()) -> ControllerMotion:
-        """Execute a trajectory with the controllers of its joints.
+        """Execute a trajectory with the external ROS controllers of its joints.
 
         Args:
             names: controllers to use; empty means all controllers of the joints.
@@ -173,7 +171,7 @@ class Controllers:
         return gripper.joint_name in {j for joints in self.joints.values() for j in joints}
 
     def grip(self, gripper: Gripper, width: float, force: float) -> Callable[[], Outcome | None]:
-        """Send a gripper command and return a function that polls its result.
+        """Send a gripper command to an external controller and return a function that polls its result.
 
         The function returns None until the command has ended.
 
@@ -201,7 +199,7 @@ class Controllers:
         return ended
 
     def _finger_motion(self, gripper: Gripper, width: float) -> Callable[[], Outcome | None]:
-        """Move the fingers with a trajectory controller; return a function that polls for success.
+        """Move the fingers with an external trajectory controller; return a function that polls for success.
 
         The caller must detect from the joint states whether an object stops the fingers.
         """
@@ -218,6 +216,13 @@ class Controllers:
             return result if result is not None and result.ok else None
 
         return ended
+
+
+def off_goal(state: JointState, trajectory: JointTrajectory) -> tuple[float, bool]:
+    """Return the largest distance from a trajectory's end [rad or m], and whether its joints rest."""
+    state = state.reindexed(trajectory.joint_names)
+    error = float(np.max(np.abs(state.positions - trajectory.positions[-1])))
+    return error, state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
 
 
 class ReportedMotion(ABC):
@@ -277,7 +282,9 @@ class ControllerMotion(ReportedMotion):
                 self._outlets[name].cancel(self._running[name])
 
     def _poll(self) -> Outcome | None:
-        """Return the outcome: the first failure of a controller, or PREEMPTED after `cancel`."""
+        """Return the first failure of an external controller, PREEMPTED after `cancel`, or another
+        outcome.
+        """
         for name in self._left:
             if (result := self._outlets[name].ended(self._running[name])) is not None:
                 self._results[name] = result
@@ -362,9 +369,7 @@ class _Topic:
         passed = time.monotonic() - began
         if passed < trajectory.duration:
             return None
-        state = self._measured().reindexed(trajectory.joint_names)
-        error = float(np.max(np.abs(state.positions - trajectory.positions[-1])))
-        rests = state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
+        error, rests = off_goal(self._measured(), trajectory)
         if error <= ARRIVED and rests:
             return Outcome(ErrorCode.SUCCESS)
         if passed > trajectory.duration + GRACE and rests:

@@ -124,12 +124,12 @@ def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[G
 
 
 def topics(model: RobotModel) -> dict[str, str]:
-    """Return the command topic of each gripper, by gripper name."""
+    """Return the command topic of each ROS gripper, by gripper name."""
     return {g: TOPIC if len(model.grippers) == 1 else f"/{g}{TOPIC}" for g in model.grippers}
 
 
 class GripperMotions:
-    """Motions of the grippers of a cell, with the finger contacts that they cause.
+    """Gripping motions of a cell on the bus, with the finger contacts that they cause.
 
     Args:
         live: the cell.
@@ -177,13 +177,13 @@ class GripperMotions:
         return gripping(driver, gripper, width, force, cancel, self._patience)
 
     def _expect_contact(self, gripper: Gripper) -> None:
-        """Declare contacts between the fingers and the objects near the tcp as expected."""
+        """Declare contacts between a gripper's fingers and the objects near its tcp as expected."""
         for item in around_tcp(self._live.scene(), gripper, NEAR):
             self._live.ctx.expect_contact(item.name, gripper.finger_links)
             self._expected[gripper.name].add(item.name)
 
     def moved(self, joints: Iterable[str]) -> None:
-        """Revoke expected finger contacts with objects that an arm has left at the end of a motion."""
+        """Revoke a gripper's expected finger contacts with objects that the arm has left."""
         driver = self._live.driver
         for gripper in self._live.model.grippers.values():
             expected = self._expected[gripper.name]
@@ -197,7 +197,7 @@ class GripperMotions:
 
 
 class GripperNode(GripperMotions):
-    """Node that serves the grippers of a cell by a topic and an action for each gripper.
+    """Node that serves the grippers of a cell by a command topic and an action for each gripper.
 
     The topic is /gripper_command, or /<gripper>/gripper_command if the cell has several grippers. The action
     is /<gripper>_controller/gripper_cmd.

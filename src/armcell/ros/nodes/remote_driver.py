@@ -32,12 +32,12 @@ from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
 from armcell.ros.nodes.conductor import Work
 from armcell.ros.nodes.controllers import (
     ARRIVED,
-    AT_REST,
     CANCELLED,
     FACTOR,
     GRACE,
     Controllers,
     ReportedMotion,
+    off_goal,
 )
 from armcell.ros.nodes.gripping import GripperMotions, around_tcp, topics
 from armcell.ros.units import check_near, unit_fault
@@ -58,7 +58,7 @@ BEGINS = "executing"  # prefix on /trajectory_status that reports the start of a
 
 
 class RemoteDriver(Driver):
-    """Driver of a simulator or robot that is connected to the bus.
+    """Remote driver: the driver of a simulator or robot that is connected to the bus.
 
     The robot plays whole trajectories: by its controllers, or by /planned_trajectory. The result of a motion
     comes from the controllers, from /trajectory_status if the simulator publishes it, or from the joint
@@ -143,7 +143,7 @@ class RemoteDriver(Driver):
 
     # --- subscriptions ---
     def _complain(self, text: str) -> None:
-        """Log a fault once for each kind, because messages arrive many times per second."""
+        """Log a fault in the messages to a remote driver once for each kind, as messages arrive often."""
         if self._complaints.is_new(re.sub(r"[-+.0-9]+", "", text)):
             logger.warning("%s", text)
 
@@ -206,7 +206,9 @@ class RemoteDriver(Driver):
         return take
 
     def _aim(self, gripper: str, width: float) -> None:
-        """Remember a commanded width [m]; fingers hold nothing until they had the time to move there."""
+        """Remember a remote gripper's commanded width [m]; it holds nothing until it had time to move
+        there.
+        """
         with self.lock:
             if abs(width - self._targets.get(gripper, np.inf)) > CLOSED:
                 last = self._last_widths.get(gripper, (np.inf, 0.0))[0]
@@ -217,18 +219,18 @@ class RemoteDriver(Driver):
     # --- state ---
     @property
     def is_seen(self) -> bool:
-        """Return whether joint states of the robot have arrived."""
+        """Return whether joint states of the remote driver's robot have arrived."""
         return self._joints is not None
 
     @property
     def silence(self) -> float:
-        """Return the age of the last joint states [s, wall clock]; 0 before the first joint states."""
+        """Return the age of the remote driver's last joint states [s, wall clock]; 0 before the first."""
         with self.lock:
             return time.monotonic() - self._at if self._joints is not None else 0.0
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a gripper has closed or was commanded to close since the start."""
+        """Return whether a remote driver's gripper has closed or was commanded to close since the start."""
         with self.lock:
             targets, widths = dict(self._targets), dict(self._last_widths)
         return any(
@@ -237,7 +239,9 @@ class RemoteDriver(Driver):
         )
 
     def wait_for_state(self) -> None:
-        """Wait for the first joint states, then for the object poses; other objects keep the cell's poses."""
+        """Remote driver: wait for the first joint states, then for object poses; others stay as in the
+        cell.
+        """
         self._wait(STATE_TIMEOUT, lambda: self._joints is not None)
         if self._joints is not None and self._unseen:
             self._wait(POSE_TIMEOUT, lambda: not self._unseen)
@@ -251,11 +255,11 @@ class RemoteDriver(Driver):
             time.sleep(POLL)
 
     def find(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
-        """Wait until the controllers of some joints are available; see `Controllers.find`."""
+        """Wait until the ROS controllers of some of the remote driver's joints are available."""
         self._controllers.find(joints, names)
 
     def joint_state(self) -> JointState:
-        """Return the last joint states.
+        """Return the last joint states that a remote driver received from the bus.
 
         Raises:
             InputError: no joint states have arrived, or the last joint states are too old; the error states
@@ -283,7 +287,7 @@ class RemoteDriver(Driver):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Refuse a single setpoint, because the robot plays whole trajectories.
+        """Refuse a single setpoint, because a remote driver's robot plays whole trajectories.
 
         Raises:
             UnknownNameError: the model has no such joint.
@@ -295,14 +299,14 @@ class RemoteDriver(Driver):
         )
 
     def follow(self, trajectory: JointTrajectory, controllers: Sequence[str] = ()) -> Following:
-        """Send a trajectory to the robot, and return its handle.
+        """Send a trajectory to the remote driver's robot and return its handle.
 
         Args:
             controllers: names of the only controllers that may move the joints; empty means all.
         Raises:
             InputError: a controller cannot execute the trajectory.
         """
-        if self._controllers:
+        if self.controllers:
             return self._controllers.follow(trajectory, controllers)
         with self.lock:
             self._said.clear()
@@ -313,7 +317,7 @@ class RemoteDriver(Driver):
         self.hold(())
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop joints with an empty trajectory; no names mean all joints.
+        """Stop joints of a remote driver's robot with an empty trajectory; no names mean all joints.
 
         Goals that were sent to controllers are canceled by their own motions.
         """
@@ -342,7 +346,7 @@ class RemoteDriver(Driver):
         return GripperReading(known.width(state[known.joint_name]), force, held, fault)
 
     def _held(self, gripper: str) -> str | None:
-        """Return the object between fingers that an object has stopped; evaluate joint states once."""
+        """Return the object that stopped a remote gripper's fingers; evaluate joint states once."""
         state, (last, held) = self._joints, self._holds.get(gripper, (None, None))
         if state is None or state is last:
             return held
@@ -352,7 +356,7 @@ class RemoteDriver(Driver):
         return held
 
     def _grips_object(self, name: str, state: JointState, before: bool) -> bool:
-        """Return whether fingers are wider open than commanded, and have come to rest there.
+        """Return whether a remote gripper's fingers have come to rest wider open than commanded.
 
         Without a command, closer fingers than at first mean that the simulator closed them itself.
         """
@@ -373,7 +377,7 @@ class RemoteDriver(Driver):
 
 
 class _Played(ReportedMotion):
-    """Trajectory that the simulator plays; /trajectory_status or the joint states report its end."""
+    """Trajectory that a remote simulator plays; /trajectory_status or the joint states report its end."""
 
     def __init__(self, driver: RemoteDriver, trajectory: JointTrajectory):
         self._driver, self._trajectory = driver, trajectory
@@ -385,26 +389,23 @@ class _Played(ReportedMotion):
             self._outcome = CANCELLED
 
     def _poll(self) -> Outcome | None:
-        driver, end = self._driver, self._trajectory.positions[-1]
+        driver = self._driver
         with driver.lock:
             said, announces = list(driver._said), driver._announces
         if (result := _result_of(said, begun=not announces)) is not None:
             return result
         if said and time.monotonic() < self._give_up:
             return None
-        state = driver.joint_state().reindexed(self._trajectory.joint_names)
-        error = float(np.max(np.abs(state.positions - end)))
-        rests = state.velocities is None or float(np.max(np.abs(state.velocities))) <= AT_REST
+        error, rests = off_goal(driver.joint_state(), self._trajectory)
         if error <= ARRIVED and rests and not said:  # the simulator reports no status
             return Outcome(ErrorCode.SUCCESS)
         if time.monotonic() < self._give_up:
             return None
-        text = f"the simulator did not arrive: {error:.3f} from the end"
-        return Outcome(ErrorCode.CONTROL_FAILED, text)
+        return Outcome(ErrorCode.CONTROL_FAILED, f"the simulator did not arrive: {error:.3f} from the end")
 
 
 def _result_of(said: list[str], begun: bool) -> Outcome | None:
-    """Derive a motion's result from the /trajectory_status messages since the motion was sent.
+    """Derive a remote motion's result from the /trajectory_status messages since it was sent.
 
     Args:
         said: the status messages.
@@ -427,7 +428,7 @@ def _result_of(said: list[str], begun: bool) -> Outcome | None:
 
 
 class RemoteMotions(CellMotions):
-    """Motions of a cell whose driver is a `RemoteDriver`.
+    """Motions of a cell whose robot is connected by a remote driver (`RemoteDriver`).
 
     Clients wait until the robot is there. Only one motion runs at a time, even with several arms, because the
     simulator's status messages do not identify their motion.
@@ -475,7 +476,7 @@ class RemoteMotions(CellMotions):
 
 
 class _Restricted(DriverProxy):
-    """View of a remote driver that moves only through the named controllers."""
+    """View of a remote driver that moves only through the named ROS controllers."""
 
     def __init__(self, driver: Driver, remote: RemoteDriver, controllers: Sequence[str]):
         super().__init__(driver)

@@ -138,7 +138,7 @@ class ServedCell:
         return function()
 
     def rest(self) -> None:
-        """Stop all motions for good, wait until the arms rest, and update the held objects."""
+        """Stop all motions of a served cell for good, await the arms' rest, and update held objects."""
         self.cell.conductor.stop(for_good=True)
         for work in self.cell.works():
             work.wait(SETTLE)
@@ -175,7 +175,7 @@ class ServedCell:
 
 
 class ServedPlanner(ServedCell):
-    """Planner and grasp server for a cell whose simulator or robot is another program on the bus.
+    """Served planner and grasp server for a cell whose simulator or robot is another program on the bus.
 
     The driver of the cell is a `RemoteDriver`.
     """
@@ -189,7 +189,7 @@ class ServedPlanner(ServedCell):
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a gripper was commanded to close or was closed by the simulator."""
+        """Return whether a served gripper was commanded to close or was closed by the simulator."""
         return self.driver.has_closed
 
     def rest(self) -> None:

@@ -16,7 +16,7 @@ from armcell.moveit.tutorial_names import CLASSES
 from armcell.ros.nodes import ServedPlanner
 
 NAME = "PlanningSceneMonitor"
-FIRST_IMAGE = 90.0  # [s, wall clock] for the first images: a render process that hangs ends after 60 s
+FIRST_IMAGE = 90.0  # [s, wall clock] for the first images: on a busy machine the render process starts slowly
 HINT = "describe a depth camera under `cameras:` of the cell file"
 
 

@@ -1,0 +1,84 @@
+"""Proof of a detected gripper: the hand alone closes on a cube in physics, lifts and shakes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armcell.core import SE3, Box, InputError
+from armcell.grasping import hand_of
+from armcell.model import Gripper, RobotModel
+from armcell.scene import CollisionObject
+
+SHARE = 0.45  # edge of the cube, as a share of the widest opening
+LARGEST = 0.05  # [m] edge of the cube
+DENSITY = 600.0  # [kg/m^3]
+CLEAR = 0.003  # [m] between the support and the jaws
+SLIP = 0.005  # [m] largest displacement of the cube in the closed hand
+FORCE = 30.0  # [N] per finger, if the gripper has it
+
+
+@dataclass(frozen=True)
+class GripperProof:
+    """Gripper proof: the result of closing a detected gripper on a cube in physics.
+
+    Attributes:
+        gripper: the gripper that was tried.
+        edge: edge of the cube [m].
+        held: whether the hand held the cube while it was lifted and shaken.
+        slip: displacement of the cube in the closed hand [m].
+        text: the result in words.
+    """
+
+    gripper: Gripper
+    edge: float
+    held: bool
+    slip: float
+    text: str
+
+
+def with_proven_grippers(model: RobotModel) -> tuple[RobotModel, tuple[GripperProof, ...]]:
+    """Return the robot without grippers that fail the proof (to hold a cube), and each gripper's proof."""
+    proofs = tuple(prove(model, gripper) for gripper in model.grippers.values())
+    held = {p.gripper.name: p.gripper for p in proofs if p.held}
+    return replace(model, grippers=held), proofs
+
+
+def prove(model: RobotModel, gripper: Gripper) -> GripperProof:
+    """Prove a detected gripper: close it on a cube in physics, lift the cube and shake it."""
+    try:
+        return _tried(model, gripper)
+    except InputError as error:
+        return GripperProof(gripper, 0.0, False, float("inf"), f"physics refuses the hand: {error}")
+
+
+def _tried(model: RobotModel, gripper: Gripper) -> GripperProof:
+    from armcell.sim.hand_trials import Trial, run_trials  # imported late: physics
+
+    edge = round(min(SHARE * gripper.max_width, LARGEST), 4)
+    cube = CollisionObject.single("cube", Box(edge, edge, edge), SE3.identity(), movable=True)
+    opening = min(gripper.max_width, 1.3 * edge + 0.004)
+    hand = hand_of(model, gripper)
+    beyond = float(np.concatenate([hand.left, hand.right])[:, 5].max()) - edge / 2
+    # From above, with the support just beyond the jaws' ends.
+    center = SE3.from_xyz_rpy((0.0, 0.0, max(beyond + CLEAR, 0.0)), (np.pi, 0.0, 0.0))
+    trial = Trial(
+        T_object_tcp=center @ gripper.grip_center(edge, opening).inv(),
+        opening=opening,
+        width=edge,
+        force=min(FORCE, gripper.max_force),
+        friction=0.8,
+        mass=DENSITY * edge**3,
+        up=(0.0, 0.0, 1.0),
+    )
+    (result,) = run_trials(model, gripper, cube, [trial])
+    held = not result.lost and result.slip < SLIP
+    size, slip = 1000 * edge, 1000 * result.slip
+    if held:
+        text = f"holds a cube of {size:.0f} mm, lifted and shaken in physics (slip {slip:.1f} mm)"
+    elif result.lost:
+        text = f"loses a cube of {size:.0f} mm when it is lifted and shaken in physics"
+    else:
+        text = f"a cube of {size:.0f} mm slips by {slip:.0f} mm in physics"
+    return GripperProof(gripper, edge, held, result.slip, text)

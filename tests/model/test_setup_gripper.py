@@ -1,0 +1,150 @@
+"""Grippers that setup finds: opening, closing direction, tool center and force of real and of made hands."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.model.helpers import collision, joint, link, model_of
+
+from armcell.cell.gripper_proof import prove
+from armcell.core import InputError
+from armcell.kinematics import kinematic_tree
+from armcell.model import Gripper, RobotModel, load_robot
+from armcell.model.setup import with_groups
+from armcell.model.setup.gripper import find_grippers, reasons
+
+SHARED = Path(__file__).parents[3].joinpath("shared", "data", "robots").resolve()
+GEN3 = {"arm": "gen3", "dof": "7", "gripper": "robotiq_2f_85", "name": "gen3", "vision": "false"}
+XARM = {"dof": "6", "add_gripper": "true"}
+HANDS = {  # file, xacro arguments, the maker's opening [m], its tolerance, driven joint when closed
+    "2F-85": ("kortex_description/robots/kinova.urdf.xacro", GEN3, 0.085, 0.002, 0.8),
+    "xArm": ("xarm_description/urdf/xarm_device.urdf.xacro", XARM, 0.086, 0.004, 0.85),
+    "Franka": ("franka_description/robots/fr3/fr3.urdf.xacro", {}, 0.080, 0.001, 0.0),
+    "SO-101": ("so101/Simulation/SO101/so101_new_calib.urdf", {}, 0.055, 0.010, -0.1745),
+}  # fmt: skip
+
+
+@lru_cache
+def hand(name: str) -> RobotModel:
+    file, args, *_ = HANDS[name]
+    if not (SHARED / file).exists():
+        pytest.skip("no shared data")
+    return find_grippers(with_groups(load_robot(SHARED / file, xacro_args=args)))
+
+
+def only(model: RobotModel) -> Gripper:
+    return model.gripper()
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_opening_and_closed_end_are_the_maker_s(name, monkeypatch):
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))
+    gripper, (_, _, opening, tolerance, closed) = only(hand(name)), HANDS[name]
+    assert gripper.max_width == pytest.approx(opening, abs=tolerance)
+    assert gripper.joint_position(0.0) == pytest.approx(closed, abs=0.02)
+    for width in np.linspace(0.1, 0.9, 5) * gripper.max_width:
+        assert gripper.width(gripper.joint_position(width)) == pytest.approx(width, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_the_jaws_close_along_y_around_the_grip_center(name, monkeypatch):
+    """By forward kinematics of every jaw: symmetric about the center, z out of the hand."""
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))
+    model = hand(name)
+    gripper, tree = only(model), kinematic_tree(model)
+    column = model.columns((gripper.joint_name,))
+
+    def jaws(width: float) -> list[np.ndarray]:
+        q = model.default_positions()
+        q[column] = gripper.joint_position(width)
+        T = tree.link_pose(q, gripper.tcp_link) @ gripper.center(width)
+        return [T.inv().apply(tree.link_pose(q, n).translation) for n in gripper.finger_links]
+
+    small, wide = jaws(0.3 * gripper.max_width), jaws(0.6 * gripper.max_width)
+    opened = [b[1] - a[1] for a, b in zip(small, wide, strict=True)]
+    if name != "SO-101":  # whose moving jaw turns about its link's origin
+        assert opened[0] == pytest.approx(-opened[1], abs=1e-3)
+        assert abs(opened[0]) == pytest.approx(0.15 * gripper.max_width, abs=1e-3)
+    palm = tree.link_pose(model.default_positions(), gripper.hand_links[0])
+    tcp = tree.link_pose(model.default_positions(), gripper.tcp_link)
+    assert (tcp.translation - palm.translation) @ tcp.rotation.matrix[:, 2] > 0.02
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_the_hand_holds_a_cube(name, monkeypatch):
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))
+    model = hand(name)
+    proof = prove(model, only(model))
+    assert proof.held, proof.text
+    assert "holds a cube" in proof.text
+
+
+def test_one_driven_joint_of_the_so101_is_the_gripper_s(monkeypatch):
+    model = hand("SO-101")
+    assert model.groups["arm"].joint_names[-1] == "wrist_roll"
+    assert model.groups["gripper"].joint_names == ("gripper",)
+
+
+# --- hands made for a case ---
+ARM = [link("base")] + [
+    part
+    for i in range(1, 5)
+    for part in (link(f"l{i}", collision('<box size="0.05 0.05 0.05"/>')),
+                 joint(f"j{i}", "base" if i == 1 else f"l{i - 1}", f"l{i}"))
+]  # fmt: skip
+LIMIT = '<limit lower="{}" upper="{}" velocity="0.1" effort="50"/>'
+JAW = '<collision><origin xyz="0 {} 0.04"/><geometry><box size="0.02 0.01 0.06"/></geometry></collision>'
+
+
+def made(lower: float, upper: float, second: str, axis: str = "0 1 0", gap: float = 0.005) -> RobotModel:
+    """Two sliding jaws on the last link of an arm; `second` is the second jaw's <axis> and <mimic>."""
+    inside, limit = '<origin xyz="0 0 0.03"/>', LIMIT.format(lower, upper)
+    parts = [
+        link("left", JAW.format(gap)),
+        link("right", JAW.format(-gap)),
+        joint("left_finger", "l4", "left", "prismatic", f'{inside}<axis xyz="{axis}"/>', limit),
+        joint("right_finger", "l4", "right", "prismatic", inside + second, limit),
+    ]
+    return with_groups(model_of(*ARM, *parts))
+
+
+MIRRORED = '<axis xyz="0 -1 0"/><mimic joint="left_finger"/>'
+
+
+def test_a_reversed_joint_is_not_inverted():
+    """A joint whose lower limit is the open end: the gripper closes toward its upper limit."""
+    opened = find_grippers(made(0.0, 0.03, MIRRORED))
+    assert only(opened).width(0.03) == pytest.approx(0.06, abs=1e-4)
+    turned = find_grippers(made(0.0, 0.03, MIRRORED.replace("-1 0", "1 0"), "0 -1 0", gap=0.035))
+    assert only(turned).joint_position(0.0) == pytest.approx(0.03, abs=1e-3)
+    assert only(turned).width(0.0) == pytest.approx(0.06, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("second", "limits", "reason"),
+    [
+        ('<axis xyz="0 1 0"/><mimic joint="left_finger"/>', (0.0, 0.03), "no two of its moving links"),
+        ('<axis xyz="0 -1 0"/>', (0.0, 0.03), "2 driven joints (left_finger, right_finger)"),
+        (MIRRORED, (0.02, 0.02), "cannot move: lower and upper limit are equal"),
+    ],
+)
+def test_a_gripper_that_is_none_states_the_reason(second, limits, reason, caplog):
+    model = find_grippers(made(*limits, second))
+    assert not model.grippers
+    assert reason in reasons(model)["gripper"] and reason in caplog.text
+
+
+def test_a_curve_is_checked(tmp_path):
+    from tests.cell.test_setup import small_arm
+
+    small_arm(tmp_path)
+    (tmp_path / "robot.yaml").write_text(
+        "urdf: small.urdf\nframes: {tool: {parent_link: l3, pose: [0, 0, 0.1]}}\n"
+        "grippers: {g: {arm_group: a, group: a, joint_name: j3, tcp_link: tool, finger_links: [l2, l3],"
+        " hand_links: [l3], curve: [[0, 0.1, 0, 0], [1, 0.0, 0, 0]]}}\n"
+    )
+    with pytest.raises(InputError, match="curve must go from closed to open"):
+        load_robot(tmp_path)
