@@ -205,8 +205,8 @@ def _frame(joint: Joint) -> dict[str, Any]:
 
 
 def _gripper_entry(gripper: Gripper) -> dict[str, Any]:
-    """Return the entry for a gripper in robot.yaml: all its fields except the name and those that
-    are empty.
+    """Return the entry for a gripper that the setup assistant writes to robot.yaml: all fields except the
+    name and empty ones.
     """
     entry = {f.name: getattr(gripper, f.name) for f in fields(Gripper) if f.name != "name"}
     return {

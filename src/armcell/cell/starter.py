@@ -104,7 +104,7 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
 
 
 def _turning(model: RobotModel) -> bool:
-    """Return whether the jaws of a gripper turn as they close."""
+    """Return whether the jaws of a gripper turn as they close, for the settings of a starter cell."""
     return any(gripper.curve for gripper in model.grippers.values())
 
 
