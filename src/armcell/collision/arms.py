@@ -95,7 +95,8 @@ def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
 
 
 def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
-    """Return the nearest pair of bodies of two different arms at the configuration q (n,).
+    """Return the nearest pair of bodies of two different arms at the configuration q (n,), to check the arms
+    against each other.
 
     Pairs whose contact the scene allows are ignored.
 
@@ -308,7 +309,8 @@ class Arms:
     def keeps_clearance_at_any_pace(
         self, a: Array, room_a: Array, b: Array, room_b: Array, clearance: float
     ) -> bool:
-        """Certify that two piecewise linear arm motions keep their clearance, whatever their relative timing.
+        """Certify that two arms that move along piecewise linear motions stay apart, whatever the relative
+        timing of the motions.
 
         Args:
             a, b: (k, n) waypoints of the first and of the second arm.

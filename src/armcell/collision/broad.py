@@ -11,8 +11,8 @@ from numba import njit
 
 @njit(cache=True)
 def world_boxes(Ts, link, center, R_half, is_static, out_center, out_half):
-    """Compute the axis-aligned world bounding boxes of collision geometries that move with their links (broad
-    phase).
+    """Compute the axis-aligned world bounding boxes of collision geometries that move with their links
+    (broad phase).
 
     Args:
         Ts: T_world_link (links, 4, 4).

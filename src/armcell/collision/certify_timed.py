@@ -81,8 +81,8 @@ def certify_timed(
 
 
 class _Moving:
-    """The robot and the moving obstacles at one time of a timed motion, with the pairs to check and their
-    motion bounds.
+    """The robot and the moving obstacles at one time of a motion to certify, with the pairs to check and
+    their motion bounds.
     """
 
     def __init__(self, scene, trajectory, moving, start_time, clearance):

@@ -289,8 +289,8 @@ class ExactChecker:
         self.relaxed_margins(q)
 
     def relaxed_margins(self, q: ArrayLike) -> dict[tuple[str, str], float]:
-        """Run the exact checker's `relax_margins` and return the reduced paddings [m], keyed by (body,
-        object).
+        """Run the exact checker's `relax_margins` and return the reduced paddings [m], keyed by
+        (body, object).
         """
         self.place(q)
         lowered: dict[tuple[str, str], float] = {}

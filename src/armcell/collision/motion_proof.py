@@ -73,8 +73,8 @@ class Moving:
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: Array) -> Array:
-        """Return the positions (k, n) that a running motion commands at times (k,) [s]. After its end they
-        are constant.
+        """Return the positions (k, n) that a running motion commands at times (k,) [s], for a motion proof.
+        After its end they are constant.
         """
         q = positions_at(self.trajectory, self.passed + after)
         return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
@@ -222,7 +222,8 @@ def _pieces(
 
 
 def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) -> bool:
-    """Return whether two arms could touch if their motions ran at any time and at any speed.
+    """Return whether a motion proof finds that two arms could touch if their motions ran at any time and at
+    any speed.
 
     A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
     result is also True if no certificate is possible, because the motions do not belong to two arms without

@@ -58,8 +58,8 @@ CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) -> dict[Pair, Contact]:
-    """Return the pairs of bodies that touch or nearly touch at q (n,), such as a held object and its support,
-    with their contacts.
+    """Return the pairs of bodies that rest on each other at q (n,), because they touch or nearly touch, with
+    their contacts.
 
     Each pair has the contact at its smallest distance.
 
@@ -94,7 +94,7 @@ def touching(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
 
 
 def allowing(scene: PlanningScene, pairs: Iterable[Pair]) -> PlanningScene:
-    """Return the scene with contact allowed between pairs of bodies that rest on each other."""
+    """Return the scene with contact allowed between the given pairs of resting bodies."""
     for pair in pairs:
         a, b = sorted(pair)
         scene = scene.with_allowed(a, (b,))

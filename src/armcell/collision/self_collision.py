@@ -221,7 +221,7 @@ class _Survey:
         return any(self.exact.pair_touches(int(i), int(j)) for i, j in near)
 
     def _can_meet(self, a: str, b: str, near: Array) -> bool:
-        """Search for a state in which two links collide, by a random local search.
+        """Search for a state in which two links are in self-collision, by a random local search.
 
         Args:
             near: (k, dof) states in which the links are near; some of them are start states.

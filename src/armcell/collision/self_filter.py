@@ -37,8 +37,8 @@ PADDING = 0.02
 def without_robot(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
 ) -> Array:
-    """Remove the robot from a point cloud: return the points (n, 3) [m, world frame] outside the robot and
-    the objects it holds.
+    """Remove the robot's own points from a cloud (self-filter): return the points (n, 3) [m, world frame] off
+    robot and held objects.
 
     See `robot_mask`.
     """
@@ -69,7 +69,8 @@ def robot_mask(
 def object_mask(
     scene: PlanningScene, points: ArrayLike, padding: float, objects: Iterable[str]
 ) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the cloud points that are inside given scene objects or within their padding.
+    """Return a mask (n,) of the cloud points to filter out, which are inside given scene objects or within
+    their padding.
 
     Args:
         points: (n, 3) [m, world frame].
@@ -110,7 +111,9 @@ def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shap
 
 
 def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) -> NDArray[np.bool_]:
-    """Return a mask of the cloud points (3, n) that are inside the padded world bounding box of a shape."""
+    """Return a mask of the cloud points (3, n) inside the padded world bounding box of a shape, to filter the
+    cloud.
+    """
     center, half = local_bounds(shape)
     center = T.apply(center * scale)
     half = np.abs(T.rotation.matrix) @ (half * scale + padding)
@@ -121,8 +124,8 @@ def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) 
 
 
 def _outside(shape: Shape, p: Array) -> Array:
-    """Return how far [m] each cloud point (n, 3) is outside a convex shape; negative inside. Used by the
-    self-filter.
+    """Return how far [m] each cloud point (n, 3) is outside a convex shape of the robot, to filter the cloud;
+    negative inside.
 
     The value is the largest signed distance from any of the shape's faces.
     """

@@ -37,7 +37,8 @@ ROWS = {gjk.BALL: 4, gjk.CELL: 4, gjk.TRIANGLE: 12}
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Kernel data of a cloud: spheres, cubes or triangles, stored in blocks under a tree of bounding boxes.
+    """Cloud in the kernel's data: spheres, cubes or triangles, stored in blocks under a tree of bounding
+    boxes.
 
     The leaves of the tree are blocks of parts. `box` at the pose `T_shape_box` (4, 4) encloses all parts.
     `closed` is True if the triangles enclose a solid.

@@ -54,8 +54,8 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def workspace(flat: Flat) -> Workspace:
-    """Allocate the collision kernel's workspace for one thread: lanes (float32), state (int64) and scratch
-    (float64).
+    """Allocate the kernel's workspace of link frames for one thread: lanes (float32), state (int64) and
+    scratch (float64).
 
     The lanes are 64-byte aligned and hold, in this order:
 
@@ -75,13 +75,15 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return where in the kernel's workspace a joint's motion per unit of the motion's edge is stored."""
+    """Return where in the kernel's workspace of frames the motion of a joint per unit of the motion's edge is
+    stored.
+    """
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def half_at(I):
-    """Return where in the kernel's workspace half the interval width of each lane is stored.
+    """Return where in the kernel's workspace of frames half the interval width of each lane is stored.
 
     The joints' summed rotation follows it.
     """
@@ -90,8 +92,8 @@ def half_at(I):
 
 @inner_njit(forceinline=True)
 def need_at(I):
-    """Return where in the kernel's workspace the 8 vectors with a body pair's margins for exact tests are
-    stored.
+    """Return where in the kernel's workspace of frames the 8 vectors with a body pair's margins for exact
+    tests are stored.
     """
     return (2 * I[DOF] + 2) * L
 
@@ -109,7 +111,8 @@ def twist_at(I, f):
 
 @inner_njit(forceinline=True)
 def center_at(I, i):
-    """Return where in the kernel's workspace the center of a body, sphere group or sphere is stored.
+    """Return where in the kernel's workspace of frames the center of a body, sphere group or sphere is
+    stored.
 
     Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
     """
@@ -118,8 +121,8 @@ def center_at(I, i):
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Return where in the kernel's workspace the velocity of a sphere center is stored, followed by its
-    speed.
+    """Return where in the kernel's workspace of frames the velocity of a sphere center is stored, followed by
+    its speed.
 
     Both are per unit of the edge.
     """
@@ -128,7 +131,8 @@ def velocity_at(I, i):
 
 @inner_njit(forceinline=True)
 def more_at(I, body):
-    """Return where in the kernel's workspace a body's margin to the world in a motion proof is stored.
+    """Return where in the kernel's workspace of frames the margin from a body to the world in a motion proof
+    is stored.
 
     The margin does not include the speed (see `bend`).
     """
@@ -251,8 +255,8 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def center(I, F, w, state, i, f, sphere, mode):
-    """Return where in the kernel's workspace a sphere's center is stored. It is computed on the first use per
-    block.
+    """Return where in the kernel's workspace of frames the center of a sphere is stored. It is computed on
+    the first use per block.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """

@@ -18,7 +18,7 @@ I32 = NDArray[np.int32]
 
 
 class Pack(NamedTuple):
-    """Arrays for one scene and one joint group, with all data that the collision kernel reads.
+    """Pack of arrays for one scene and one joint group, with all data that the collision kernel reads.
 
     Sizes: `f` frames (0 is the world), `k` bodies, `g` groups of spheres, `s` spheres, `o` world shapes, `e`
     exact pieces. Arrays whose last size is L hold one value per SIMD lane.

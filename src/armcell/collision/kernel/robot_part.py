@@ -51,7 +51,7 @@ class RobotPart:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """Sphere cover and exact pieces of a robot body (link or held object), in the body's own frame.
+    """Sphere cover and exact pieces of a robot body (link or held object) in its own frame, for the kernel.
 
     Spheres (s, 5), their groups (g, 4) with sizes (g,), and one sphere around all.
     """
@@ -63,7 +63,7 @@ class _Body:
     pieces: Pieces
 
     def placed(self, T: F64) -> _Placed:
-        """Transform the sphere cover and exact pieces of a robot body to a frame of the group.
+        """Transform the kernel's sphere cover and exact pieces of a robot body to a frame of the group.
 
         T (4, 4) is the pose of the body in this frame.
         """
@@ -321,7 +321,7 @@ class _Builder:
         return found
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
-        """Return the frames from the nearest common frame of two robot bodies down to each body.
+        """Return the kernel's frames from the nearest common frame of two robot bodies down to each body.
 
         The common frame itself is not included.
         """
@@ -358,7 +358,7 @@ class _Builder:
         return near.which_meet(*arguments)
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return upper bounds (groups, columns) on the motion of a robot body's sphere groups per joint.
+        """Return upper bounds (groups, columns) on how far the kernel's sphere groups move per joint unit.
 
         The bounds are like those of `_reach`.
 
@@ -381,7 +381,7 @@ class _Builder:
 
     # --- motion bounds ---
     def _reach(self, bodies: list[tuple[str, int]]) -> F64:
-        """Return upper bounds (bodies, dof) on how far each robot body moves per unit of each joint."""
+        """Return upper bounds (bodies, dof) on how far the kernel's robot bodies move per joint unit."""
         reach = np.zeros((len(bodies), self.dof))
         for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
             reach[k] = _reaches.get((self.chain, frame, body), partial(self._reach_of, frame, body.around))
@@ -402,12 +402,12 @@ class _Builder:
         return reach * (1 + 1e-6)
 
     def _span(self, frame: int) -> float:
-        """Return the largest absolute joint position that the limits of a robot frame's joint allow."""
+        """Return the largest absolute position of the joint of a robot frame in the kernel."""
         limits = self.model.joints[self.joint_names[self.column[frame]]].limits
         return max(abs(limits.lower), abs(limits.upper))
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
-        """Return upper bounds (pairs, dof) on the relative motion of two robot bodies per joint unit.
+        """Return upper bounds (pairs, dof) on the relative motion of two robot bodies, for the kernel.
 
         Only joints above exactly one of the two bodies move them relative to each other.
         """
@@ -417,7 +417,7 @@ class _Builder:
         return np.where(moves, reach[i] + reach[j], 0.0)
 
     def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
-        """Return a mask (pairs, dof) of the joints that move two robot bodies relative to each other."""
+        """Return a mask (pairs, dof): joints that move the kernel's robot bodies relative to each other."""
         above = np.zeros((len(frames), len(self.parent)), bool)
         for k, frame in enumerate(frames):
             above[k, self.chain.above[frame]] = True
@@ -467,7 +467,7 @@ def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> _Body:
-    """Return the sphere cover and exact pieces of a robot body from its shapes, poses and overshoots [m].
+    """Return the kernel's cover and exact pieces of a robot body from its shapes, poses and overshoots [m].
 
     The result is cached on disk, so that later starts need no mesh library.
     """
@@ -494,7 +494,7 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
 
 
 def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
-    """Return all data on which the cached cover and exact pieces of a robot body depend, as a cache key."""
+    """Return all data on which the kernel's cached cover and pieces of a robot body depend, as a key."""
     if isinstance(shape, Mesh):
         return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
     return (T, repr((overshoot, shape)))

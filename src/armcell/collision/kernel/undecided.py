@@ -84,7 +84,7 @@ def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
 
 @inner_njit
 def decide(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Decide all queued pairs of bodies by exact tests. Return True if the collision check can stop."""
+    """Decide all undecided pairs of bodies in the queue by exact tests. Return True if the check can stop."""
     waiting = state[WAITING]
     state[WAITING] = 0
     for k in range(waiting):
@@ -221,8 +221,8 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
 
 @inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
-    """Return the distance that an exact piece must exceed to be free, along a given normal and in one SIMD
-    lane.
+    """Return the distance that an undecided exact piece must exceed to be free, along a given normal and in
+    one SIMD lane.
 
     The normal is in s[NORMAL:]. Along a fixed direction n, the nearest point of piece a approaches by |n .
     velocity| times half the interval. The velocity is that of the piece's center plus the contribution of its

@@ -10,7 +10,7 @@ FREE, UNPROVEN, CONTACT = 0, 1, 2
 
 @inner_njit
 def fail(state, lanes, mode):
-    """Mark configurations (SIMD lanes) of a collision check as not free. Return True if the check
+    """Record the verdict that configurations (SIMD lanes) are not collision-free. Return True if the check
     can stop.
     """
     state[ALIVE] &= ~lanes
@@ -19,7 +19,7 @@ def fail(state, lanes, mode):
 
 @inner_njit
 def touch(state, lanes, mode):
-    """Mark configurations (SIMD lanes) of a collision check as in contact. Return True if the check
+    """Record the verdict that configurations (SIMD lanes) are in contact. Return True if the collision check
     can stop.
     """
     state[TOUCHING] |= lanes

@@ -196,8 +196,8 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Test a robot body, one sphere group after the other, against one world shape. Return True if the check
-    can stop.
+    """Test a robot body in the kernel against one world shape, one sphere group after the other. Return True
+    if the check can stop.
     """
     if I[I[SHAPE_CLOUD] + o] >= 0:
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
@@ -237,7 +237,8 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Test all robot bodies against the world in 16 SIMD lanes. Return True if the check can stop.
+    """Test all robot bodies in the kernel against the world in 16 SIMD lanes. Return True if the check can
+    stop.
 
     See `_check_arrays`.
     """

@@ -88,7 +88,9 @@ class World:
 
     @cached_property
     def pieces(self) -> dict[str, NDArray]:
-        """Return the exact pieces of all world objects as tables in the format of a `Pack`."""
+        """Return the exact pieces of all world objects in the world arrays, as tables in the format of a
+        `Pack`.
+        """
         names = ("piece_kind", "piece_size", "piece_pose", "piece_ball", "points", "points32")
         first = np.repeat(self.starts[:-1, POINTS], self.counts[:, PIECES])
         points = self.tables["piece_points"].copy()
