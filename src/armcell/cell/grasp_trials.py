@@ -57,7 +57,9 @@ class TrialOptions:
 
 @dataclass
 class Row:
-    """One object's results in the grasp benchmark: grasps, attempts, predictions and times."""
+    """Results of all trials with one object in the grasp benchmark: grasps, attempts, predictions
+    and times.
+    """
 
     name: str
     scale: float

@@ -21,7 +21,7 @@ FORCE = 30.0  # [N] per finger, if the gripper has it
 
 @dataclass(frozen=True)
 class GripperProof:
-    """Result of a physics test in which a robot's gripper closes on a cube.
+    """Proof that a gripper works: the result of a physics test in which it closes on a cube.
 
     Attributes:
         gripper: the gripper that was tried.

@@ -28,7 +28,8 @@ OK, WAITING = "ok", "waiting"
 
 
 class Health:
-    """State of each layer of a cell while it starts: "waiting", "ok", or "failed: reason".
+    """Health of a cell while it starts: the state of each layer, which is "waiting", "ok", or "failed:
+    reason".
 
     Args:
         tell: receives one line for every layer that has started or failed.
@@ -90,7 +91,7 @@ def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tu
 
 
 def check_description(cell: Cell) -> str:
-    """Summarize the robot model for the health report: its name and its numbers of joints and planning
+    """Check a cell's health: summarize the robot model by its name and its numbers of joints and planning
     groups.
 
     Raises:
@@ -107,7 +108,7 @@ def check_description(cell: Cell) -> str:
 
 
 def check_controllers(cell: Cell, mode: str) -> str:
-    """Summarize for the health report which controllers move the joints in a mode ("sim", "fake" or "real").
+    """Check a cell's health: summarize which controllers move the joints in a mode ("sim", "fake" or "real").
 
     Raises:
         UnknownNameError: the mode does not exist, or the block `real` names an arm that the model lacks.
@@ -167,7 +168,7 @@ def check_planner(live: LiveCell) -> str:
 
 
 def check_task(cell: Cell) -> str:
-    """Summarize the cell's task or script for the health report.
+    """Check a cell's health: summarize its task or script.
 
     Raises:
         InputError: the cell has no task, or its script cannot be loaded.

@@ -200,7 +200,7 @@ class Arm:
 
 
 class LiveCell:
-    """A cell with a connected driver, for use in a `with` block.
+    """A live cell: a cell with a connected driver, for use in a `with` block.
 
     Attributes:
         driver: the driver of the robot, simulated or real.

@@ -22,7 +22,7 @@ _REACH = 0.03  # [m] largest distance from a closed gripper's TCP to the object 
 
 @dataclass
 class Seen:
-    """Detected poses of those objects that the planner knows only from the cell's cameras.
+    """Detected poses of those objects that are perceived only by the cell's cameras.
 
     Attributes:
         known: the objects to detect, with their shapes, by name.
@@ -108,8 +108,8 @@ class PerceivingDriver(DriverProxy):
         return replace(reading, held=held[0] if held else None)
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object by object name: the perceived pose if there is one, else the pose that the
-        wrapped driver reports.
+        """Return the poses T_world_object by object name: those perceived and, for other objects, those from
+        the wrapped driver.
         """
         self._follow()
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}

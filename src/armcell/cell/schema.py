@@ -72,12 +72,12 @@ class SomeShape(_Sized, Strict):
         return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
 
     def given(self) -> dict[str, Any]:
-        """Return the values of all shape keys in an entry of a cell file."""
+        """Return the values of all shape keys in an entry, as the schema of a cell file defines them."""
         own = {key: value for key in SHAPE_KEYS if (value := getattr(self, key)) is not None}
         return {**own, **self.package_shape}
 
     def sized(self) -> tuple[str, list[float]] | None:
-        """Return the name and sizes [m] of the shape in a cell file entry; None for a mesh, a cloud or no
+        """Return name and sizes [m] of the shape in the cell file schema; None for a mesh, a cloud or no
         shape.
         """
         for name, value in self.given().items():
@@ -336,12 +336,12 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """Return the placement that a task step in a cell file must achieve, or None if there is none."""
+        """Return the placement that a task step in the cell file schema must achieve, or None."""
         return self.place or self.transfer
 
     @property
     def camera(self) -> str | None:
-        """Return the camera that a task step in a cell file uses, or None."""
+        """Return the camera that a task step in the cell file schema uses, or None."""
         return self.transfer.look if self.transfer else self.look
 
 
@@ -462,7 +462,7 @@ def _shape_keys(model: type[SomeShape]) -> list[str]:
 
 
 def _known_keys(location: tuple) -> list[str]:
-    """Return the keys that are valid at the place in a cell file where an unknown key was found."""
+    """Return the keys that the schema allows at the place in a cell file where an unknown key was found."""
     tables = {
         "randomize": RandomSpec,
         "cameras": CameraSpec,
