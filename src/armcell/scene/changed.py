@@ -8,7 +8,7 @@ from armcell.scene.scene import PlanningScene
 
 
 def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]:
-    """Return the objects and the allowed collision pairs that differ between two scenes.
+    """Return what has changed between two scenes: the objects and the allowed collision pairs that differ.
 
     Joint positions and attached objects are not compared.
 

@@ -125,7 +125,7 @@ def _bad_color(name: str, color: Any) -> InputError:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CollisionObject:
-    """Named rigid object of a planning scene, made of one or more shapes.
+    """Collision object: a named rigid object of a planning scene that is made of one or more shapes.
 
     Attributes:
         name: unique name in the scene.

@@ -165,8 +165,8 @@ class OccupancyMap:
 
 @njit(cache=True)
 def _trace(grid, low, ends, far, eye, size):
-    """Mark those voxels in an octomap's grid that sensor rays cross (bit 1) and those in which rays end (bit
-    2).
+    """Mark those voxels in an octomap's grid that sensor rays cross (bit 1) and those in which rays end
+    (bit 2).
 
     A ray with `far` True only marks free voxels, so its end gets bit 1.
 

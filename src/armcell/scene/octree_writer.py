@@ -111,7 +111,9 @@ def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
 
 
 def _apart(starts: I64, numbers: I64) -> tuple[I64, I64]:
-    """Return only those octree cells that are not inside another cell, so that the octree can be written."""
+    """Return only those octree cells that are not inside another cell, before the octree is written to a
+    file.
+    """
     order = np.lexsort((-numbers, starts))
     starts, numbers = starts[order], numbers[order]
     ends = np.maximum.accumulate(starts + numbers)

@@ -126,8 +126,7 @@ _READERS: dict[str, Callable[[Element, Library], tuple[Shape, SE3] | Skipped]] =
 
 
 def friction_of(collision: Element) -> tuple[tuple[float, float] | None, Skipped | None]:
-    """Return the friction (static, dynamic) of an SDF <collision> element, and a note on what was
-    approximated.
+    """Return the friction (static, dynamic) of an SDF collision solid, and a note on what was approximated.
 
     SDF has one coefficient per direction (ODE's mu and mu2, or Bullet's); armcell uses the smaller one.
     Drake's extension has a static and a dynamic coefficient.
@@ -175,7 +174,7 @@ def material_of(solids: list[Solid]) -> tuple[Material, bool]:
 
 
 def mass_of(link: Element, solids: list[Solid]) -> float:
-    """Return the mass [kg] of an SDF link from its <inertial> element, or 1 kg if it has none.
+    """Return the mass [kg] of the solids of an SDF link from its <inertial> element, or 1 kg if it has none.
 
     Raises:
         InputError: the mass is not positive.
@@ -194,7 +193,9 @@ def mass_of(link: Element, solids: list[Solid]) -> float:
 
 
 def color_of(link: Element) -> Color | None:
-    """Return the color of an SDF link, which is that of its first colored visual. Textures are ignored."""
+    """Return the color of the solids of an SDF link, which is that of its first colored visual. Textures are
+    ignored.
+    """
     for visual in children(link, "visual"):
         color = _material_color(visual)
         if color is not None:
