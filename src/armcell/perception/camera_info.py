@@ -23,7 +23,9 @@ class CameraInfo:
     pinhole: Pinhole
 
     def rectified(self) -> Pinhole:
-        """Return the camera's intrinsics without distortion, which apply to rectified images."""
+        """Return the intrinsics of a calibrated camera without distortion, which apply to rectified
+        images.
+        """
         p = self.pinhole
         return Pinhole(p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 

@@ -28,8 +28,8 @@ LEVER = 0.3  # [m] weight of a rotation error of 1 rad
 
 @dataclass(frozen=True)
 class HandEye(Outcome):
-    """Camera pose found by a hand-eye calibration: T_hand_camera (eye in hand) or T_base_camera (eye to
-    hand).
+    """Camera pose found by a hand-eye calibration: T_hand_camera (eye in hand) or T_base_camera
+    (eye to hand).
 
     Residuals are the deviations of each view's marker pose from the mean of all views.
     """

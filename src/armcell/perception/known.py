@@ -39,8 +39,8 @@ class Match:
 
 @lru_cache(maxsize=1)
 def cube_turns() -> tuple[SO3, ...]:
-    """Return the 24 rotations that map the coordinate axes onto each other, as start rotations for a known
-    object.
+    """Return the 24 rotations that map the coordinate axes onto each other, from which the pose search of a
+    known object starts.
     """
     found = []
     for order in permutations(range(3)):

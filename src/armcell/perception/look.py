@@ -133,7 +133,7 @@ def look(
     settings: LookSettings = LookSettings(),
     now: float | None = None,
 ) -> Sight:
-    """Detect the objects in a camera image with depth.
+    """Look for objects in a camera image with depth, and detect each of them with its pose.
 
     Args:
         scene: removed from the cloud: the robot in its present state, held objects, fixed objects.
