@@ -53,7 +53,9 @@ def typestore() -> Any:
 
 
 def schema_text(message_type: str) -> str:
-    """Return a message definition with all nested definitions in the `ros2msg` encoding of MCAP files."""
+    """Return a message definition for the MCAP file with all nested definitions, in the `ros2msg`
+    encoding.
+    """
     return typestore().generate_msgdef(message_type, ros_version=2)[0]
 
 

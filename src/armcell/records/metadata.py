@@ -43,7 +43,7 @@ def run_metadata(
 
 
 def this_machine() -> str:
-    """Return the name and processor of this computer, which the metadata of a run contain."""
+    """Return the name and processor of this computer, which a record's metadata contain."""
     return f"{platform.node()} {platform.machine()} {platform.processor()}".strip()
 
 
@@ -68,7 +68,7 @@ def _printable(text: str) -> str:
 
 
 def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
-    """Return the cell stored in the metadata of a record, independent of the current cell file.
+    """Return the cell stored in the run metadata of a record, independent of the current cell file.
 
     Meshes, scripts and robots in separate files are read in their current version; see `changed_since`.
 
@@ -82,7 +82,8 @@ def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
 
 
 def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
-    """List the parts of a cell and the library versions that differ from those in the metadata of a record.
+    """List the parts of a cell and the library versions that differ from those in the run metadata of a
+    record.
 
     An empty list means that executing the run again must give bit-identical results.
     """

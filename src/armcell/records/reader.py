@@ -55,7 +55,7 @@ class RecordedState:
 
     @property
     def time(self) -> float:
-        """Return the time [s] of a recorded state."""
+        """Return the time [s] of a recorded state that was read from a record."""
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
@@ -93,11 +93,13 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """Return the time [s] on the cell's clock from the first to the last state of a record."""
+        """Return the duration [s, cell's clock] of a record that was read, from its first to its
+        last state.
+        """
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
-        """Return the index of the last state in a record at or before a given time [s]."""
+        """Return the index of the last state at or before a given time [s] in a record that was read."""
         return max(bisect.bisect_right(self.states, round(time * NANO), key=lambda s: s.nanoseconds) - 1, 0)
 
 
@@ -140,7 +142,7 @@ def read_record(run: str | Path) -> Record:
 
 
 class _Reading:
-    """Assembles a record from the messages in its file while the file is being read."""
+    """State of the record reader, which assembles the record from the messages in its file."""
 
     def __init__(self, file: Path):
         self.file = file
@@ -301,14 +303,14 @@ class StageSpan:
 
 
 def stage_name(event: Event) -> str:
-    """Return the name of the stage in a recorded event: `data["name"]` or `data["stage"]`, or else the
-    event's text.
+    """Return the stage name in an event that was read from a record: `data["name"]` or `data["stage"]`, or
+    else the event's text.
     """
     return str(event.data.get("name") or event.data.get("stage") or event.text)
 
 
 def ends_stage(event: Event) -> bool:
-    """Return whether a recorded stage event marks the end of the stage.
+    """Return whether a stage event that was read from a record marks the end of the stage.
 
     The phase is `data["phase"]`, by default "begin".
     """
@@ -316,7 +318,7 @@ def ends_stage(event: Event) -> bool:
 
 
 def stage_spans(events: Iterable[Event], until: float) -> list[StageSpan]:
-    """Return the time spans of the stages in a recorded run, in time order.
+    """Read the time spans of the stages from a recorded run, in time order.
 
     A stage ends with its end event, the start of the next stage or `until` [s], whichever comes first. Empty
     spans are omitted.
