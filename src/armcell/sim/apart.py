@@ -86,9 +86,7 @@ class Apart:
         self.forget()
 
     def forget(self) -> None:
-        """Discard what is known about distances between bodies, so that MuJoCo tests every pair for contact
-        again.
-        """
+        """Forget how far apart bodies are, so that MuJoCo tests every pair for contact again."""
         model = self._model
         self._left[:], self._shut[:], self._open[:] = -1.0, False, self._looked_at
         model.geom_conaffinity[self._bit > 0] = ALL

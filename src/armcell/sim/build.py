@@ -34,7 +34,7 @@ def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
 
 
 def same_build(a: PlanningScene, b: PlanningScene) -> bool:
-    """Return whether two planning scenes would produce the same MuJoCo model.
+    """Return whether `build` would create the same MuJoCo model from two planning scenes.
 
     Joint positions and poses of free bodies may differ.
     """

@@ -46,7 +46,7 @@ class CompiledSteps:
 
     @property
     def possible(self) -> bool:
-        """Return whether MuJoCo has enough memory left to take physics steps in compiled code.
+        """Return whether MuJoCo has enough memory left for the compiled stepper (`CompiledSteps`).
 
         In compiled code a MuJoCo error ends the process, so compiled steps are unavailable once the peak use
         of the arena has reached half its size.
@@ -54,14 +54,17 @@ class CompiledSteps:
         return self._data.maxuse_arena * 2 < self._data.narena
 
     def take(self, n: int, monitor: ContactMonitor) -> None:
-        """Take n physics steps in compiled code and record unwanted contacts in a contact monitor."""
+        """Take n physics steps with the compiled stepper and record unwanted contacts in a contact
+        monitor.
+        """
         self._run(n, monitor, n, _NO_ROWS, _NO_COLUMNS, _NO_COLUMNS, np.inf, _NONE)
 
     def follow(
         self, targets: Array, steps: int, tolerance: float, controls: Controls,
         columns: NDArray[np.int64], monitor: ContactMonitor,
     ) -> tuple[int, Array]:  # fmt: skip
-        """Track joint targets in compiled code until the targets end or a joint leaves the tolerance.
+        """Track joint targets with the compiled stepper until the targets end or a joint leaves the
+        tolerance.
 
         Args:
             targets: (k, 2j) positions, then velocities, of j joints; one row for every `steps` physics steps.
@@ -82,7 +85,7 @@ class CompiledSteps:
         self, n: int, monitor: ContactMonitor, period: int, targets: Array, where: NDArray[np.int64],
         columns: NDArray[np.int64], limit: float, worst: Array,
     ) -> int:  # fmt: skip
-        """Take up to n physics steps in compiled code, until a joint deviates too far. Return the number of
+        """Take up to n steps with the compiled stepper, until a joint deviates too far. Return the number of
         steps.
         """
         taken, off = 0, False
@@ -110,8 +113,8 @@ def compiled_steps(
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return a live view (1,) of MuJoCo's number of contacts, which follows the timers in mjData, for
-    compiled physics steps.
+    """Return a live view (1,) of MuJoCo's number of contacts for the compiled stepper. It follows the timers
+    in mjData.
     """
     timers = data.timer.duration
     address = timers.__array_interface__["data"][0] + timers.shape[0] * timers.strides[0]
@@ -120,8 +123,8 @@ def _count(data: mujoco.MjData) -> NDArray[np.int32]:
 
 @cache
 def _count_is_found() -> bool:
-    """Return whether a test model confirms where mjData stores the number of contacts, on which compiled
-    physics steps rely.
+    """Return whether a test model confirms where mjData stores MuJoCo's number of contacts, on which the
+    compiled stepper relies.
 
     The test places three boxes on a floor, in the air, and on the floor again.
     """

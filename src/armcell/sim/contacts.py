@@ -136,7 +136,7 @@ class ContactMonitor:
         self._found = {}
 
     def update(self, data: mujoco.MjData) -> None:
-        """Check the contacts of the last physics step and record those that are unwanted."""
+        """Check the contacts of the last physics step with the monitor and record those that are unwanted."""
         count = data.ncon
         if count == 0:
             return

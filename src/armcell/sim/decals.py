@@ -22,7 +22,8 @@ _REPEAT = 16  # texels per image pixel and axis: graphics drivers blur between t
 @dataclass(frozen=True, eq=False)
 @checked()
 class Decal:
-    """Square grayscale image (n, n) uint8 that is attached to a frame in the simulation, such as a marker.
+    """Decal: a square grayscale image (n, n) uint8, such as a marker, that is attached to a frame in the
+    simulation.
 
     The decal is visible from the side that its z axis points to. Its x axis points right and its y axis up in
     the image. `size` [m] is the edge length of the image.

@@ -27,7 +27,7 @@ KEYS = (
 
 
 def gains_names() -> list[str]:
-    """Return the names of the sets of joint gains that armcell includes."""
+    """Return the names of the sets of joint gains that come with armcell."""
     return sorted(p.stem for p in SETS.glob("*.yaml"))
 
 

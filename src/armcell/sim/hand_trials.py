@@ -61,7 +61,7 @@ class TrialSettings:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Trial:
-    """One grasp to test with a hand without an arm: the hand's pose, opening and force, and the object's
+    """One grasp trial of a hand without an arm: the hand's pose, opening and force, and the object's
     properties.
     """
 

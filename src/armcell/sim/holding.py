@@ -82,8 +82,8 @@ class Holding:
         self._qpos = data.qpos
 
     def forget(self) -> None:
-        """Discard the last poses of hands that hold objects, because the state changed without a physics
-        step.
+        """Forget the last poses of hands that hold objects, because the state changed without a
+        physics step.
         """
         self._past[:, 0] = 0.0
 
@@ -199,7 +199,8 @@ def _in_hand(count, pairs, owner, free, fingers):
 
 @njit(cache=True)
 def _move(qpos, start, R, shift, turn):
-    """Shift a held object's body [m] and turn it by a small rotation vector [rad], both along the world axes.
+    """Correct the pose of a held object: shift its body [m] and turn it by a small rotation vector [rad],
+    along the world axes.
 
     Args:
         start: index of x, y, z, qw, qx, qy, qz in qpos.

@@ -71,7 +71,8 @@ def sliding(item: CollisionObject) -> list[float]:
 
 
 def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> None:
-    """Add a slide joint along the direction of motion to the MuJoCo body of a conveyor belt.
+    """Add a slide joint along the direction of motion to the MuJoCo body of an object that is a conveyor
+    belt.
 
     Before every step, the world resets the joint's position to zero and its velocity to the belt speed. The
     belt therefore does not move, but the objects in contact with it see a moving surface.

@@ -195,8 +195,8 @@ class _DrawnScene:
         return SE3.identity() if name == WORLD else body_pose(self.data, self.built.body[name])
 
     def _checker(self, camera: Camera, distance: NDArray, seen: NDArray, plane: int) -> NDArray:
-        """Return the brightness (n,) of points on an infinite plane that is rendered with a checkerboard
-        pattern.
+        """Return the brightness (n,) of points on an infinite plane, which has a checkerboard pattern in
+        rendered images.
 
         The checkerboard fades with the distance from the camera.
         """

@@ -20,7 +20,7 @@ The inputs are the position inputs, then the velocity inputs.
 
 
 class ArmServo:
-    """Controller that moves the arm joints to their targets by writing MuJoCo's controls.
+    """Servo for the arm joints: a controller that tracks their targets by writing MuJoCo's controls.
 
     With arm control "torque", the controls are torques [Nm or N], which `update` computes before every step.
     """
@@ -53,7 +53,7 @@ class ArmServo:
         return at, self._pos[at], self._vel[at]
 
     def command(self, data: mujoco.MjData, controls: Controls, q: Array, v: Array) -> None:
-        """Set the target positions and velocities of those arm joints that `controls` refers to.
+        """Set target positions and velocities of the arm servo for those joints that `controls` refers to.
 
         Args:
             q: (n,) positions [rad or m].
@@ -68,7 +68,7 @@ class ArmServo:
                 data.ctrl[velocity] = v
 
     def apply(self, controls: Controls, torque: Array) -> None:
-        """Apply efforts (n,) [Nm or N] to arm joints until their next target. Meanwhile their PID control is
+        """Make the arm servo apply efforts (n,) [Nm or N] until the next target. Meanwhile its PID control is
         off.
 
         Raises:
@@ -81,13 +81,15 @@ class ArmServo:
         self._torque[controls[0]] = torque
 
     def hold(self, data: mujoco.MjData, q: Array) -> None:
-        """Hold all arm joints at positions q (dof,) and reset the integral terms of the PID control."""
+        """Make the arm servo hold all joints at positions q (dof,), and reset the integral terms of its PID
+        control.
+        """
         columns = list(self._at)
         self.integral[:] = 0.0
         self.command(data, self.controls(columns), q[columns], np.zeros(len(columns)))
 
     def update(self, data: mujoco.MjData) -> None:
-        """Compute the torques of the arm joints for the next step and write them to MuJoCo's controls."""
+        """Compute the torques of the arm servo for the next step and write them to MuJoCo's controls."""
         error = self.target - data.qpos[self._qpos]
         self.integral += self._ki * error * self._dt
         clamped = np.clip(self.integral, self._low, self._high)

@@ -69,7 +69,7 @@ class GeomAdder:
     def add_mesh(
         self, body: Any, mesh: Mesh, T_body_mesh: SE3, name: str, convex: bool = False, **values: Any
     ) -> Any:
-        """Add one mesh geom to a MuJoCo body. If it is not `convex`, it is only visual."""
+        """Add one mesh geom to a MuJoCo body. A mesh that is not `convex` is a visual shape only."""
         asset = self._assets.get(id(mesh))
         if asset is None:
             asset = self._assets[id(mesh)] = f"mesh{len(self._assets)}"
@@ -90,7 +90,7 @@ class GeomAdder:
 
 
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
-    """Return a cone as a closed convex mesh for MuJoCo, with vertices on the circle of its base."""
+    """Return a cone shape as a closed convex mesh for MuJoCo, with vertices on the circle of its base."""
     angle = 2 * np.pi * np.arange(edges) / edges
     base = np.stack(
         [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1

@@ -23,7 +23,7 @@ RESTS = 0.005  # [m/s] it rests when one contact is slower; a firm grasp creeps 
 
 class SlidingFriction:
     """Switch between static and dynamic friction for objects that have both coefficients, depending on
-    whether they slip.
+    whether they are slipping.
 
     Attributes:
         owners: (k,) indices of these objects in `BuiltModel.owners`.
@@ -59,8 +59,8 @@ class SlidingFriction:
         self._mj.geom_friction[self._geoms[k], 0] = self._dynamic[k] if slides else self._static[k]
 
     def update(self, data: mujoco.MjData) -> None:
-        """Choose static or dynamic friction for the next physics step, depending on which objects slip in the
-        last contacts.
+        """Choose static or dynamic friction for the next physics step, depending on which objects are
+        slipping in the last contacts.
 
         Call this after each step.
         """

@@ -199,7 +199,7 @@ class SimWorld:
     # --- time ---
     @property
     def time(self) -> float:
-        """Return the simulated time since the last reset [s]."""
+        """Return the time [s] in the simulated world since the last reset."""
         return self._data.time
 
     @property
@@ -236,7 +236,7 @@ class SimWorld:
         self.check()
 
     def _look_at_all(self, forget: bool = True) -> None:
-        """Let MuJoCo test all body pairs again, before physics steps that are not compiled.
+        """Let the simulated world test all body pairs again, before steps that are not compiled.
 
         Args:
             forget: also forget the last poses of hands that hold objects, because the state changes.
@@ -321,7 +321,7 @@ class SimWorld:
     def set_arm_target(
         self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
     ) -> None:
-        """Set target positions [rad or m] and velocities [rad/s or m/s] of simulated robot joints.
+        """Set target positions [rad or m] and velocities of robot joints in the simulated world.
 
         A gripper's driven joint moves to its target at the gripper's full force.
 
@@ -345,7 +345,7 @@ class SimWorld:
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
 
     def set_arm_torque(self, joint_names: Sequence[str], torques: ArrayLike) -> None:
-        """Apply torques [Nm or N] to simulated arm joints until their next target.
+        """Apply torques [Nm or N] to arm joints in the simulated world until their next target.
 
         The torques are added to the gravity compensation.
 
@@ -360,7 +360,7 @@ class SimWorld:
         self._servo.apply(controls, float_array(torques, (len(names),), "torques"))
 
     def arm_target(self) -> JointState:
-        """Return the last target positions and velocities of simulated arm joints, without grippers."""
+        """Return the last target positions and velocities of arm joints in the simulated world."""
         names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
         return JointState(names, self._servo.target, self._servo.speed, time=self.time)
 
@@ -397,12 +397,12 @@ class SimWorld:
         self._drives[gripper].command(float(width), force)
 
     def gripper_state(self, gripper: str) -> GripperState:
-        """Return a simulated gripper's width, finger force and held object after the last step."""
+        """Return a gripper's width, finger force and held object in the simulated world."""
         self._gripper(gripper)
         return gripper_state(self.built, self.mj_data, gripper)
 
     def wrench(self, gripper: str) -> Array:
-        """Return the simulated wrench (6,) on a gripper about the tcp: force [N], torque [Nm].
+        """Return the wrench (6,) on a gripper about the tcp in the simulated world, in N and Nm.
 
         The wrench has world axes and includes all contacts of the gripper's links.
         """
@@ -520,7 +520,7 @@ class SimWorld:
 
     # --- faults, and the state of a real robot ---
     def add_load(self, link: str, mass: float) -> None:
-        """Add a mass [kg] at the center of mass of a simulated link, without gravity compensation.
+        """Add a load [kg] at a link's center of mass in the simulated world. Gravity acts on the load.
 
         The mass stays after a reset to the same scene.
         """
@@ -541,7 +541,7 @@ class SimWorld:
         self.mj_model.dof_damping[self.built.joint_dof[joint]] = BLOCKED
 
     def fix_in_hand(self, item: str, gripper: str) -> None:
-        """Weld an object to a simulated gripper at its relative pose. `welds` records the weld.
+        """Weld an object to a gripper of the simulated world at its relative pose; `welds` records it.
 
         Raises:
             UnknownNameError: the gripper or the movable object does not exist.
@@ -561,13 +561,13 @@ class SimWorld:
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Store the pose of an object in a simulated gripper, from which `slip` measures."""
+        """Store the pose of an object in a gripper of the simulated world, from which `slip` measures."""
         self._object(item)
         index = self._gripper(gripper)
         self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
 
     def slip(self, gripper: str | None = None) -> tuple[float, float]:
-        """Return how far an object has slipped [m] and rotated [rad] in a simulated gripper.
+        """Return how far an object has slipped [m] and rotated [rad] in a simulated world's gripper.
 
         Args:
             gripper: name of the gripper; required only if more than one gripper is watched.
