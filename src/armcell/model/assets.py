@@ -210,7 +210,7 @@ def _scale_to_meters(path: Path, scale: tuple[float, float, float]) -> tuple[flo
 
 @lru_cache(maxsize=256)
 def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Mesh:
-    """Load a mesh file of a robot as one triangle mesh [m]. Duplicate vertices are merged.
+    """Load the mesh file of a robot asset as one triangle mesh [m]. Duplicate vertices are merged.
 
     Args:
         path: mesh file (STL, OBJ, DAE, GLB, GLTF, PLY or OFF).
@@ -235,7 +235,7 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
 def _read_mesh(
     path: Path, scale: tuple[float, float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Read the vertices (v, 3) [m] and faces (f, 3) from a mesh file of a robot."""
+    """Read the vertices (v, 3) [m] and faces (f, 3) from the mesh file of a robot asset."""
     import trimesh  # imported late, here and below: the import takes 0.5 s, which only new meshes need
 
     try:
@@ -256,8 +256,8 @@ def _read_mesh(
 def _sound(
     vertices: ArrayLike, faces: ArrayLike, scale: tuple[float, float, float], path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Check the arrays of a mesh that was read from a robot's asset file, and return the scaled vertices (v,
-    3) [m] and the faces (f, 3).
+    """Check the arrays of a mesh that was read from a robot's asset file, and return the scaled vertices
+    (v, 3) [m] and the faces (f, 3).
 
     The mesh libraries do not check the arrays that they read.
 
@@ -290,7 +290,7 @@ DEFAULT_COLOR: Color = (0.75, 0.75, 0.77, 1.0)
 def load_visual_parts(
     path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> tuple[tuple[Mesh, Color], ...]:
-    """Load a visual mesh file of a robot as one mesh [m] with an RGBA color (0..1) for each material.
+    """Load the visual mesh file of a robot asset as one mesh [m] with an RGBA color (0..1) for each material.
 
     Raises:
         InputError: the file is not readable as a mesh or has no triangles.
@@ -316,7 +316,9 @@ def load_visual_parts(
 
 
 def _own_color(part: trimesh.Trimesh) -> Color:
-    """Return the RGBA color of a robot's mesh from its material, or the mean color of its faces."""
+    """Return the RGBA color of a mesh from a robot asset: that of its material, or the mean color of its
+    faces.
+    """
     source = getattr(part.visual, "material", None) or part.visual
     rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)
     if rgba.shape != (4,):

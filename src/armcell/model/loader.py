@@ -177,8 +177,8 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
 
 
 def _with_frames(model: RobotModel, frames: Any, file: Path) -> RobotModel:
-    """Return the robot with the additional frames that robot.yaml gives as `{name: {parent_link: LINK, pose:
-    POSE}}`.
+    """Return the robot with the additional frames that robot.yaml gives as
+    `{name: {parent_link: LINK, pose: POSE}}`.
     """
     if not isinstance(frames, dict):
         raise InputError("is not a mapping", file=file, element="frames")
@@ -229,7 +229,8 @@ def with_adjacent_disabled(model: RobotModel) -> RobotModel:
 
 
 def xacro_texts(value: Any, file: Path) -> dict[str, str]:
-    """Convert the xacro arguments of a robot from YAML values to text. Booleans become `true` and `false`.
+    """Convert the xacro arguments of a robot to load from YAML values to text. Booleans become `true` and
+    `false`.
 
     Raises:
         InputError: `value` is not a mapping of names to numbers, texts or booleans.

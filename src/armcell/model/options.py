@@ -40,7 +40,9 @@ def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, st
 
 
 def set_xacro_args(words: Iterable[str]) -> None:
-    """Set xacro arguments `name:=value` for all robot files that this process and its children load."""
+    """Set xacro arguments from the options `name:=value`, for all robot files that this process and its
+    children load.
+    """
     _put(XACRO_ARGS, assignments(words, ":=", "--xacro-arg"))
 
 
@@ -61,7 +63,7 @@ def set_packages(words: Iterable[str]) -> None:
 
 
 def xacro_args(own: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the xacro arguments of a robot file, with those given on the command line taking precedence."""
+    """Return the xacro arguments of a robot file. Options on the command line take precedence."""
     return {**(own or {}), **_read(XACRO_ARGS)}
 
 

@@ -96,8 +96,8 @@ class _Reader:
         )
 
     def disabled(self) -> dict[frozenset[str], str]:
-        """Return the link pairs whose collisions an MJCF robot does not check: adjacent bodies and those
-        excluded in the file.
+        """Read from an MJCF file the robot's link pairs without collision check: adjacent bodies and those
+        that it excludes.
 
         Contact masks do not count: a model whose links never touch each other in MuJoCo may still collide.
         """
@@ -107,7 +107,7 @@ class _Reader:
         return {frozenset((m.body(a).name, m.body(b).name)): why for why, a, b in pairs if a and b and a != b}
 
     def root(self) -> str:
-        """Return the name of an MJCF robot's root link: a fixed base body at the origin, or else a
+        """Read the name of the root link from MJCF: a fixed base body at the origin of the robot, or else a
         new name.
         """
         m = self.m
@@ -127,7 +127,7 @@ class _Reader:
         return SE3(SO3.from_quat_wxyz(quats[i]), np.array(positions[i], dtype=float))
 
     def below(self, body: int, link: str, links: dict[str, Link], joints: dict[str, Joint]) -> None:
-        """Convert the MJCF bodies below a body to links and joints, depth first."""
+        """Read the MJCF bodies below a body and convert them to links and joints, depth first."""
         m = self.m
         for child in range(body + 1, m.nbody):
             if m.body_parentid[child] != body:
@@ -152,8 +152,8 @@ class _Reader:
         joints[joint] = Joint(joint, "fixed", parent, child, T)
 
     def chain(self, body: int, parent: str, links: dict[str, Link], joints: dict[str, Joint]) -> None:
-        """Convert the joints of an MJCF body to a chain of joints and links that ends at the link of the
-        body.
+        """Read the joints of an MJCF body and convert them to a chain of joints and links that ends at the
+        body's link.
 
         MuJoCo applies the joints in order, each about its anchor in the frame that the joints before it
         moved.
@@ -199,8 +199,8 @@ class _Reader:
         )
 
     def servo(self, joint: int) -> tuple[Servo | None, float]:
-        """Return the position servo of an MJCF joint (or None) from its actuator, and the joint's largest
-        effort.
+        """Read the position servo of an MJCF joint (or None) from its actuator, and the largest effort of the
+        joint.
 
         An actuator with gear g and gain k on the length g q acts on the joint as a servo of gain g^2 k.
         """
@@ -274,7 +274,7 @@ class _Reader:
         return Inertial(float(m.body_mass[body]), T, np.diag(m.body_inertia[body]))
 
     def collision(self, geom: int) -> Collision | None:
-        """Convert an MJCF geom to a collision shape. A mesh is replaced by its convex hull.
+        """Read an MJCF geom and convert it to a collision shape. A mesh is replaced by its convex hull.
 
         MuJoCo uses the hull as well.
         """
@@ -324,7 +324,7 @@ class _Reader:
         return None
 
     def mesh(self, geom: int) -> tuple[NDArray[np.float64], NDArray[np.int32]] | None:
-        """Return the vertices (v, 3) [m, geom frame] and faces (f, 3) of an MJCF geom that is a mesh or an
+        """Read the vertices (v, 3) [m, geom frame] and faces (f, 3) of an MJCF geom that is a mesh or an
         ellipsoid.
         """
         m = self.m

@@ -99,7 +99,7 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
 
 # --- the tree ---
 def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
-    """Find the arm chains that start at or below a link and append them to `found`."""
+    """Detect the arm chains that start at or below a link and append them to `found`."""
     starts = _next_movable(model, link)
     if len(starts) > 1 and all(JAW.search(j.name + j.child) for j in starts):
         return  # fingers without an arm

@@ -25,9 +25,7 @@ NOWHERE = Path("/")
 
 @dataclass(frozen=True)
 class UrdfPart:
-    """One URDF or xacro file to be merged with others, with a name prefix and the world pose of its root
-    link.
-    """
+    """URDF or xacro text to be merged with others, with a name prefix and the world pose of its root link."""
 
     file: Path
     prefix: str = ""

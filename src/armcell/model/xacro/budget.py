@@ -20,7 +20,7 @@ CHARACTERS = 64  # number of characters that count as one item
 
 
 class XacroError(Exception):
-    """Error in a xacro file, or caused by a feature or an effort that armcell does not allow."""
+    """Error in a xacro file, or a feature or effort in it that exceeds what armcell's budget allows."""
 
     def __init__(self, reason: str, hint: str | None = None):
         super().__init__(reason)
@@ -29,8 +29,8 @@ class XacroError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """Function that xacro expressions can call, which charges its work to a budget: `run(budget, *arguments,
-    **keywords)`.
+    """Function that xacro expressions can call, which charges its work to a budget:
+    `run(budget, *arguments, **keywords)`.
 
     Attributes:
         name: name of the function in messages.
@@ -47,7 +47,7 @@ class Function:
 
 
 class Budget:
-    """Limit on the number of operations for expanding one xacro file."""
+    """Budget for expanding one xacro file: a limit on the number of operations."""
 
     def __init__(self, steps: int = MAX_STEPS):
         self.left = steps

@@ -104,7 +104,7 @@ def _is_xacro_tag(element: Element, tag: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Macro:
-    """Definition of a xacro macro: its body and its parameters."""
+    """Definition of a xacro macro to expand: its body and its parameters."""
 
     body: Element
     parameters: tuple[Parameter, ...]
@@ -189,7 +189,7 @@ class _Expansion:
         return {**MATH, **BASIC, **functions, **spaces}
 
     def _path(self, name: str) -> Path:
-        """Resolve a path in a xacro file relative to the file that is being read."""
+        """Resolve a path in a xacro file being expanded, relative to the file that is being read."""
         if "\0" in name:
             raise XacroError(f"{name!r} is not a path")
         return self.reading[-1].parent / name
@@ -420,7 +420,7 @@ def _pushed(stack: list[Any], item: Any) -> Iterator[None]:
 
 
 def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Macro]:
-    """Return the xacro macro that has a given name, which may contain namespaces, as in `ns.macro`.
+    """Find the xacro macro to expand by its name, which may contain namespaces, as in `ns.macro`.
 
     Returns:
         The macro scope and the property scope in which the macro must be expanded, and the macro.

@@ -36,7 +36,7 @@ def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function
 
 
 def text_of(value: Any) -> str:
-    """Return a value as the text that xacro writes into the URDF.
+    """Return a value as the text that xacro and its functions write into the URDF.
 
     Raises:
         XacroError: the value is a function or a namespace, which have no text.
@@ -232,7 +232,7 @@ MATH: dict[str, Any] = {
 
 # --- text ---
 class _Formatter(string.Formatter):
-    """Safe `str.format` for xacro expressions, which supports only plain fields.
+    """Safe `str.format` as a function of xacro expressions, which supports only plain fields.
 
     Fields such as `{0.attribute}` and `{0[item]}` would give access to Python's objects.
     """
@@ -259,7 +259,7 @@ def _format(text: str, /, *arguments: Any, **keywords: Any) -> str:
 
 
 def percent(text: str, values: Any) -> str:
-    """Evaluate Python's `text % values` in a xacro expression, after checking the field widths and the size
+    """Evaluate Python's `text % values` as a function of xacro, after checking the field widths and the size
     of the result.
 
     Raises:
@@ -332,12 +332,14 @@ METHODS: dict[type, dict[str, Callable[..., Any]]] = {
 
 
 def method_of(value: Any, name: str) -> Function | None:
-    """Return a method of a value for use in a xacro expression, or None if the method is not allowed."""
+    """Return a method of a value as a function for xacro expressions, or None if the method is not
+    allowed.
+    """
     found = next((methods for kind, methods in METHODS.items() if isinstance(value, kind)), {}).get(name)
     return None if found is None else plain(name, functools.partial(found, value))
 
 
 def tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
-    """Split a text at each character of `sep` in a xacro expression, like `xacro.tokenize`."""
+    """Split a text at each character of `sep`, like the xacro function `xacro.tokenize`."""
     items = re.split("[" + re.escape(sep) + "]", text) if sep else [text]
     return [item for item in items if item] if skip_empty else items

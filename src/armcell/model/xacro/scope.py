@@ -104,8 +104,8 @@ class Scope:
 
 
 def evaluate_text(text: str, scope: Scope) -> Any:
-    """Evaluate a xacro text that contains `${...}` and `$(...)`. The result of a single expression keeps its
-    type.
+    """Evaluate a text with `${...}` and `$(...)` in a xacro scope. The result of a single expression keeps
+    its type.
 
     Raises:
         XacroError: an expression fails (see `evaluate`), or a `$` starts neither form.
@@ -133,7 +133,7 @@ def evaluate_text(text: str, scope: Scope) -> Any:
 
 
 def literal(value: Any) -> Any:
-    """Convert the text of a xacro property to an int, float or bool if possible."""
+    """Convert the text of a property in a xacro scope to an int, float or bool if possible."""
     if not isinstance(value, str):
         return value
     if len(value) >= 2 and value[0] == value[-1] == "'":
@@ -170,7 +170,7 @@ def truth(value: Any, text: str | None = None) -> bool:
 
 
 class Arguments:
-    """Names that xacro's `$(eval ...)` can use: built-in names and the values of `$(arg NAME)`."""
+    """Names in the scope of xacro's `$(eval ...)`: built-in names and the values of `$(arg NAME)`."""
 
     def __init__(self, scope: Names, values: dict[str, str]):
         self.scope, self.values = scope, values

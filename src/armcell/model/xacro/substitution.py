@@ -23,7 +23,7 @@ ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
 
 
 class MissingArgument(XacroError):
-    """Error for a xacro argument that was given no value and has no default."""
+    """Error for a substitution argument of xacro that was given no value and has no default."""
 
     def __init__(self, name: str):
         super().__init__(f"argument {name!r} has no value", missing_hint([name]))
