@@ -40,7 +40,7 @@ def _slope(x, y):
 
 @njit(cache=True)
 def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, palm, opens, rules):
-    """Search a height map for all poses from above at which a hand fits around a piece, in compiled code.
+    """Search a height map for all poses from above at which a hand fits around a piece, in a compiled kernel.
 
     A pose is a cell, a rotation and a depth. The hand points down and closes along (cos a, sin a). On a
     height map, a piece is as wide at the fingertips as anywhere above them, because overhangs hide the space

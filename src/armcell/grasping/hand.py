@@ -47,7 +47,7 @@ def pre_opening(width: float, gripper: Gripper) -> float:
 
 @lru_cache(maxsize=32)
 def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
-    """Return the geometry of a robot's gripper as boxes in the tcp frame, for grasp planning.
+    """Return the geometry of the hand of a robot's gripper as boxes in the tcp frame, for grasp planning.
 
     Raises:
         InputError: the gripper's links have no collision shapes.

@@ -49,7 +49,7 @@ class Placement:
 
 
 def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
-    """Return the surface of a support on which an object can be placed such that friction holds it with a
+    """Return the surface of a support for placing an object, such that friction holds the object with a
     safety margin.
 
     The result is that of `support_surface`.
@@ -153,7 +153,8 @@ def _mass_height(item: CollisionObject, side: Rest) -> float:
 
 
 def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, SO3]]:
-    """Return the rotations about the surface normal in which an object may be placed, preferred ones first.
+    """Return the rotations about the surface normal that are possible for placing an object, preferred ones
+    first.
 
     The results are (angle, rotation of the object in the world) pairs.
 

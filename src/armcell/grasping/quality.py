@@ -40,7 +40,9 @@ class Quality:
 @dataclass(frozen=True)
 @checked()
 class Noise:
-    """Standard deviations of uncertain quantities, with which the robustness of a grasp is evaluated."""
+    """Standard deviations of uncertain quantities, with which the robustness of a grasp's quality is
+    evaluated.
+    """
 
     position: float = 0.002  # [m] object position along each axis
     rotation: float = 0.035  # [rad] about each axis
@@ -48,16 +50,16 @@ class Noise:
     mass: float = 0.1  # relative
 
     def poses(self, count: int, rng: np.random.Generator) -> list[SE3]:
-        """Sample small displacements of an object, to evaluate a grasp's robustness. The first is the
-        identity.
+        """Sample small displacements of an object, to evaluate how robust a grasp's quality is. The first is
+        the identity.
         """
         shifts = rng.normal(scale=self.position, size=(count, 3))
         turns = rng.normal(scale=self.rotation, size=(count, 3))
         return [SE3.identity(), *(SE3(SO3.exp(t), s) for s, t in zip(shifts[1:], turns[1:], strict=True))]
 
     def materials(self, item: CollisionObject, count: int, rng: np.random.Generator) -> list[CollisionObject]:
-        """Sample objects with varied friction and mass, to evaluate a grasp's robustness. The first is the
-        given object.
+        """Sample objects with varied friction and mass, to evaluate how robust a grasp's quality is. The
+        first is the given object.
         """
         shares = np.exp(rng.normal(size=(count, 2)) * [self.friction, self.mass])
         shares[0] = 1.0
@@ -131,7 +133,8 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
 def robustness(
     item: CollisionObject, hand: Hand, grasp: Grasp, noise: Noise = Noise(), trials: int = 40, seed: int = 0
 ) -> float:
-    """Return the fraction (0 to 1) of evaluations with random errors in which a grasp holds its object.
+    """Return the fraction (0 to 1) of quality evaluations with random errors in which a grasp holds its
+    object.
 
     A trial counts if the hand fits, the pads oppose each other within friction, and the force holds the
     weight.

@@ -33,7 +33,7 @@ class Rest:
 
     @property
     def height(self) -> float:
-        """Return the height [m] of the origin of an object above its support when it rests stably."""
+        """Return the height [m] of the origin of a stably resting object above its support."""
         return -float(self.foot[0] @ self.up)
 
 
@@ -41,7 +41,8 @@ _kept: OrderedDict[tuple, tuple[Rest, ...]] = OrderedDict()
 
 
 def rests(item: CollisionObject) -> tuple[Rest, ...]:
-    """Return the sides of an object's convex hull on which it rests stably, most stable first.
+    """Return the sides of an object's convex hull on which it can rest stably (resting sides), most stable
+    first.
 
     Round shapes are approximated by polygons and rest on their narrow sides, with almost no margin.
     """
