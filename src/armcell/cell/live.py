@@ -455,8 +455,8 @@ class LiveCell:
         self, bin: str, into: str, table: str, camera: str, tray_camera: str,
         settings: ClearSettings = ClearSettings(),
     ) -> Outcome:  # fmt: skip
-        """Clear a bin in a live cell: move all objects, which only two cameras locate, into another
-        container.
+        """Clear a bin in a live cell: move all objects into another container. Only two cameras locate the
+        objects.
 
         Args:
             into: the container for the objects.

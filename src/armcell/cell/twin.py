@@ -31,8 +31,8 @@ TRIES = 30  # random goals tried per motion
 
 
 def bands_file(cell: Cell) -> Path:
-    """Return the path of the file with a cell's twin thresholds, learned from how real arms normally deviate
-    from their simulated twin.
+    """Return the path of the file with a cell's twin thresholds: how far its real arms normally deviate from
+    the simulated twin.
     """
     return cell.file.with_name(f"{cell.file.stem}.twin.json")
 

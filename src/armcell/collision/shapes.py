@@ -101,7 +101,7 @@ def is_convex(mesh: Mesh) -> bool:
 
 @lru_cache(maxsize=1024)
 def is_closed(mesh: Mesh) -> bool:
-    """Return whether a mesh shape for coal is watertight, so that its interior is solid."""
+    """Return whether a mesh shape is watertight, so that coal can treat its interior as solid."""
     import trimesh
 
     return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)

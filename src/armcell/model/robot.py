@@ -243,7 +243,7 @@ class Gripper:
 
     @property
     def scale(self) -> float:
-        """How far a finger of a robot's gripper moves per unit of the driven joint; 1 for symmetric sliding
+        """Finger travel of a robot's gripper per unit of its driven joint; 1 for symmetric sliding
         fingers.
         """
         return abs(self.width_per_joint) / 2

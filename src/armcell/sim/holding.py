@@ -151,7 +151,9 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """Return `Holding.arrays`, which correct held objects, from a table of addresses that starts at row k."""
+    """Return `Holding.arrays`, the arrays for correcting held objects, from a table of addresses that starts
+    at row k.
+    """
     return (
         vector(fixed, k, _F8), vector(fixed, k + 1, _F8), matrix(fixed, k + 2, _I8),
         matrix(fixed, k + 3, _I8), vector(fixed, k + 4, _I8), matrix(fixed, k + 5, _I8),

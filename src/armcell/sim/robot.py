@@ -110,8 +110,8 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float 
 
 
 def _massless_carriers(model: RobotModel) -> set[str]:
-    """Return the links of a simulated robot that are on movable joints but have no mass, even including links
-    fixed to them.
+    """Return the links of a simulated robot that are on movable joints and have no mass, even together with
+    links fixed to them.
 
     MuJoCo rejects moving bodies without mass.
     """
