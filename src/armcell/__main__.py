@@ -9,7 +9,9 @@ from armcell import _interrupts, _streams
 
 
 def main() -> None:
-    """Entry point of `python -m armcell`: run the command line, then end the process with its exit status."""
+    """Run the command line of `python -m armcell`, then end the process with the exit status of the
+    command.
+    """
     _streams.install()
     _interrupts.install()
     code = 1

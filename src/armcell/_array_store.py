@@ -17,7 +17,9 @@ logger = logging.getLogger(__name__)
 
 
 def key_of(*parts: NDArray | str) -> str:
-    """Return a key for the array disk cache that depends only on the content of its arguments."""
+    """Return a cache key that depends only on the content of the given values; arrays are stored on disk
+    under this key.
+    """
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
@@ -26,7 +28,8 @@ def key_of(*parts: NDArray | str) -> str:
 
 
 def recall(kind: str, key: str) -> dict[str, NDArray] | None:
-    """Return computed arrays from the disk cache, or None if no readable and trusted cache file exists.
+    """Return arrays that an earlier process computed and stored in the disk cache, or None if the cache has
+    no readable and trusted file for them.
 
     A file is trusted if only the current user can have written it.
     """
@@ -41,7 +44,7 @@ def recall(kind: str, key: str) -> dict[str, NDArray] | None:
 
 
 def keep(kind: str, key: str, **arrays: NDArray) -> None:
-    """Write computed arrays to the disk cache atomically.
+    """Write computed arrays to the disk cache, so that later processes can read them. The write is atomic.
 
     If the folder is not writable, the function logs the error, and the next process computes the arrays
     again.

@@ -35,7 +35,8 @@ log = logging.getLogger("armcell")
 
 
 def chosen_root() -> Path:
-    """Return the configured folder of the kernel cache, without a check that it is trusted.
+    """Return the configured folder of armcell's kernel cache. The function does not check that the folder is
+    trusted.
 
     The folder is `ARMCELL_CACHE_DIR`, or `armcell` in the user's cache folder.
     """
@@ -46,7 +47,8 @@ def chosen_root() -> Path:
 
 
 def cache_root() -> Path:
-    """Return the root folder of armcell's caches: the configured folder, or a safe private one.
+    """Return the root folder of armcell's caches: the configured folder if it is safe, otherwise a private
+    one.
 
     The configured folder is unsafe if other users can write there.
     """
@@ -66,7 +68,9 @@ def _trusted_root(chosen: Path) -> Path:
 
 @cache
 def private_folder() -> Path:
-    """Return a temporary cache folder that only this user can write; later runs reuse it if possible."""
+    """Return a temporary cache folder that only this user can write to. Later runs use the same folder if
+    possible.
+    """
     folder = Path(tempfile.gettempdir()) / f"armcell-{_user()}"
     if writable(folder) and doubt(folder) is None:
         return folder.resolve()
@@ -88,7 +92,7 @@ def _user() -> int:
 
 
 def doubt(folder: Path, contents: bool = False) -> str | None:
-    """Return the reason why another user may have written into a cache folder, or None.
+    """Return the reason why another user may have written into a cache folder, or None if the folder is safe.
 
     Links are resolved first. The folder and all its parents must belong to this user or root, and no other
     user may have write access; for the parents, the sticky bit (as on /tmp) is sufficient.
@@ -139,7 +143,7 @@ def _doubt_of(path: Path | str, status: os.stat_result, forbidden: int) -> str |
 
 
 def trusted_file(file: Path) -> bool:
-    """Return whether only this user can write a cache file and its folder.
+    """Return whether a cache file can be trusted: only this user can write to the file and its folder.
 
     A missing file is not trusted.
     """
@@ -158,7 +162,9 @@ def trusted_file(file: Path) -> bool:
 
 
 def source_hash() -> str:
-    """Return the kernel cache's hash of Python, Numba, the processor, and all sources with compiled code."""
+    """Return a hash that identifies a version of the kernel cache: it covers Python, Numba, the processor,
+    and all sources with compiled code.
+    """
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*.py")):
         source = file.read_bytes()
@@ -174,7 +180,7 @@ def source_hash() -> str:
 
 
 def writable(folder: Path) -> bool:
-    """Return whether files can be created in a cache folder; create a missing folder.
+    """Return whether files can be created in a cache folder. If the folder does not exist, create it.
 
     Only this user has access to a created folder.
     """
@@ -187,14 +193,16 @@ def writable(folder: Path) -> bool:
 
 
 def make(folder: Path) -> None:
-    """Create a cache folder and its missing parents, with access for this user only."""
+    """Create a cache folder and its missing parent folders; only this user has access to them."""
     if not folder.is_dir():
         make(folder.parent)
         folder.mkdir(mode=0o700, exist_ok=True)
 
 
 def _drop_old(used: Path) -> None:
-    """Delete cached kernels of other source versions that no process has used for `KEPT_DAYS`."""
+    """Delete cached kernels that belong to other versions of the sources and that no process has used for
+    `KEPT_DAYS`.
+    """
     try:
         if time.time() - used.stat().st_mtime < 86400 and any(used.iterdir()):
             return  # already checked today
@@ -207,7 +215,8 @@ def _drop_old(used: Path) -> None:
 
 
 def use_cache() -> Path:
-    """Set Numba's cache folder for the current sources, and return the folder.
+    """Select the folder in which Numba caches kernels that were compiled from the current sources, and return
+    this folder.
 
     `NUMBA_CACHE_DIR` has priority. If another user may have written into the folder, a private folder is used
     instead, and a warning is logged.

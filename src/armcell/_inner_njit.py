@@ -19,7 +19,9 @@ from numba.core.typed_passes import NativeLowering
 
 
 class _LinkedLibrary(JITCodeLibrary):
-    """Numba code library of an inner function, linked into others and never executed by itself."""
+    """Numba code library of an inner function. The code is linked into the callers' libraries and is never
+    executed by itself.
+    """
 
     def _optimize_final_module(self) -> None:
         pass  # the outermost caller's library is optimized
@@ -31,7 +33,9 @@ class _LinkedLibrary(JITCodeLibrary):
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _OfferToCallers(LoweringPass):
-    """Numba compiler pass of `inner_njit`: compiled code can call the function, Python calls fail."""
+    """Compiler pass for Numba that makes an inner function available to compiled code only; a call from
+    Python raises an error.
+    """
 
     _name = "offer_to_callers"
 
@@ -52,7 +56,9 @@ class _OfferToCallers(LoweringPass):
 
 
 class _InnerCompiler(CompilerBase):
-    """`inner_njit`'s compiler: nopython mode without optimization, wrappers and machine code."""
+    """Numba compiler for inner functions, which works in nopython mode but omits optimization, wrappers and
+    machine code.
+    """
 
     def define_pipelines(self) -> list:
         state = self.state
@@ -66,7 +72,7 @@ class _InnerCompiler(CompilerBase):
 
 
 def inner_njit(function: Any = None, **options: Any) -> Any:
-    """Compile like `numba.njit`, for functions that only other compiled functions call.
+    """Compile a function like `numba.njit`, but only for calls from other compiled functions.
 
     The result is not cached on disk: it becomes a part of its callers, which are cached.
     """

@@ -36,11 +36,15 @@ WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGP
 
 
 class Interrupted(KeyboardInterrupt):
-    """Interrupted: exception in the main thread after a signal has asked the program to end."""
+    """Exception that is raised in the main thread after a signal (SIGINT, SIGTERM) has asked the program to
+    end.
+    """
 
 
 class _Will:
-    """Last will: action that must run if an interrupted program's orderly shutdown does not finish."""
+    """Action of last resort (last will), which runs if the orderly shutdown of an interrupted program takes
+    too long.
+    """
 
     def __init__(self, act: Callable[[], object], urgent: bool):
         self.act, self.urgent = act, urgent
@@ -66,7 +70,9 @@ _state = _State()
 
 
 def install() -> None:
-    """Install signal handlers for an orderly shutdown (SIGINT, SIGTERM) in the main thread."""
+    """Install handlers for SIGINT and SIGTERM in the main thread, so that these signals shut the program down
+    in order.
+    """
     wakes, _state.wake = os.pipe()
     os.set_blocking(_state.wake, False)
     threading.Thread(target=_watch, args=(wakes,), name="armcell-signals", daemon=True).start()
@@ -77,7 +83,9 @@ def install() -> None:
 
 
 def uninstall() -> None:
-    """Let SIGINT and SIGTERM end the process at once, after a finished command."""
+    """Restore the default effect of SIGINT and SIGTERM after a command has finished: these signals then end
+    the process at once.
+    """
     if _state.wake >= 0:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_DFL)
@@ -85,17 +93,17 @@ def uninstall() -> None:
 
 # --- queries of the program ---
 def asked() -> int:
-    """Return the number of the signal that interrupted the program, or 0."""
+    """Return the number of the signal that interrupted the program, or 0 if no signal has arrived."""
     return _state.signal
 
 
 def status() -> int:
-    """Return the exit status of an interrupted program: 130 for SIGINT, 143 for SIGTERM."""
+    """Return the exit status of an interrupted program: 130 after SIGINT, 143 after SIGTERM."""
     return 128 + (_state.signal or signal.SIGINT)
 
 
 def check() -> None:
-    """Raise `Interrupted` again in the main thread if Python has swallowed it.
+    """Raise `Interrupted` again in the main thread if Python or a library has swallowed this exception.
 
     Nothing is raised after `take_time`, inside `owned` or `deferred`, or while the exception is being
     handled.
@@ -113,7 +121,7 @@ def check() -> None:
 
 
 def sleep(seconds: float) -> None:
-    """Sleep like `time.sleep`, but end the sleep when SIGINT or SIGTERM arrives.
+    """Sleep like `time.sleep`, but wake up early when SIGINT or SIGTERM arrives.
 
     Raises:
         Interrupted: see `check`.
@@ -130,7 +138,8 @@ def sleep(seconds: float) -> None:
 
 
 def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bool:
-    """Call `condition(seconds)`, such as `Event.wait`, until true, a timeout or an interrupt.
+    """Call `condition(seconds)`, for example `Event.wait`, repeatedly until it returns a true value, the
+    timeout passes or a signal interrupts the wait.
 
     Signals interrupt the wait.
 
@@ -150,7 +159,7 @@ def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bo
 
 # --- requests and declarations of the program ---
 def ask(number: int) -> None:
-    """Interrupt the program as if by a signal, from any thread, so that it shuts down in order.
+    """Interrupt the program from any thread as if a signal had arrived, so that it shuts down in order.
 
     Without a command line, the function has no effect.
     """
@@ -160,7 +169,7 @@ def ask(number: int) -> None:
 
 
 def take_time(seconds: float = WITH_ARMS) -> None:
-    """Give the orderly shutdown more time after `Interrupted` was caught.
+    """Extend the time limit of the orderly shutdown; call this function after `Interrupted` was caught.
 
     Without a signal, the function has no effect.
     """
@@ -170,7 +179,8 @@ def take_time(seconds: float = WITH_ARMS) -> None:
 
 @contextlib.contextmanager
 def owned(on_signal: Callable[[], object]) -> Iterator[None]:
-    """Run a user's script interruptibly in a `with` block: after a signal it gets `SCRIPT` seconds.
+    """Run a user's script in a `with` block so that signals interrupt it: after a signal, the script has
+    `SCRIPT` seconds to end.
 
     The script may catch `Interrupted`.
 
@@ -188,7 +198,7 @@ def owned(on_signal: Callable[[], object]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def deferred() -> Iterator[None]:
-    """Defer `Interrupted` to the end of the `with` block."""
+    """Defer the exception `Interrupted` to the end of the `with` block."""
     main = threading.current_thread() is threading.main_thread()
     _state.held += main
     try:
@@ -202,7 +212,8 @@ def deferred() -> Iterator[None]:
 
 @contextlib.contextmanager
 def unsignaled() -> Iterator[None]:
-    """Shield processes that are started inside the `with` block from interrupts (SIGINT, SIGTERM).
+    """Protect child processes from signals: SIGINT and SIGTERM do not reach processes that are started inside
+    the `with` block.
 
     Ctrl-C sends SIGINT to the whole process group, but this program decides when its helper processes end.
     """
@@ -215,7 +226,8 @@ def unsignaled() -> Iterator[None]:
 
 @contextlib.contextmanager
 def silent_helpers() -> Iterator[None]:
-    """Shield processes that are started inside the block from interrupts, and discard their errors.
+    """Protect processes that are started inside the `with` block from interrupts (SIGINT, SIGTERM), and
+    discard their error output.
 
     The import of glfw starts a process that prints a traceback if this process ends first.
     """
@@ -235,7 +247,9 @@ def silent_helpers() -> Iterator[None]:
 
 
 class SteadyLock:
-    """Reentrant lock that defers `Interrupted` while it is held, so guarded work is completed."""
+    """Reentrant lock that defers the exception `Interrupted` while it is held, so that the guarded work is
+    completed.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -254,7 +268,8 @@ class SteadyLock:
 
 
 def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], None]:
-    """Register a last will: an action that runs if an interrupted program's shutdown takes too long.
+    """Register an action of last resort (last will), which runs if the orderly shutdown of an interrupted
+    program takes too long.
 
     Without a command line, nothing is registered.
 
@@ -277,7 +292,8 @@ def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], N
 
 
 def end(number: int | None = None) -> None:
-    """Print which interrupt ends the program, and end the process without libraries' exit handlers.
+    """Print which interrupt ends the program, then end the process without running the exit handlers of
+    libraries.
 
     An exit handler could block.
     """
@@ -291,7 +307,9 @@ def end(number: int | None = None) -> None:
 
 # --- the handler ---
 def _handler(number: int, frame: FrameType | None) -> None:
-    """Handle SIGINT or SIGTERM in the main thread: raise `Interrupted`, or defer it (see `deferred`)."""
+    """Handle SIGINT or SIGTERM in the main thread: raise `Interrupted`, or postpone it inside a `deferred`
+    block.
+    """
     if not _state.wills and _importing(frame):  # libraries with optional imports swallow all exceptions
         end(number)
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs the interrupts that it swallows
@@ -316,7 +334,7 @@ def _wake() -> None:
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Return whether code interrupted by a signal is inside an import statement."""
+    """Return whether a signal interrupted the program during an import statement."""
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
             return True
@@ -325,7 +343,7 @@ def _importing(frame: FrameType | None) -> bool:
 
 
 def _is_ours(error: BaseException | None) -> bool:
-    """Return whether an exception is `Interrupted` or was raised while handling `Interrupted`."""
+    """Return whether an exception is `Interrupted`, or was raised while `Interrupted` was being handled."""
     seen = 0
     while error is not None and seen < 100:
         if isinstance(error, Interrupted):
@@ -335,7 +353,9 @@ def _is_ours(error: BaseException | None) -> bool:
 
 
 def _unraisable(report: Any) -> None:
-    """Record that Python swallowed `Interrupted` in a destructor or callback (unraisable hook)."""
+    """Record that Python swallowed the exception `Interrupted` in a destructor or callback (hook for
+    unraisable exceptions).
+    """
     if _is_ours(report.exc_value):
         _state.swallowed = True
     else:
@@ -344,7 +364,7 @@ def _unraisable(report: Any) -> None:
 
 # --- the watcher ---
 def _watch(wakes: int) -> None:
-    """Wait for the first interrupt, then make sure that the program ends (watcher thread)."""
+    """Wait in the watcher thread for the first interrupt, then make sure that the program ends."""
     while not _state.signal:
         for number in os.read(wakes, 64):
             if _ours(number):
@@ -368,12 +388,12 @@ def _watch(wakes: int) -> None:
 
 
 def _ours(number: int) -> bool:
-    """Return whether a byte from the signal wake-up pipe is a signal with armcell's own handler."""
+    """Return whether a byte from the signal wake-up pipe stands for a signal that armcell handles."""
     return number in SIGNALS and signal.getsignal(number) is _handler
 
 
 def _count(wakes: int) -> None:
-    """End the process at the second interrupt; signals of `_raise_again` do not count."""
+    """End the process when the second interrupt arrives. Signals that `_raise_again` sends do not count."""
     while True:
         for number in os.read(wakes, 64):
             if _ours(number):
@@ -393,7 +413,7 @@ def _deadline() -> float:
 
 
 def _handled() -> bool:
-    """Return whether the main thread is handling `Interrupted`.
+    """Return whether the main thread is currently handling the exception `Interrupted`.
 
     The thread is then in an `except`, a `finally` or an `__exit__`.
     """
@@ -402,7 +422,7 @@ def _handled() -> bool:
 
 
 def _raise_again() -> None:
-    """Interrupt the main thread by a signal, so that the handler raises `Interrupted` again."""
+    """Send a signal to the main thread, so that the signal handler raises `Interrupted` again."""
     number = next((n for n in SIGNALS if signal.getsignal(n) is _handler), None)
     if number is not None:
         _state.again = True
@@ -411,7 +431,7 @@ def _raise_again() -> None:
 
 
 def _do(which: Callable[[_Will], bool], seconds: float) -> None:
-    """Run the selected last-will actions of an interrupted program, each in its own thread."""
+    """Run selected actions of last resort (last wills) of an interrupted program, each in its own thread."""
 
     def run(act: Callable[[], object]) -> threading.Thread:
         def quietly() -> None:

@@ -20,7 +20,7 @@ from armcell import _interrupts
 
 
 class _Raw(io.FileIO):
-    """Standard output stream's file that stores the first write error and discards all later output."""
+    """Raw file behind standard output that remembers the first write error and discards all later output."""
 
     error: OSError | None = None
 
@@ -41,7 +41,9 @@ _out: _Raw | None = None
 
 
 def install() -> None:
-    """Replace `sys.stdout` and `sys.stderr`, and reopen streams that the caller has closed."""
+    """Replace `sys.stdout` and `sys.stderr` by streams that survive write errors, and reopen standard streams
+    that the caller of the process has closed.
+    """
     global _out
     for number in (0, 1, 2):  # otherwise the next opened file would receive the output of libraries
         try:
@@ -56,7 +58,9 @@ def install() -> None:
 
 
 def close() -> int:
-    """Flush the standard output streams; return the exit status for a failed output, or 0."""
+    """Flush the standard output streams at the end of the program. Return 0, or the exit status for output
+    that could not be written.
+    """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(Exception):
             stream.flush()
@@ -71,7 +75,8 @@ def close() -> int:
 
 
 def _stream(number: int, before: TextIO | None) -> tuple[_Raw, io.TextIOWrapper]:
-    """Return a standard text stream on a file descriptor, with the encoding that Python chose.
+    """Return a text stream for a standard file descriptor; the stream has the encoding that Python chose for
+    it.
 
     A character that the terminal does not have is written as "?".
     """

@@ -179,6 +179,7 @@ WRONG = {
         ("controller_names: [b]\na: {type: T}\n", r"controller_names: unknown controller 'b'; known: a"),
         ("controller_names: a\n", r"controller_names: is a text, a list is needed"),
         ("controller_names: [a]\na: {type: 1}\n", r"a/type: is a number"),
+        ("controller_names: [a]\na: {type: T, joints: [{}]}\n", r"a/joints: is a mapping, a name"),
     ],
     "sensors_3d.yaml": [
         ("sensors: [lidar]\n", r"unknown sensor 'lidar'"),

@@ -178,7 +178,7 @@ def test_what_cannot_be_played_is_refused_and_the_cell_goes_on(served):
     for point in bad.points:
         point.positions = point.positions + 0.2
     publisher.publish(bad)
-    assert "from the trajectory's start" in next_status(status, "failed")
+    assert "from the trajectory's start" in next_status(status, "refused")
     good, goal = trajectory(node, 0.1, 0.5)
     publisher.publish(good)
     next_status(status, "done")

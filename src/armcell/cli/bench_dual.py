@@ -31,7 +31,8 @@ def dual(
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
-    """Benchmark dual-arm planning: two UR10 as one group of 12 joints; each gripper holds a box.
+    """Benchmark the planning of dual-arm motions.
+    Two UR10 form one group of 12 joints, and each gripper holds a box.
 
     Starts and goals are random postures with at least 5 mm clearance.
 
@@ -79,7 +80,9 @@ def _tasks(count: int, seed: int, apart: float) -> Iterator[bench_plans.PlanTask
 
 
 def dual_scene():
-    """Return the dual-arm benchmark's scene: two UR10 on pedestals, two boxes on a table, one per gripper."""
+    """Return the scene of the dual-arm benchmark: two UR10 on pedestals and two boxes,
+    one for each gripper, on a table.
+    """
     from armcell.model import load_robot
     from armcell.model.compose import Part, compose
     from armcell.scene import CollisionObject, PlanningScene

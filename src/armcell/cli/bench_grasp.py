@@ -47,7 +47,8 @@ def grasp(
         None, "--json", metavar="OUT", help="A summary and a row per object."
     ),
 ) -> int:
-    """Benchmark grasps: pick, lift by 20 cm, hold for 5 s and place objects within 1 cm, by friction only.
+    """Benchmark grasps by friction only: pick objects, lift them by 20 cm,
+    hold them for 5 s and place them within 1 cm.
 
     Each object starts at rest on a table. An object from a file is scaled down if its narrowest side takes
     more than 75 % of the gripper's opening; objects that still cannot be gripped are counted separately.

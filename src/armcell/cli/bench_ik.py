@@ -47,7 +47,8 @@ def ik(
         None, "--json", metavar="FILE", help="Write a summary and a row per pose."
     ),
 ) -> int:
-    """Benchmark inverse kinematics on random reachable poses: success, time, solutions, error.
+    """Benchmark inverse kinematics on random reachable poses: success rate,
+    time, number of solutions and error.
 
     The poses come from random joint positions within limits, so each pose has a solution. Times are CPU time
     of one thread in microseconds, the fastest of three calls: "compiled" finds all branches (analytic) or one
@@ -91,7 +92,9 @@ def _solver(robot: str, group: str | None, tip: str | None, numeric: bool) -> IK
 
 
 def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
-    """Return the IK benchmark's model with a new group of all joints that move a link, and its name."""
+    """Return the robot model for the IK benchmark with a new group of all joints that move a link,
+    and the name of that group.
+    """
     from armcell.model import Group
 
     model.link(tip)
@@ -105,7 +108,7 @@ def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
 
 
 def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray], Any]:
-    """Return the compiled part of an IK solver as a function of T_root_tip (4, 4), for the IK benchmark."""
+    """Return the compiled part of an IK solver for the IK benchmark, as a function of T_root_tip (4, 4)."""
     from armcell.kinematics.ik.chain import goal_in_base
     from armcell.kinematics.ik.search import any_solution
     from armcell.kinematics.ik.ur import BRANCHES, ur_branches

@@ -28,7 +28,7 @@ def mbm(
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
-    """Benchmark planning on MotionBenchMaker's problems: time to search, shorten and prove paths.
+    """Benchmark planning on problems of MotionBenchMaker: the time to search, shorten and prove a path.
 
     Times are CPU time of one thread in microseconds. The native planner proves
     every edge while it shortens the path: its certify_us is 0, and its simplify_us includes the proof. A
@@ -49,7 +49,7 @@ def mbm(
 
 
 def read_problems(file: Path) -> dict[str, Any]:
-    """Return the problems of a MotionBenchMaker file, with the keys that `armcell bench mbm` uses.
+    """Return the problems in a MotionBenchMaker file, reduced to the keys that `armcell bench mbm` uses.
 
     Raises:
         InputError: the file cannot be read as problems.
@@ -63,7 +63,8 @@ def read_problems(file: Path) -> dict[str, Any]:
 
 
 def find_robot(robot: str, problems: Path) -> str | Path:
-    """Return the URDF file, folder or library name of a MotionBenchMaker robot, for `load_robot`.
+    """Return the URDF file, folder or library name of the robot in MotionBenchMaker problems,
+    as input for `load_robot`.
 
     The folder `robots/` beside the problems has priority, because it contains the robots of the problems.
 
@@ -104,7 +105,7 @@ def _tasks(data: dict[str, Any], file: Path, model, limit: int) -> Iterator[benc
 
 
 def scene_of(model, fixed: dict[str, float], problem: dict[str, Any]):
-    """Return a MotionBenchMaker problem's scene: the robot, its fixed joints and the obstacles."""
+    """Return the scene of a MotionBenchMaker problem with the robot, its fixed joints and the obstacles."""
     from armcell.scene import CollisionObject, PlanningScene
 
     q = model.neutral()

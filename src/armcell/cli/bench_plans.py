@@ -38,7 +38,7 @@ MAX_LINES = 20  # printed lines of unsolved problems
 
 @dataclass(frozen=True, eq=False)
 class PlanTask:
-    """Task of a planning benchmark: (dof,) start and (g, dof) goals of the named joints in a scene."""
+    """Task of a planning benchmark: a start (dof,) and goals (g, dof) for the named joints in a scene."""
 
     family: str
     index: int
@@ -55,7 +55,8 @@ class PlanTask:
 def run(
     tasks: Iterable[PlanTask], total: int, planner_id: str, repeat: int, seconds: float
 ) -> Iterator[tuple[Row, Array | None]]:
-    """Yield the row and the waypoints of each planning benchmark task, from its fastest run.
+    """Yield the result row and the waypoints for each task of a planning benchmark,
+    from the fastest run of the task.
 
     Each task is planned up to `repeat` times.
 
@@ -91,7 +92,9 @@ def run(
 
 
 def touching(checker: KernelChecker, start: Array, goals: Array) -> str:
-    """Describe a planning benchmark's contacts at the start, or at a goal if none is free; else empty."""
+    """Describe the contacts at the start of a planning benchmark's task, or at a goal if no goal is free.
+    Otherwise the text is empty.
+    """
 
     def contacts(q: Array) -> str:
         if checker.exact.is_free(q):
@@ -105,7 +108,7 @@ def touching(checker: KernelChecker, start: Array, goals: Array) -> str:
 
 
 def planner(planner_id: str) -> Plan:
-    """Return the planning benchmarks' planner function for `native` or a PIPELINE/PLANNER id.
+    """Return the function that plans for a planning benchmark, given `native` or an id PIPELINE/PLANNER.
 
     Pipelines other than `native` run without the proof of their raw path.
 
@@ -202,7 +205,9 @@ def _row(task: PlanTask, answer: NativeResult | None = None) -> Row:
 
 
 def path_length(waypoints) -> float:
-    """Return the length of a planning benchmark's path [rad]: the sum of the edge norms in joint space."""
+    """Return the length [rad] of a path in a planning benchmark,
+    which is the sum of the edge norms in joint space.
+    """
     return float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
 
 
@@ -218,7 +223,9 @@ def _timing_us(waypoints: Array, names: tuple[str, ...]) -> float:
 def finish(
     found: Iterable[tuple[Row, Array | None]], json_file: Path | None, paths_file: Path | None = None
 ) -> int:
-    """Print and write a planning benchmark's rows; return 0 if all solvable problems are solved, else 1."""
+    """Print and write the rows of a planning benchmark.
+    Return 0 if all solvable problems were solved, else 1.
+    """
     rows: list[Row] = []
     paths: dict[str, dict[int, list]] = {}
     for row, waypoints in found:

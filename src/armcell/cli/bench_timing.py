@@ -44,7 +44,8 @@ def timing(
         None, "--json", metavar="OUT", help="Write one row per path as JSON."
     ),
 ) -> int:
-    """Benchmark the timing of random paths: CPU time, durations compared with toppra, limit violations.
+    """Benchmark the timing of random paths: CPU time,
+    durations compared with those of toppra, and violated limits.
 
     A path is a random walk of the group's joints with rounded corners. `us` is CPU time of one thread from
     waypoints to trajectory (compiled code, best of three). `of limit` is the largest velocity, acceleration
@@ -122,7 +123,9 @@ def _rows(robot: str, group: str, waypoints: int, count: int, step: float, devia
 
 
 def _cpu(function: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the timing benchmark's least CPU time [us] over several calls, and the last result."""
+    """Return the least CPU time [us] that a function of the timing
+    benchmark takes over several calls, and its last result.
+    """
     best, result = np.inf, None
     for _ in range(REPEAT):
         began = time.thread_time()
@@ -133,7 +136,9 @@ def _cpu(function: Callable[[], Any]) -> tuple[float, Any]:
 
 def _met(trajectory: JointTrajectory, velocity: Array, acceleration: Array, jerk: Array | None,
          dynamics: Any) -> dict[str, float]:  # fmt: skip
-    """Return the largest share of each limit that an interpolated trajectory uses in the timing benchmark."""
+    """Return for each limit the largest share of it that an
+    interpolated trajectory uses in the timing benchmark.
+    """
     from scipy.interpolate import BPoly
 
     t = trajectory
@@ -153,7 +158,7 @@ def _met(trajectory: JointTrajectory, velocity: Array, acceleration: Array, jerk
 
 
 def _toppra(velocity: Array, acceleration: Array, dynamics: Any) -> Callable[[Any], float | None]:
-    """Return the timing benchmark's function for toppra's duration [s] of a `BlendedPath`.
+    """Return a function for the timing benchmark that computes toppra's duration [s] for a `BlendedPath`.
 
     The function returns None if toppra fails.
     """
@@ -166,7 +171,7 @@ def _toppra(velocity: Array, acceleration: Array, dynamics: Any) -> Callable[[An
     toppra.setup_logging("ERROR")
 
     class Curve(AbstractGeometricPath):
-        """Timing benchmark's toppra path that evaluates a `BlendedPath`."""
+        """Path in the form that toppra requires, for the timing benchmark. It evaluates a `BlendedPath`."""
 
         def __init__(self, path: Any):
             self.path = path

@@ -18,7 +18,8 @@ def bringup(
         Path("bringup.json"), metavar="FILE", help="Where every step is written down."
     ),
 ) -> int:
-    """Bring up a cell's real arms step by step; explain each step and ask before executing it.
+    """Bring up the real arms of a cell step by step.
+    Each step is explained and must be confirmed before it is executed.
 
     Network, identity, power, geometry; then, at 5 % speed: single joints, a 10 cm line compared with its
     preview while the other arms stand still, and all arms together. Set the pendant's speed slider to 10 %

@@ -11,7 +11,7 @@ RATE = 5.0  # [Hz] of the cell's clock
 
 
 def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) -> list[CameraFrames]:
-    """Return the observers that record camera frames, as `armcell run --frames` requests.
+    """Return the observers that record camera frames of a run, as requested by `armcell run --frames`.
 
     Args:
         wanted: CAMERA or CAMERA=HZ, each.
@@ -40,7 +40,7 @@ def camera_frames(wanted: Sequence[str], live: Any, mode: str, recorder: Any) ->
 
 
 class CameraFrames:
-    """Observer that records camera frames of a `LiveCamera` at a rate [Hz] of the cell's clock."""
+    """Observer that records frames of a `LiveCamera` at a fixed rate [Hz] on the cell's clock."""
 
     def __init__(self, driver: Any, camera: Any, rate: float, recorder: Any):
         self._driver, self._camera, self._period, self._recorder = driver, camera, 1.0 / rate, recorder

@@ -64,7 +64,8 @@ def campaign(
     runs: Path = typer.Option(Path("runs"), metavar="FOLDER", help="Where the campaign's folder goes."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON."),
 ) -> int:
-    """Run a campaign: a cell's task many times in physics with varied values; report success and failures.
+    """Run a campaign: a cell's task many times in physics with varied values.
+    The report shows successes and failures.
 
     Every finished trial is saved at once (trials.jsonl): after Ctrl-C or a crash, continue with --resume.
     Writes report.html, report.md and summary.json. Exit status 0 if every trial succeeded, 1 if not.
@@ -104,7 +105,7 @@ def campaign(
 
 
 def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, Any]:
-    """Run a campaign command's missing trials, write the report, print and return the summary.
+    """Run the trials that a campaign still lacks, write the report, print the summary and return it.
 
     Args:
         workers: number of processes; 0: one per core.

@@ -17,7 +17,8 @@ def check(
     cell: str = typer.Argument(..., help="Built-in cell, folder with cell.yaml, or YAML file."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the findings as JSON."),
 ) -> int:
-    """Check a cell without running it: files, limits, start state, objects, reach.
+    """Check a cell without running it.
+    The checks cover its files, limits, start state and objects, and whether the arm reaches them.
 
     Exit status 0 if all checks pass, 1 with the hints if not.
     """
@@ -34,7 +35,7 @@ def check(
 
 
 def findings(name: str) -> Iterator[Finding]:
-    """Yield the results of `armcell check` for a cell: files, limits, start state, objects and task."""
+    """Yield what `armcell check` finds in a cell: its files, limits, start state, objects and task."""
     from armcell.cell import load
 
     cell = load(name)  # raises an InputError with file, element and hint

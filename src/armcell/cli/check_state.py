@@ -20,7 +20,8 @@ def check_state(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Check a robot state: show contacts, the nearest distance, and each joint's distance to its limits.
+    """Check a robot state.
+    Show its contacts, the nearest distance, and how far each joint is from its limits.
 
     Without --to or --joints, the state is the cell's start.
 

@@ -22,12 +22,12 @@ errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def err(text: str) -> None:
-    """Print one line of a command on the console's standard error."""
+    """Print one line about a command to standard error on the console."""
     errors.print(f"armcell: {text}", markup=False)
 
 
 def check_writable(path: Path) -> None:
-    """Check that a console command's output file can be written, before a long run starts.
+    """Check that the output file of a console command can be written, before a long run starts.
 
     Raises:
         InputError: the folder is missing or not writable, or the path is a folder.
@@ -46,7 +46,7 @@ def check_writable(path: Path) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a console command's JSON file atomically: temporary file, then rename."""
+    """Write a JSON file of a console command atomically: first a temporary file, which is then renamed."""
     text = json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n"
     handle, temporary = tempfile.mkstemp(dir=path.resolve().parent, prefix=f".{path.name}.")
     try:
@@ -64,7 +64,7 @@ def millimeters(value: float | None, digits: int = 1) -> str:
 
 
 def stage_table(result: dict[str, Any]) -> Table:
-    """Return a table of a run's stages for the console."""
+    """Return a table of the stages in a run, to be printed on the console."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("stage", "planned by", "planning", "motion", "clearance", "slip", "error"):
         number = title in ("planning", "motion", "clearance", "slip")

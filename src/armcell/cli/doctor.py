@@ -38,7 +38,7 @@ def doctor(
     ),
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Check the installation and a cell's requirements; print each fault with its hint.
+    """Check the installation and what a cell needs. Each fault is printed with a hint on how to remove it.
 
     Example: armcell doctor panda_pick --connect 192.168.1.20:10000
 
@@ -143,9 +143,9 @@ def ports() -> Iterator[Line]:
 
 
 def endpoint(connect: str) -> Line:
-    """Check for `armcell doctor` whether a ROS-TCP endpoint accepts connections; name the cause if not.
+    """Check, for `armcell doctor`, whether a ROS-TCP endpoint accepts connections. If not, name the cause.
 
-    Causes are a wrong address, an endpoint that is not running, or a firewall.
+    The cause can be a wrong address, an endpoint that is not running, or a firewall.
     """
     from armcell.cli.serve import address
 
@@ -168,7 +168,7 @@ def endpoint(connect: str) -> Line:
 
 # --- a cell ---
 def of_cell(name: str) -> Iterator[Line]:
-    """Yield `armcell doctor`'s results for a cell: those of `armcell check` and of further checks.
+    """Yield the results of `armcell doctor` for a cell: those of `armcell check` and of further checks.
 
     Further checks: the robot's files and meshes, transforms, effort limits, gains, drives and controllers.
     """
@@ -206,7 +206,7 @@ def of_cell(name: str) -> Iterator[Line]:
 
 
 class _Warnings(logging.Handler):
-    """Logging handler of `armcell doctor` that stores warnings."""
+    """Logging handler that stores warnings for `armcell doctor`."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -217,7 +217,7 @@ class _Warnings(logging.Handler):
 
 
 def transforms(model: Any) -> Iterator[Line]:
-    """Check for `armcell doctor` that all links form one tree below the root link."""
+    """Check, for `armcell doctor`, that all links form one tree of transforms below the root link."""
     below = set(model.subtree(model.root_link))
     loose = [name for name in model.links if name not in below]
     if loose:
@@ -227,7 +227,9 @@ def transforms(model: Any) -> Iterator[Line]:
 
 
 def strength(loaded: Any) -> Iterator[Line]:
-    """Check for `armcell doctor` that the drives can hold the robot at its start: effort limits, gains."""
+    """Check, for `armcell doctor`, that the drives can hold the robot at its start,
+    given their effort limits and gains.
+    """
     import numpy as np
 
     from armcell.kinematics import InverseDynamics
@@ -253,7 +255,7 @@ def strength(loaded: Any) -> Iterator[Line]:
 
 
 def controllers(model: Any) -> Iterator[Line]:
-    """Yield for `armcell doctor` the controllers that accept trajectories, with the joints of each."""
+    """Yield, for `armcell doctor`, the controllers that accept trajectories, each with its joints."""
     groups = [g.arm_group for g in model.grippers.values()]
     groups = groups or [g.name for g in model.groups.values() if g.tip_link]
     for group in groups:

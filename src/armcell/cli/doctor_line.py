@@ -9,7 +9,7 @@ OK, NO, NOTE = "ok", "no", "note"
 
 @dataclass(frozen=True)
 class Line:
-    """Result line of one check of `armcell doctor`.
+    """Line with the result of one check by `armcell doctor`.
 
     Attributes:
         verdict: "ok", "no" (fault) or "note" (information).

@@ -19,7 +19,9 @@ DRIVER_FILES = (
 
 
 def of_package(folder: Path) -> Iterator[Line]:
-    """Check a MoveIt package for `armcell doctor`: files, one controller per joint, and controller names."""
+    """Check a MoveIt package for `armcell doctor`: its files,
+    and that each joint has one controller with a valid name.
+    """
     try:
         config = MoveItConfig.load(folder)
     except InputError as error:
@@ -32,7 +34,8 @@ def of_package(folder: Path) -> Iterator[Line]:
 
 
 def moved_joints(config: MoveItConfig) -> Iterator[Line]:
-    """Check for `armcell doctor` that a MoveIt package has one controller for every joint of its groups.
+    """Check, for `armcell doctor`, that a MoveIt package has exactly
+    one controller for every joint of its groups.
 
     MoveIt refuses to execute a motion if a joint has no controller. If a joint has several default
     controllers, the choice is arbitrary.
@@ -57,7 +60,9 @@ def moved_joints(config: MoveItConfig) -> Iterator[Line]:
 
 
 def driver_names(config: MoveItConfig) -> Iterator[Line]:
-    """Check for `armcell doctor` that a MoveIt package's controllers are in the controller manager's file."""
+    """Check, for `armcell doctor`, that the controllers of a MoveIt
+    package also occur in the controller manager's file.
+    """
     for file in (config.folder / "config" / name for name in DRIVER_FILES):
         if file.is_file() and file.name != config.names.get("controllers"):
             yield from _compared(config, file)
@@ -88,7 +93,8 @@ def _named(config: MoveItConfig) -> str:
 
 
 def _joints_of(data: Any) -> dict[str, list[str]]:
-    """Return the joints by controller in a MoveIt package's controller manager file (ROS 2 or 1).
+    """Return the joints of each controller in the controller
+    manager's file of a MoveIt package (ROS 2 or ROS 1).
 
     ROS 2 nests the joints as `name: {ros__parameters: {joints: []}}`; ROS 1 omits the key `ros__parameters`.
     """

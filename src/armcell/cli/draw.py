@@ -12,5 +12,7 @@ SEED = typer.Option(
 
 
 def drawn(seed: int | None, mode: str) -> int | None:
-    """Return the seed from which a command draws random values: given, else 0; None in mode real."""
+    """Return the seed from which a command draws random values: the given seed, or else 0.
+    In mode real the default is None.
+    """
     return 0 if seed is None and mode != "real" else seed

@@ -11,7 +11,7 @@ from armcell.core.pauses import no_long_pauses
 
 
 def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
-    """Run emulators of controllers (UR, Franka) for a command until a signal ends them.
+    """Run the emulators of controllers (UR, Franka) that a command has created, until a signal ends them.
 
     Args:
         rack: an `emulators.rack.Rack` whose ports are open.

@@ -38,7 +38,7 @@ def explain(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """Explain whether a motion, a pose or a grasp is possible; if not, why, and what would help.
+    """Explain whether a motion, pose or grasp is possible. If not, explain why, and what would help.
 
     Example: armcell explain panda_pick --pose 0.55 0.06 0.2
 
@@ -86,7 +86,7 @@ def _print(explanation: Explanation, solutions_told: bool) -> None:
 
 
 def _joint_solutions(scene: Any, request: Any, link: str | None) -> dict[str, Any]:
-    """Print all joint solutions of the pose that `armcell explain` explains; return them as data."""
+    """Print all joint solutions for the pose that `armcell explain` explains, and return them as data."""
     from dataclasses import replace
 
     from armcell.core import CartesianRequest

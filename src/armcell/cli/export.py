@@ -60,7 +60,7 @@ def unity(
         None, min=0, help="Draw of the randomised values; the cell's nominal ones by default."
     ),
 ) -> None:
-    """Export a cell for Unity: armcell's C# package, the robot, its meshes and the scene."""
+    """Export a cell for Unity: armcell's C# package, the robot with its meshes, and the scene."""
     from armcell.cell import load
     from armcell.ros.unity import export_unity
 
@@ -83,7 +83,7 @@ def urdf(
         ..., "--output", "-o", metavar="FOLDER", help="Folder (made when missing) for robot.urdf and meshes/."
     ),
 ) -> None:
-    """Export a cell's robot as one flattened URDF, with its meshes beside the file."""
+    """Export the robot of a cell as a single flattened URDF, with the meshes next to the file."""
     from armcell.cell import load
     from armcell.core import InputError
     from armcell.ros.unity import write_urdf

@@ -47,7 +47,7 @@ def franka_controller(
         help="Put the arm and objects back to their start once the client has left for 1 s.",
     ),
 ) -> int:
-    """Emulate a Franka controller: FCI commands, 1 kHz state, and hand, until Ctrl-C.
+    """Emulate a Franka controller until Ctrl-C, with FCI commands, states at 1 kHz and a hand.
 
     Runs with real-time priority if permitted (as root on Linux).
     """
@@ -87,7 +87,7 @@ def franka_operator(
     host: str = typer.Argument(..., help="The emulated robot's address."),
     command: list[str] = typer.Argument(..., help='What to do, such as "user stop on" or "help".'),
 ) -> int:
-    """Act as the operator of an emulated Franka: user stop, brakes, Desk, and injected faults."""
+    """Act as the operator of an emulated Franka robot: user stop, brakes, Desk and injected faults."""
     from armcell.emulators.franka.operator_server import PORT
 
     try:

@@ -16,7 +16,8 @@ WITHOUT_GATE = typer.Option(
 
 
 def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dict[str, Any]:
-    """Check a cell's gate record before a command runs in mode real; return {"gate": record entry}.
+    """Check the gate record of a cell before a command runs in mode real.
+    Return {"gate": entry} for the record of the run.
 
     In other modes, return an empty dict.
 
@@ -49,7 +50,8 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
 
 
 def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Return {"gate": entry} for a command in mode real whose motions have no campaign, e.g. of clients.
+    """Return {"gate": entry} for the record of a run in mode real whose motions no campaign has tested,
+    for example because clients request them.
 
     Such motions have no gate record, so a reason is required. In other modes, return an empty dict.
 
@@ -84,7 +86,7 @@ def gate_words(passed: dict[str, Any]) -> str:
 
 
 def tell_unwatched(driver: Any, cell: str) -> None:
-    """Print a warning next to the gate check if real arms move without a simulated twin."""
+    """Print a warning after the gate check if real arms move without being compared with a simulated twin."""
     if driver.guard is not None and not driver.guard.compares:
         from armcell.twin import UNWATCHED
 

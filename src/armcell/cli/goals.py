@@ -60,7 +60,7 @@ Triple = tuple[float, float, float]
 
 
 def arm_group(model: Any) -> str:
-    """Return the planning group that carries a gripper, a command's default for goals.
+    """Return the planning group that carries a gripper, which is the default group for goals of a command.
 
     Raises:
         InputError: no planning group is a chain.
@@ -76,7 +76,8 @@ def arm_group(model: Any) -> str:
 
 
 def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
-    """Parse a goal's joint positions of a command line: numbers for all joints, or name=value for some.
+    """Parse joint positions that a command line gives as a goal:
+    numbers for all joints, or name=value for some.
 
     Raises:
         InputError: a value is not a number, or the number of values is wrong.
@@ -105,7 +106,7 @@ def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
 
 
 def one_of(given: dict[str, Any]) -> str:
-    """Return the only goal option that was given of several exclusive command line options.
+    """Return the one goal option that a command line contains. The goal options exclude each other.
 
     Raises:
         typer.BadParameter: no option or several options were given.
@@ -131,7 +132,7 @@ def request_of(
     seed: int | None = None,
     link: str | None = None,
 ) -> PlanRequest | CartesianRequest:
-    """Return the planning request for the goal options of a command line.
+    """Return the planning request that corresponds to the goal options of a command line.
 
     Raises:
         typer.BadParameter: the options do not go together.
@@ -158,7 +159,9 @@ def request_of(
 
 
 def checked_json(json_file: Path | None) -> None:
-    """Check that the goal command's JSON file can be written, before the command starts its work."""
+    """Check that the JSON file of a command with a goal can be written,
+    before the command starts its work.
+    """
     from armcell.cli.console import check_writable
 
     if json_file is not None:
@@ -173,7 +176,9 @@ def save(json_file: Path | None, data: Any) -> None:
 
 
 def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
-    """Format a goal's joint positions (n,): degrees for revolute, millimeters for prismatic joints."""
+    """Format the joint positions (n,) of a goal: degrees for revolute joints,
+    millimeters for prismatic joints.
+    """
     return " ".join(
         f"{v * 1000:.1f}mm" if model.joint(n).type == "prismatic" else f"{np.rad2deg(v):.1f}"
         for n, v in zip(names, q, strict=True)
@@ -183,7 +188,9 @@ def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
 def state_of(
     model: Any, group: str, scene: Any, to: str | None, joints: str | None, joints_deg: str | None
 ) -> JointState:
-    """Return the goal state that command line options name or give as positions; else the scene's."""
+    """Return the state that the goal options of a command line name or give as positions,
+    or else the state of the scene.
+    """
     given = {"--to": to, "--joints": joints, "--joints-deg": joints_deg}
     if not any(value is not None for value in given.values()):
         return scene.state

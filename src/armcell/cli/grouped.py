@@ -8,7 +8,9 @@ from typer.core import TyperGroup
 
 
 class Grouped(TyperGroup):
-    """Typer group for `--help` that lists each command under the heading of its `rich_help_panel`."""
+    """Group of Typer commands whose `--help` lists each command under
+    the heading in its `rich_help_panel`.
+    """
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]

@@ -24,7 +24,7 @@ def ik(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """List the joint solutions of a pose (inverse kinematics): the one nearest to the start, and others.
+    """List the joint solutions of a pose (inverse kinematics). The solution nearest to the start comes first.
 
     Each rejected solution has its reason.
 
@@ -83,7 +83,7 @@ def fk(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Print the poses of links [m, deg] at the start, at a named state or at joint positions.
+    """Print the poses of links [m, deg] at the start, at a named state, or at given joint positions.
 
     Example: armcell fk panda_pick --joints-deg '0 -45 0 -135 0 90 45' --link panda_hand_tcp
     """

@@ -51,7 +51,7 @@ def import_(
     force: bool = typer.Option(False, "--force", help="Replace the file of -o."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the list as JSON."),
 ) -> int:
-    """Import a Gazebo world as objects of a cell, and list elements that are not converted.
+    """Import a Gazebo world as objects of a cell. Elements that cannot be converted are listed.
 
     Exit status 0 if the file was read and, with --output or --into, the objects were written.
     """

@@ -11,6 +11,8 @@ from armcell.core.endpoints import Endpoint
 
 
 def tell_listening(endpoints: Iterable[Endpoint], to: Console = console) -> None:
-    """Print where a command's server listens, e.g. `listening on tcp 127.0.0.1:10000 (ROS-TCP), ...`."""
+    """Print the addresses on which a command's server listens,
+    e.g. `listening on tcp 127.0.0.1:10000 (ROS-TCP), ...`.
+    """
     found = ", ".join(str(endpoint) for endpoint in endpoints)
     to.print(f"listening on {found or 'no port'}", markup=False, soft_wrap=True)

@@ -54,7 +54,8 @@ def look(
     ),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the numbers as JSON."),
 ) -> int:
-    """Look with a camera for objects (or markers): print pose, size and quality of the fit.
+    """Look for objects (or markers) with a camera, and print for each its pose,
+    its size and the quality of the fit.
 
     In a cell the picture is simulated, and "off" is the deviation from the true pose in the simulator.
     Exit status 0 if everything has a pose, 1 if not.
@@ -102,7 +103,8 @@ def _source(
     source: str | None, camera: str | None, seed: int | None, info: Path | None, rgb: Path | None,
     depth: Path | None, place: Place | None, surface: str | None,
 ) -> tuple[CameraImage, Any, tuple, dict[str, SE3], str | None]:  # fmt: skip
-    """Return `armcell look`'s camera picture; for a cell, also the scene, target objects and true poses.
+    """Return the camera picture for `armcell look`.
+    For a cell, also return the scene, the objects to find and their true poses.
 
     The last item is the support surface.
     """

@@ -158,7 +158,7 @@ def _root(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run armcell's command line and return its exit status.
+    """Run the command line of armcell, and return its exit status.
 
     Exit status: 0 for success, 1 for failures and errors, 2 for wrong usage, 130 for Ctrl-C.
     `python -m armcell` handles output errors (`armcell._streams`) and signals (`armcell._interrupts`).

@@ -28,7 +28,7 @@ def list_types(
     package: str | None = typer.Argument(None, help="Only this package, e.g. moveit_msgs."),
     folder: Path | None = FROM,
 ) -> None:
-    """List message types: messages, services and actions with their md5 sums."""
+    """List the message types (messages, services and actions) with their md5 sums."""
     schema = _schema(folder)
     names = [*schema.messages, *schema.services]
     packages = {name.split("/")[0] for name in names}
@@ -46,7 +46,7 @@ def show(
     full: bool = typer.Option(False, "--full", help="With the definitions of all nested types."),
     folder: Path | None = FROM,
 ) -> None:
-    """Show a message type's definition and md5 sum."""
+    """Show the definition and the md5 sum of a message type."""
     from armcell.ros.definitions import plain_name
 
     schema = _schema(folder)
@@ -72,7 +72,7 @@ def generate(
     python: Path | None = typer.Option(None, "--python", metavar="FOLDER", help="Write Python classes."),
     folder: Path | None = FROM,
 ) -> None:
-    """Generate message classes: C# for Unity's ROS-TCP-Connector, Python for scripts and editors."""
+    """Generate message classes: in C# for Unity's ROS-TCP-Connector, in Python for scripts and editors."""
     from armcell.ros.csharp import NOT_SHIPPED, write
     from armcell.ros.csharp import csharp as csharp_files
     from armcell.ros.python_source import python as python_files

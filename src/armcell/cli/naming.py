@@ -26,7 +26,7 @@ ARGUMENTS = typer.Argument(
 
 @dataclass(frozen=True)
 class Naming:
-    """ROS namespace and remappings of names from the command line.
+    """ROS namespace and remappings of ROS names that the command line contains.
 
     Attributes:
         namespace: the namespace for all names; empty for none.
@@ -40,12 +40,15 @@ class Naming:
 
     @property
     def words(self) -> list[str]:
-        """Return the ROS namespace and remappings as command line options, for the record of a run."""
+        """Return the ROS namespace and the remappings in the form of
+        command line options, for the record of a run.
+        """
         space = ["--ns", self.namespace] if self.namespace else []
         return space + [word for pair in self.remap for word in ("--remap", pair)]
 
     def renamed(self, bus: Any, node: str, cell: Any) -> Any:
-        """Return the bus with ROS names remapped; the command line has priority over the cell file.
+        """Return the bus with remapped ROS names.
+        Remappings of the command line take priority over those of the cell file.
 
         Raises:
             InputError: a name is invalid, or two names become equal.
@@ -59,7 +62,8 @@ class Naming:
 
 
 def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None, ros1: bool) -> Naming:
-    """Parse the options for ROS names; with ROS 1, the default namespace is ROS_NAMESPACE.
+    """Parse the command line options for ROS names.
+    With ROS 1, the environment variable ROS_NAMESPACE is the default namespace.
 
     Raises:
         InputError: the namespace is invalid, an argument is not a remapping, or an argument applies to ROS 1
@@ -80,7 +84,9 @@ def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None,
 
 
 def unused(bus: Any) -> str:
-    """Return a warning about ROS name remappings of names that the cell does not have, or empty text."""
+    """Return a warning about remappings of ROS names that the cell does not have.
+    The text is empty if there are none.
+    """
     if bus.names is None:
         return ""
     have = {t.name for t in bus.topics()} | set(bus.services())

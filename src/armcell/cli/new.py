@@ -29,7 +29,7 @@ def new(
     ),
     force: bool = typer.Option(False, "--force", help="Write into a folder that is not empty."),
 ) -> int:
-    """Write a new, commented cell with table, object, camera and task that runs at once."""
+    """Write a new, commented cell that runs at once, with a table, an object, a camera and a task."""
     from armcell.core import InputError
     from armcell.model.known_robots import robot_names
     from armcell.model.loader import load_robot
@@ -51,7 +51,7 @@ def new(
 
 
 def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
-    """Write the first starter cell whose task succeeds without physics; return whether its task is a pick.
+    """Write the first starter cell whose task succeeds without physics. Return whether the task is a pick.
 
     Args:
         path: how the cell names the robot.

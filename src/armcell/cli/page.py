@@ -28,7 +28,7 @@ OPEN = typer.Option(False, "--open", help="Open the page in the browser.")
 
 
 class PageAt(NamedTuple):
-    """The address of a web page that a command serves: host, port and accepted host names."""
+    """Address of a web page that a command serves: the host, the port and the accepted host names."""
 
     host: str
     port: int
@@ -36,13 +36,15 @@ class PageAt(NamedTuple):
 
 
 def tell_page(page: PageServer) -> None:
-    """Print a served web page's URL with its token, and the addresses on which it listens."""
+    """Print the URL of a web page that a command serves, with its token,
+    and the addresses on which it listens.
+    """
     console.print(f"view: {page.url}", markup=False, soft_wrap=True)
     tell_listening(page.endpoints)
 
 
 def serve_page(page: PageServer, open_browser: bool) -> NoReturn:
-    """Print a web page's address, open the page on request, and wait for Ctrl-C."""
+    """Print the address of a web page, open the page if requested, and serve it until Ctrl-C."""
     tell_page(page)
     console.print("press Ctrl-C to end")
     if open_browser:

@@ -30,7 +30,7 @@ def plan(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """Plan a motion of a cell's arm and print its numbers; on failure, the reason and remedies.
+    """Plan a motion of a cell's arm and print its numbers. If planning fails, print the reason and remedies.
 
     Example: armcell plan panda_pick --pose 0.5 0.2 0.3 --planner ompl/RRTConnect
 
@@ -74,7 +74,7 @@ def plan(
 
 
 def numbers(result: Any) -> dict[str, Any]:
-    """Return the numbers of `armcell plan`'s result as JSON-ready data."""
+    """Return the numbers in a result of `armcell plan` as data for JSON."""
     trajectory, path = result.trajectory, result.path
     return {
         "ok": result.ok,

@@ -26,14 +26,16 @@ RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]"
 
 
 def records_folder(record: bool | None, mode: str, runs: Path | None) -> Path | None:
-    """Return the folder for the run folders from the recording options; None for no record."""
+    """Return the folder that receives the run folders, from the options for recording.
+    Return None for no record.
+    """
     wanted = (mode == "real" or runs is not None) if record is None else record
     return (runs or Path("runs")) if wanted else None
 
 
 @dataclass(frozen=True)
 class Kept:
-    """Recording options of a run: its folder and pictures.
+    """Options for recording a run: the folder and the pictures.
 
     Attributes:
         runs: folder of run folders; None for no record.
@@ -49,7 +51,8 @@ class Kept:
 def begin_record(
     cell: Any, scene: Any, seed: int | None, mode: str, kept: Kept, values: dict[str, Any], **more: Any
 ) -> Any:
-    """Return a recorder for a command's run with a new folder (`with` block); None without recording.
+    """Return a recorder for the run of a command, with a new run folder (use it in a `with` block),
+    or None without recording.
 
     Args:
         more: further data about the run for the record.
@@ -63,7 +66,7 @@ def begin_record(
 
 
 def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
-    """Add the observers that take pictures of a connected cell, as the recording options request."""
+    """Add the observers that take pictures of a connected cell, as the options for recording request."""
     from armcell.cell.pictures import Pictures
 
     if recorder is not None and mode == "sim" and cell.cameras:
@@ -73,14 +76,15 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
 
 
 def in_words(error: BaseException | None) -> str:
-    """Return the reason of a run's failure for its record from an exception; empty without one."""
+    """Describe the exception that made a run fail, for its record. The text is empty without an exception."""
     if error is None or isinstance(error, ArmcellError):
         return "" if error is None else str(error)
     return f"{type(error).__name__}: {error}"
 
 
 class LedRun:
-    """Record of a run that a script, clients of a served cell, or a browser user controls.
+    """Record of a run that is controlled by a script, by clients of a served cell,
+    or by a user in the browser.
 
     If `end` was called, the end of the `with` block writes the result and the report. The record is closed in
     any case.
@@ -111,7 +115,7 @@ class LedRun:
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
-        """Add observers for pictures, and a note about the gate, to a recorded run.
+        """Add observers that take pictures, and a note about the gate, to the record of a run.
 
         Call this method before the `with` block of the live cell.
         """

@@ -42,7 +42,7 @@ def replay(
     allow_host: list[str] = ALLOW_HOST,
     open_browser: bool = OPEN,
 ) -> int:
-    """Replay a recorded run in the browser (time slider), or repeat it and compare bit for bit.
+    """Replay a recorded run in the browser with a time slider, or repeat the run and compare it bit for bit.
 
     With --execute, the exit status is 0 if all recorded states, events and plans are equal, 1 if not.
     A truncated record (killed process, full disk) is shown up to its end.
@@ -91,7 +91,8 @@ def diff(
     second: Path = typer.Argument(..., metavar="RUN2"),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write it as JSON."),
 ) -> int:
-    """Print the differences of two recorded runs: first different state, event and plan, largest deviation.
+    """Print how two recorded runs differ: the first different state,
+    event and plan, and the largest deviation.
 
     Exit status 0 if the runs are equal, 1 if not. Planning times depend on the wall clock and do not count.
     """

@@ -11,7 +11,7 @@ from armcell.core import InputError
 
 
 def keep_result(recorder: Any, result: dict[str, Any], json_file: Path | None = None) -> Path | None:
-    """Write a run's files: result, record and report; call it after the result was printed.
+    """Write the files of a run: result, record and report. Call this after the result was printed.
 
     A failure to write (e.g. a full disk) then does not hide the result.
 

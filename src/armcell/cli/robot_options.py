@@ -25,7 +25,7 @@ _OPTIONS = {
 
 
 def robot_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options `--xacro-arg` and `--package` for robot files to a command (decorator).
+    """Decorate a command with the options `--xacro-arg` and `--package` for robot files.
 
     An option that the command has already (`armcell import --package`) keeps the command's meaning.
     """

@@ -23,7 +23,7 @@ Examples:
 def robots(
     name: str | None = typer.Argument(None, metavar="[NAME_OR_FILE]", help="A robot to show, or its file."),
 ) -> None:
-    """List the robots that armcell knows by name, or show one."""
+    """List the robots that armcell knows by name, or show one of them."""
     if name is None:
         _list()
     else:

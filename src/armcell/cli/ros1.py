@@ -27,7 +27,7 @@ OWN_MASTER = typer.Option(
 
 
 class Wire(NamedTuple):
-    """A command's connection (wire) of the bus to ROS 1 or other programs.
+    """Connection of the bus to ROS 1, or to other programs, that a command has opened.
 
     Attributes:
         ready: the message to print when the cell is ready.
@@ -50,7 +50,7 @@ Call it when the cell is ready: afterwards, other programs can reach the cell.
 def join(
     stack: ExitStack, bus: Any, name: str, own_master: bool | None, naming: Naming, bind: str | None
 ) -> Join:
-    """Find the ROS 1 master for a command; return a function that joins the graph.
+    """Find the ROS 1 master for a command, and return a function that joins the graph.
 
     Args:
         own_master: True starts a built-in master, False never does, None does if no master is reachable.
@@ -72,7 +72,8 @@ def join(
 
 
 def reserved(stack: ExitStack, transport: Transport) -> Join:
-    """Reserve a transport's port (ROS 1, Unity) for a command; return a function that opens it.
+    """Reserve the port of a transport (ROS 1, Unity) for a command,
+    and return a function that opens the transport.
 
     Raises:
         InputError: the port is in use.
@@ -88,7 +89,7 @@ def reserved(stack: ExitStack, transport: Transport) -> Join:
 
 
 def check_own_master(ros1: bool, own_master: bool | None) -> None:
-    """Check that the ROS 1 option --own-master is used with --ros1.
+    """Check that the ROS 1 option --own-master is used only with --ros1.
 
     Raises:
         InputError: --own-master without --ros1.

@@ -14,20 +14,24 @@ WAIT = 3.0  # [s] for subscribers to connect and to receive the messages
 
 
 class GraphClient:
-    """Client of a ROS 1 graph for topics and services commands, like a ROS-TCP client."""
+    """Client of a ROS 1 graph for the commands `topic` and `service`,
+    with the methods of a ROS-TCP client.
+    """
 
     def __init__(self, bus: Any, graph: Any):
         self._bus, self._graph = bus, graph
 
     def topic_list(self, timeout: float) -> dict[str, str]:
-        """Return a ROS 1 graph's topics for `armcell topic`: types by name."""
+        """Return the topics of a ROS 1 graph for `armcell topic`, as types by name."""
         node = self._graph.node
         publishers, subscribers, _ = node.ask_master("getSystemState")
         others = {name for name, nodes in (*publishers, *subscribers) if set(nodes) - {node.name}}
         return {name: kind for name, kind in node.ask_master("getTopicTypes") if name in others}
 
     def wait_heard(self, topic: str) -> None:
-        """Wait in `armcell topic` at most `WAIT` seconds until all ROS 1 subscribers are connected."""
+        """Wait, for `armcell topic`, until all ROS 1 subscribers of a
+        topic are connected, at most `WAIT` seconds.
+        """
         node = self._graph.node
         self._graph.wait_settled(WAIT)
         subscribers = dict(node.ask_master("getSystemState")[1]).get(topic, [])
@@ -35,7 +39,7 @@ class GraphClient:
         self._wait(lambda: sum(len(p.links()) for p in node.publications() if p.topic == topic) >= count)
 
     def flush(self) -> None:
-        """Wait until all messages of `armcell topic pub` to ROS 1 are sent, at most `WAIT` seconds."""
+        """Wait until `armcell topic pub` has sent all its messages to ROS 1, at most `WAIT` seconds."""
         node = self._graph.node
         self._wait(lambda: not any(x.waiting for p in node.publications() for x in p.links()))
 
@@ -48,7 +52,8 @@ class GraphClient:
 
 @contextmanager
 def joined_to_graph() -> Iterator[tuple[Any, GraphClient]]:
-    """Yield a new bus for topic commands, joined to the ROS 1 graph at ROS_MASTER_URI, and its client.
+    """Yield a new bus for the topic commands, joined to the ROS 1 graph at ROS_MASTER_URI,
+    and the client of the graph.
 
     Raises:
         InputError: no master answers.

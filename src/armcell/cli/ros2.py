@@ -23,7 +23,7 @@ DOMAIN = typer.Option(
 def join(
     stack: ExitStack, bus: Any, node: str, domain: int | None, bind: str | None = None, namespace: str = ""
 ) -> Join:
-    """Read a command's ROS 2 options; return a function that joins the domain.
+    """Read the ROS 2 options of a command, and return a function that joins the domain.
 
     The exit stack leaves the domain when it closes.
 
@@ -56,7 +56,7 @@ def join(
 
 
 def check_domain(ros2: bool, domain: int | None) -> None:
-    """Check that --domain is used with --ros2.
+    """Check that the ROS 2 option --domain is used only with --ros2.
 
     Raises:
         InputError: --domain without --ros2.

@@ -107,7 +107,7 @@ def run(
         help="Put a simulated camera's pictures into the record, 5 per second by default; may be repeated.",
     ),
 ) -> int:
-    """Run a cell's task, or a rospy / moveit_commander script in a cell, in physics.
+    """Run the task of a cell in physics, or run a rospy or moveit_commander script in a cell.
 
     Prints the stage table and writes runs/<time>-<cell>/ with an HTML report, the numbers (result.json) and
     a record for Foxglove (run.mcap). Exit status 0 if the task succeeded, 1 if not.
@@ -238,7 +238,7 @@ def run(
 
 
 def _tell_failed_layer(health: Any, headless: bool) -> None:
-    """Print the states of the cell's layers if one failed to start in `armcell run`.
+    """Print the state of each layer of the cell if a layer failed to start in `armcell run`.
 
     The error message follows separately. If the description failed, print nothing: the error message is
     sufficient.
@@ -283,7 +283,9 @@ def _print(result: dict[str, Any]) -> None:
 
 
 class _Bar:
-    """Progress bar of `armcell run` with the running stage; pulses, as the number of stages is unknown."""
+    """Progress bar of `armcell run`, which shows the present stage.
+    It pulses because the number of stages is unknown.
+    """
 
     def __init__(self, progress: Progress):
         self._progress = progress

@@ -29,7 +29,8 @@ def run_script_command(
     time_scale: float | None, auto_grip: bool | None, view: bool, at: PageAt, without_gate: str | None,
     kept: Kept, set_: Sequence[str] = (), wires: ScriptWires = ScriptWires(), gains: str | None = None,
 ) -> int:  # fmt: skip
-    """Run a ROS script of the command line unchanged in a cell, and return its exit status.
+    """Run a ROS script unchanged in a cell, as the command line requests,
+    and return the exit status of the script.
 
     With `wires.ros1`, script and cell join a ROS 1 graph, and arguments of the form from:=to are remappings.
     """
@@ -132,7 +133,9 @@ def _ros1(wires: ScriptWires, arguments: Sequence[str]) -> Ros1Settings | None:
 def _run_elsewhere(
     file: Path, cell: str, arguments: Sequence[str], wires: ScriptWires, set_: Sequence[str]
 ) -> int:
-    """Run a ROS script that controls an external simulator or robot, and record the run (command line)."""
+    """Run a ROS script from the command line that controls an
+    external simulator or robot, and record the run.
+    """
     from armcell.cell import load, parsed, with_values
     from armcell.moveit import run_script
     from armcell.moveit.lint import closes_gripper_itself
@@ -155,7 +158,7 @@ def lint(
     scripts: list[Path] = typer.Argument(..., metavar="SCRIPT.py", help="Scripts to read; none is run."),
     as_json: bool = typer.Option(False, "--json", help="Print the findings as JSON."),
 ) -> int:
-    """Lint rospy and moveit_commander scripts: find known traps, with lines and replacements.
+    """Lint rospy and moveit_commander scripts. Known traps are reported with their lines and replacements.
 
     Exit status 1 if there are any.
     """

@@ -26,7 +26,7 @@ LOOK = 0.1  # [s] between two checks whether the other end publishes
 
 
 class UnityCommand(TyperCommand):
-    """Command for a ROS script with the wire option --unity, which needs no HOST:PORT."""
+    """Command for a ROS script with the connection option --unity, which needs no HOST:PORT."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         full: list[str] = []
@@ -41,7 +41,7 @@ class UnityCommand(TyperCommand):
 
 @dataclass(frozen=True)
 class ScriptWires:
-    """Wires (connections) of a ROS script and its cell: Unity, ROS 1, ROS 2.
+    """Connections that a ROS script and its cell open to other programs: Unity, ROS 1 and ROS 2.
 
     Attributes:
         unity: HOST:PORT of the ROS-TCP endpoint, or None.
@@ -62,7 +62,7 @@ class ScriptWires:
         return self != ScriptWires()
 
     def check(self) -> None:
-        """Check that a script's wire options (Unity, ROS 1, ROS 2) are consistent.
+        """Check that the options of a script for its connections (Unity, ROS 1, ROS 2) are consistent.
 
         Raises:
             InputError: the options do not go together.
@@ -75,7 +75,9 @@ class ScriptWires:
             )
 
     def words(self) -> list[str]:
-        """Return a script's wire options (Unity, ROS 1, ROS 2) in command line form."""
+        """Return the options for a script's connections (Unity, ROS
+        1, ROS 2) in the form of a command line.
+        """
         return [
             *(("--unity", self.unity) if self.unity else ()),
             *(["--ros1"] if self.ros1 else []),
@@ -84,7 +86,8 @@ class ScriptWires:
         ]
 
     def joins(self, stack: ExitStack, bus: Any) -> list[Join]:
-        """Reserve the wires of a script (ports for Unity, ROS 2); return the functions that connect them.
+        """Reserve the connections of a script (the ports for Unity and ROS 2),
+        and return the functions that open them.
 
         The script session itself joins ROS 1.
 
@@ -103,7 +106,9 @@ class ScriptWires:
         return found
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:
-        """Connect the wires of a script's cell; with --plan-only, wait for the other end's joint states."""
+        """Open the connections of a script's cell to other programs.
+        With --plan-only, wait for the joint states of the other end.
+        """
         from armcell.ros.nodes import ServedPlanner
 
         if session.graph is not None:

@@ -47,7 +47,7 @@ SECONDS = typer.Option(None, "--for", metavar="SECONDS", min=0.1, help="End by i
 
 @dataclass(frozen=True)
 class _Served:
-    """Options of `armcell serve` for a served cell.
+    """Options of `armcell serve` for the cell that it serves.
 
     Attributes:
         command: the command line up to the options of the cell.
@@ -106,7 +106,8 @@ def serve(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """Run a cell and serve it: publish states; accept trajectories, planning, pick and place.
+    """Run a cell and serve it to other programs.
+    The cell publishes its states and accepts trajectories, planning, pick and place.
 
     Unity connects to the port with its ROS-TCP-Connector, in ROS 1 or ROS 2 mode. With --ros1, ROS programs
     see a node that publishes, plans and moves as MoveIt's move_group does; with --ros2, ROS 2 programs do.
@@ -149,14 +150,14 @@ def serve(
 
 
 class _Wires:
-    """The connections of `armcell serve` to Unity and ROS; closed until the cell is ready."""
+    """Connections of `armcell serve` to Unity and ROS, which stay closed until the cell is ready."""
 
     def __init__(self, joins: Sequence[Join]):
         self._joins = joins
         self._wires: list[Wire] = []
 
     def open(self, bus: Any = None) -> None:
-        """Open `armcell serve`'s connections and print their addresses."""
+        """Open the connections of `armcell serve`, and print their addresses."""
         for join in self._joins:
             wire = join()
             self._wires.append(wire)
@@ -168,7 +169,9 @@ class _Wires:
 
 
 def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
-    """Reserve `armcell serve`'s Unity port; return a function that serves Unity until the stack closes."""
+    """Reserve the Unity port of `armcell serve`, and return a
+    function that serves Unity until the stack closes.
+    """
     from armcell.ros.transports import TcpTransport
 
     connect = reserved(stack, TcpTransport(bus, f"{bind}:{port}", protocol))
@@ -178,7 +181,7 @@ def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str)
 
 
 def open_wire(stack: ExitStack, bus: Any, wire: str) -> Join:
-    """Reserve for `armcell serve` a registered transport, given as NAME or NAME=ADDRESS.
+    """Reserve a registered transport for `armcell serve`, which is given as NAME or NAME=ADDRESS.
 
     Raises:
         UnknownNameError: no such transport.
@@ -213,7 +216,7 @@ def sim(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """Run a cell in place of Unity: connect to a ROS-TCP endpoint as Unity would, until Ctrl-C.
+    """Run a cell in place of Unity. It connects to a ROS-TCP endpoint as Unity would, until Ctrl-C.
 
     With --ros1 or --ros2, the cell is a node that publishes states and takes trajectories and gripper
     commands.
@@ -254,7 +257,9 @@ def sim(
     client: RosTcpClient | None = None
 
     def joined(inside: Any) -> None:
-        """Connect `armcell sim` to the endpoint once the cell publishes, as topics are unknown before."""
+        """Connect `armcell sim` to the endpoint, once the cell
+        publishes and its topics are therefore known.
+        """
         nonlocal client
         kept = ("/clock", "/joint_states", "/tf", STATUS)
         topics = inside.topics()
@@ -278,7 +283,7 @@ def sim(
 
 
 def address(text: str) -> tuple[str, int]:
-    """Split the option `host:port` of `armcell sim` into host and port.
+    """Split an address `host:port`, as given to `armcell sim`, into host and port.
 
     Raises:
         InputError: the text does not have this form, or the port is out of range.
@@ -380,7 +385,7 @@ def _tell_unused(bus: Any) -> None:
 
 
 def _until(seconds: float | None, line: _StatusLine, over: threading.Event | None) -> None:
-    """Show `armcell serve`'s status line until the time is up or the cell has ended."""
+    """Show the status line of `armcell serve` until the time is up or the cell has ended."""
     end = None if seconds is None else time.monotonic() + seconds
     while (over is None or not over.is_set()) and (end is None or time.monotonic() < end):
         line.show()
@@ -392,7 +397,9 @@ def _until(seconds: float | None, line: _StatusLine, over: threading.Event | Non
 
 
 class _StatusLine:
-    """Status line of `armcell serve`: updated in place on a terminal, else printed when the peers change."""
+    """Status line of `armcell serve`.
+    On a terminal it is updated in place, else it is printed when the peers change.
+    """
 
     def __init__(
         self, bus: Any, executed: Callable[[], int | None], status: Callable[[], str],

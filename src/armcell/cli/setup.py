@@ -71,7 +71,8 @@ def setup(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """Set up a robot: create a cell and a MoveIt package from a URDF, with groups, gripper, poses, pairs.
+    """Set up a robot: create a cell and a MoveIt package from a URDF, with groups, gripper, poses and the
+    pairs of links that need no collision check.
 
     Exit status 0 if the folder was written.
     """
@@ -105,7 +106,7 @@ def setup(
 
 
 def _first_cell(folder: Path) -> None:
-    """`armcell setup`: replace the cell by one with a table and a cube that the gripper reaches."""
+    """Replace the cell of `armcell setup` by one with a table and a cube that the gripper reaches."""
     from armcell.cli.new import write_starter
     from armcell.model.loader import load_robot
 
@@ -148,7 +149,7 @@ def numbers(option: str, text: str) -> tuple[float, float, float]:
 
 @contextmanager
 def _progress(samples: int) -> Iterator[Callable[[str, int], None]]:
-    """Show `armcell setup`'s progress bar on standard error if it is a terminal."""
+    """Show the progress bar of `armcell setup` on standard error, if that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda what, done: None
         return
@@ -182,7 +183,7 @@ def _show(proposal: Proposal) -> None:
 
 
 def _gripper(proposal: Proposal, name: str) -> str:
-    """`armcell setup`: describe an end effector's gripper, or why it has none."""
+    """Describe, for `armcell setup`, the gripper of an end effector, or why the end effector has none."""
     from armcell.model.setup.gripper import reasons
 
     hint = "to pick and place, describe it under 'grippers' in robot.yaml (docs/adding_a_gripper.md)"

@@ -31,7 +31,8 @@ def tf(
     domain: int | None = DOMAIN,
     seconds: float = typer.Option(2.0, "--for", metavar="SECONDS", min=0.2, help="How long to listen."),
 ) -> int:
-    """Print the tf frame tree with rates and ages, then its faults; exit status 1 if it has faults.
+    """Print the tree of tf frames with rates and ages, and then its faults.
+    The exit status is 1 if there are faults.
 
     Faults: missing frames, two parents, cycles, several trees, stale frames, wrong stamps, bad numbers.
     Without an address, the cell itself runs for the given time (mode fake).

@@ -28,7 +28,7 @@ WAIT = 3.0  # [s] timeout to connect and to list the topics
 
 @app.command("list")
 def list_topics(connect: str = CONNECT, ros1: bool = ROS1) -> None:
-    """List the ROS topics and their message types."""
+    """List the ROS topics with their message types."""
     with joined_to(connect, ros1=ros1) as (_, client):
         for name, type_name in sorted(_topics(client).items()):
             console.print(f"{name}  {type_name}", soft_wrap=True, markup=False)
@@ -99,7 +99,7 @@ def pub(
 
 
 def plain(value: Any) -> Any:
-    """Return a message for `armcell topic echo` as dicts, lists and numbers."""
+    """Convert a message to dicts, lists and numbers, which `armcell topic echo` prints."""
     if hasattr(value, "_fields"):
         return {name: plain(getattr(value, name)) for name in value._fields}
     if isinstance(value, np.ndarray):
@@ -108,7 +108,7 @@ def plain(value: Any) -> Any:
 
 
 def filled(message: Any, values: Any) -> Any:
-    """Fill `armcell topic pub`'s message from a nested mapping and return it.
+    """Fill the message of `armcell topic pub` with the values in a nested mapping, and return it.
 
     Raises:
         UnknownNameError: a field does not exist.
@@ -143,7 +143,8 @@ def yaml_values(text: str) -> Any:
 def joined_to(
     connect: str, timeout: float = 10.0, ros1: bool = False, **bridge: dict[str, str]
 ) -> Iterator[tuple[Any, Any]]:
-    """Yield `armcell topic`'s new bus, joined to a ROS-TCP endpoint or ROS 1 graph, and its client.
+    """Yield a new bus for `armcell topic`, joined to a ROS-TCP endpoint or a ROS 1 graph,
+    and the client of that connection.
 
     Raises:
         InputError: no endpoint or master answers.
@@ -193,7 +194,7 @@ def _messages(topic: str, type_name: str | None, connect: str, ros1: bool, queue
 
 
 def _flush(client: Any) -> None:
-    """Wait until the endpoint has received from `armcell topic pub` all published messages.
+    """Wait until the endpoint has received all messages that `armcell topic pub` has published.
 
     The endpoint answers in order, so a request that it answers proves that all earlier messages arrived.
     """

@@ -14,7 +14,7 @@ def twin(
     seed: int = typer.Option(0, min=0, help="Of the motions' goals."),
     yes: bool = typer.Option(False, "--yes", help="Do not ask. For emulators."),
 ) -> int:
-    """Move the real arms and learn their normal deviation from their simulated twin.
+    """Move the real arms, and learn how much they normally deviate from their simulated twin.
 
     The command starts with a slow loop. Run it after every change of model, gains or calibration.
     It writes <cell>.twin.json beside the cell file; from then on, mode real slows and stops an arm that

@@ -67,7 +67,7 @@ def ur_controller(
     ),
     off: bool = typer.Option(False, "--off", help="Begin powered off."),
 ) -> int:
-    """Emulate Universal Robots controllers: RTDE, dashboard and script ports, until Ctrl-C.
+    """Emulate controllers of Universal Robots until Ctrl-C, with ports for RTDE, dashboard and scripts.
 
     Runs with real-time priority if permitted (as root on Linux).
     """
@@ -122,7 +122,7 @@ def ur_controller(
 
 
 def _print_notice(host: str, notice: Notice) -> None:
-    """Print an emulated UR controller's notice, as the teach pendant would show it."""
+    """Print a notice of an emulated UR controller, as the teach pendant would show it."""
     from armcell.emulators.ur.notices import Popup, ScriptFault
 
     if isinstance(notice, Popup | ScriptFault):
@@ -133,7 +133,7 @@ def ur_dashboard(
     host: str = typer.Argument(..., help="The robot's address."),
     command: list[str] = typer.Argument(..., help='What to send, such as "robotmode" or "power on".'),
 ) -> int:
-    """Send a command to a UR robot's dashboard server (real or emulated) and print its answer.
+    """Send a command to the dashboard server of a real or emulated UR robot, and print the answer.
 
     Common commands: robotmode, safetymode, power on, brake release, unlock protective stop, pause, play.
     """

@@ -45,7 +45,8 @@ def view(
     runs: Path | None = RUNS,
     without_gate: str | None = WITHOUT_GATE,
 ) -> int:
-    """View a cell in the browser and plan: drag the goal, choose planner and speed, preview, execute.
+    """View a cell in the browser and plan there: drag the goal,
+    choose planner and speed, preview and execute.
 
     The scene can be edited in the browser, too.
 
@@ -69,7 +70,9 @@ def view(
         recording = stack.enter_context(ExitStack())
 
         def connect(now: Any, observers: Sequence[Observer]) -> Any:
-            """Return a live cell for `armcell view` with its own record; an edited scene needs a new cell."""
+            """Return a live cell for `armcell view` with a record of its own.
+            Each edited scene needs a new cell.
+            """
             recording.close()
             run = LedRun(loaded, now, seed, mode, kept, {}, "the user of the page", command, gate=gate)
             recording.enter_context(run)

@@ -17,7 +17,9 @@ FRAME = 1 / 30  # [s]
 def show(
     scene: Any, trajectory: JointTrajectory | None, explanation: Explanation | None, at: PageAt, title: str
 ) -> None:
-    """Show for the option `--view` a trajectory once in real time, or an explanation; wait for Enter."""
+    """Show a trajectory once in real time, or an explanation, as the option `--view` requests.
+    Then wait for Enter.
+    """
     from armcell.viewer import CellViewer, show_explanation
 
     with CellViewer(scene, title=title, **at._asdict()) as viewer:

@@ -19,7 +19,8 @@ _FEW = 32  # arrays with fewer numbers are checked faster one by one than by np.
 
 
 def settings_from(cls: type[T], values: Any, what: str) -> T:
-    """Check a nested mapping, such as parsed YAML, and create a settings dataclass from it.
+    """Create a settings dataclass from a nested mapping, such as parsed YAML, after checking the mapping's
+    names and values.
 
     Raises:
         InputError: unknown name (lists the valid names), wrong type, missing or invalid value.
@@ -46,7 +47,9 @@ def _number(value: Any) -> bool:
 
 
 def _like(default: Any, value: Any, what: str) -> Any:
-    """Check and convert a setting's value from a file to the type of the setting's default value."""
+    """Convert a setting's value from a file to the type of the setting's default value, after checking that
+    this is possible.
+    """
     if is_dataclass(default) and not isinstance(default, type):
         return settings_from(type(default), value, what)
     if (reads := getattr(type(default), "from_setting", None)) is not None:  # a type with its own parser
@@ -73,7 +76,9 @@ def _like(default: Any, value: Any, what: str) -> Any:
 
 
 def is_number(value: Any, infinite: bool = False) -> bool:
-    """Check whether a value is one real number; infinity counts only with `infinite`, NaN never."""
+    """Return whether a value is a single real number. NaN never counts as a number, infinity only with
+    `infinite`.
+    """
     if type(value) is float:  # nearly always
         return math.isfinite(value) or (infinite and not math.isnan(value))
     if not isinstance(value, int | float | np.integer | np.floating):
@@ -87,7 +92,7 @@ def is_number(value: Any, infinite: bool = False) -> bool:
 def float_array(
     values: ArrayLike, shape: tuple[int | None, ...] | None, what: str, finite: bool = True
 ) -> NDArray[np.float64]:
-    """Check the shape of values and convert them to a float array for compiled code.
+    """Convert values to a float array for compiled code, after checking their shape.
 
     Args:
         shape: the required shape. None in it accepts any length, a leading -1 any number of axes; None
@@ -122,7 +127,7 @@ def float_array(
 
 
 def unit_vector(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Check a direction (3,) and normalize it to length 1.
+    """Check a direction vector (3,) and scale it to length 1.
 
     Raises:
         InputError: not three finite numbers, or all are zero.
@@ -146,7 +151,8 @@ _TUPLE = {
 
 
 def checked(*unbounded: str) -> Callable[[type[T]], type[T]]:
-    """Return a class decorator that checks a dataclass's fields: reject NaN, infinity and non-numbers.
+    """Return a class decorator that checks the fields of a dataclass; its constructor then rejects NaN,
+    infinity and values that are not numbers.
 
     Apply it below `@dataclass`.
 
@@ -202,6 +208,6 @@ def _fits(value: Any, kind: str, infinite: bool) -> bool:
 
 
 def require(condition: bool, text: str) -> None:
-    """Check a condition: raise an InputError unless it holds."""
+    """Check a condition, and raise an InputError with the given text if it is false."""
     if not condition:
         raise InputError(text)

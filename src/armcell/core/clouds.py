@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 
 
 def finite_points(points: ArrayLike) -> tuple[Array, int]:
-    """Return the finite points of a point cloud (n, 3), and the number of dropped points.
+    """Return the finite points of a point cloud (n, 3), and the number of points that were dropped because
+    they are not finite.
 
     Depth cameras mark pixels without depth by NaN.
     """
@@ -30,7 +31,7 @@ def finite_points(points: ArrayLike) -> tuple[Array, int]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PointCloud:
-    """A point cloud: balls of one radius [m] around points (n, 3) [m] in the shape's frame.
+    """Shape of a point cloud: balls of equal radius [m] around points (n, 3) [m], given in the shape's frame.
 
     Raises:
         InputError: a point is not finite (see `finite_points`), or the radius is not positive.
@@ -52,7 +53,7 @@ class PointCloud:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Return the lowest and highest corner (3,), (3,) [m] of a point cloud's bounding box.
+        """Return the lowest and the highest corner, each (3,) [m], of the box that encloses a point cloud.
 
         Both corners are zero if the cloud is empty.
         """
@@ -61,7 +62,8 @@ class PointCloud:
 
 @dataclass(frozen=True, eq=False)
 class Octree:
-    """Octree shape, like a point cloud from a map: occupied cubes aligned with the octree's frame.
+    """Octree shape, for example from a 3D map: a set of occupied cubes that are aligned with the axes of the
+    octree's frame.
 
     centers (n, 3) [m], sizes (n,) full edge lengths [m]. Cubes may overlap and need no common grid.
     """
@@ -83,7 +85,8 @@ class Octree:
 
     @staticmethod
     def from_grid(occupied: ArrayLike, size: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Octree:
-        """Create an octree shape (cloud of cells) from a boolean grid (i, j, k); merge eight neighbors.
+        """Create an octree shape from a boolean occupancy grid (i, j, k). Eight occupied neighbors are merged
+        into a larger cube.
 
         Args:
             origin: the lowest corner of cell (0, 0, 0) [m].
@@ -110,7 +113,7 @@ class Octree:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Return the lowest and highest corner (3,), (3,) [m] of an octree shape's bounding box.
+        """Return the lowest and the highest corner, each (3,) [m], of the box that encloses an octree.
 
         Both corners are zero if the octree is empty.
         """

@@ -14,7 +14,7 @@ WORLD = "world"
 @dataclass(frozen=True)
 @checked()
 class JointConstraint:
-    """A constraint that keeps a joint within tolerances [rad or m] of a position.
+    """Constraint that keeps a joint within tolerances [rad or m] of a desired position.
 
     The joint stays between position - tolerance_below and position + tolerance_above.
     """
@@ -28,7 +28,9 @@ class JointConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PositionConstraint:
-    """A constraint that keeps a point of a link inside at least one shape of a region."""
+    """Constraint that keeps a point of a link inside a region, that is, inside at least one of the region's
+    shapes.
+    """
 
     region: tuple[tuple[Shape, SE3], ...]  # (shape, T_frame_shape)
     link: str | None = None  # default: the group's tip; also an attached object or a subframe
@@ -39,7 +41,7 @@ class PositionConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class OrientationConstraint:
-    """A constraint that keeps a link's orientation within a tolerance about each axis [rad].
+    """Constraint that keeps the orientation of a link within a tolerance [rad] about each axis.
 
     A tolerance of pi or more frees its axis.
 
@@ -58,7 +60,7 @@ class OrientationConstraint:
 @dataclass(frozen=True, eq=False)
 @checked()
 class VisibilityConstraint:
-    """A constraint that keeps the cone from a sensor to a disc free of robot links.
+    """Constraint that keeps the view cone from a sensor to a target disc free of the robot's links.
 
     The sensor's own link, the link that carries the disc, and attached objects do not count (as in MoveIt).
     World objects are not checked.
@@ -77,7 +79,7 @@ class VisibilityConstraint:
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """A set of constraints on a robot's motion or its goal, which must all hold."""
+    """Set of constraints on the motion of a robot or on its goal; all of them must hold at the same time."""
 
     joints: tuple[JointConstraint, ...] = ()
     positions: tuple[PositionConstraint, ...] = ()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Contact:
-    """Contact: two bodies (links or objects) in contact or close to contact.
+    """Contact between two bodies (links or objects) that touch or are close to each other.
 
     `distance` [m] is negative in penetration; `position` (3,) is in the world frame [m].
     """

@@ -21,7 +21,7 @@ _TABLES = {"tcp": "0A", "tcp6": "0A", "udp": "", "udp6": ""}
 
 @dataclass(frozen=True, order=True)
 class Endpoint:
-    """Endpoint: a network address at which a socket accepts TCP connections or UDP datagrams.
+    """Network endpoint: an address at which a socket accepts TCP connections or receives UDP datagrams.
 
     Attributes:
         host: numeric address as bound; 0.0.0.0 and :: mean every interface.
@@ -35,13 +35,13 @@ class Endpoint:
 
     @classmethod
     def of(cls, sock: socket.socket, service: str = "") -> Endpoint:
-        """Return the network address of a bound listening socket as an `Endpoint`."""
+        """Create an `Endpoint` that describes the network address of a bound or listening socket."""
         host, port = sock.getsockname()[:2]
         return cls("udp" if sock.type == socket.SOCK_DGRAM else "tcp", host, port, service)
 
     @property
     def is_local(self) -> bool:
-        """Return whether only processes on this machine can reach an endpoint's network address."""
+        """Return whether a network address (endpoint) can be reached only by processes on this machine."""
         return ipaddress.ip_address(self.host.partition("%")[0]).is_loopback
 
     def __str__(self) -> str:
@@ -51,7 +51,8 @@ class Endpoint:
 
 
 def reserve(host: str, port: int) -> socket.socket:
-    """Reserve a TCP endpoint without opening it: connections are refused until `listen`.
+    """Reserve a TCP port without opening it: connections to this endpoint are refused until `listen` is
+    called.
 
     A server reserves its port before it loads anything, so that a port in use is an early error, and listens
     when the service behind the port is ready.
@@ -73,7 +74,7 @@ def reserve(host: str, port: int) -> socket.socket:
 
 
 def listen(sock: socket.socket, backlog: int) -> None:
-    """Accept connections on a TCP endpoint that `reserve` has reserved.
+    """Start to accept connections on a TCP port that `reserve` has reserved.
 
     Args:
         backlog: number of connections that may wait to be accepted.
@@ -90,12 +91,13 @@ def listen(sock: socket.socket, backlog: int) -> None:
 
 
 def host_in_url(host: str) -> str:
-    """Format an endpoint's host for a URL: put an IPv6 address into brackets."""
+    """Format the host of an endpoint for use in a URL; IPv6 addresses are put into brackets."""
     return f"[{host}]" if ":" in host else host
 
 
 def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
-    """List endpoints: the listening TCP sockets and bound UDP sockets of processes, from /proc.
+    """List the network endpoints of the given processes, that is, their listening TCP sockets and bound UDP
+    sockets. The data come from /proc.
 
     Args:
         pids: process IDs; this process by default. Ended processes have no sockets.
@@ -116,7 +118,8 @@ def open_sockets(pids: Iterable[int] | None = None) -> set[Endpoint]:
 
 
 def descendants(pid: int) -> list[int]:
-    """List the IDs of a process and its descendants, to list their endpoints (sockets).
+    """List the IDs of a process and of all its descendants, whose open sockets (endpoints) can then be
+    listed.
 
     Systems without /proc yield only the process itself.
     """
@@ -144,7 +147,9 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
-    """Return the sockets of a /proc/net table whose inode is in a set, to list endpoints."""
+    """Return the sockets in a /proc/net table that belong to the given inodes, to list the endpoints of a
+    process.
+    """
     try:
         lines = file.read_text().splitlines()[1:]
     except OSError:  # the process has ended, or the kernel has no IPv6
@@ -159,7 +164,9 @@ def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
 
 
 def _numeric(text: str) -> str:
-    """Decode an endpoint's IP address of /proc/net: hexadecimal 32-bit words in machine byte order."""
+    """Decode an IP address from /proc/net, where it is stored as hexadecimal 32-bit words in machine byte
+    order.
+    """
     words = [int(text[i : i + 8], 16) for i in range(0, len(text), 8)]
     raw = b"".join(word.to_bytes(4, sys.byteorder) for word in words)
     return str(ipaddress.ip_address(raw))

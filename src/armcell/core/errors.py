@@ -13,7 +13,9 @@ from pathlib import Path
 
 
 class ErrorCode(IntEnum):
-    """MoveIt's error codes (moveit_msgs/MoveItErrorCodes), including their misspelled name."""
+    """MoveIt's error codes (moveit_msgs/MoveItErrorCodes). The one misspelled name is kept as MoveIt spells
+    it.
+    """
 
     SUCCESS = 1
     FAILURE = 99999
@@ -52,11 +54,11 @@ class ErrorCode(IntEnum):
 
 
 class ArmcellError(Exception):
-    """Base class of armcell's errors. `str()` is a one-line message."""
+    """Base class of all errors that armcell raises. `str()` returns a message of one line."""
 
 
 class InputError(ArmcellError):
-    """Error for invalid input; the message states the element, the file, the cause and the hint."""
+    """Error for invalid input. The message states what is wrong in which file, why, and how to correct it."""
 
     def __init__(
         self,
@@ -77,7 +79,7 @@ class InputError(ArmcellError):
 
 
 class UnknownNameError(InputError):
-    """Error for an unknown name; the message lists the valid names and the closest one."""
+    """Error for an unknown name. The message lists the valid names and suggests the most similar one."""
 
     def __init__(self, kind: str, name: object, known: Iterable[object], **where):
         self.kind, self.name, self.known = kind, name, sorted(map(str, known))  # YAML keys may have any type
@@ -88,7 +90,7 @@ class UnknownNameError(InputError):
 
 
 class MissingExtraError(ArmcellError):
-    """Error for an optional dependency that is not installed."""
+    """Error for an optional dependency that is required but not installed."""
 
     def __init__(self, package: str, extra: str):
         super().__init__(f"{package} is not installed (pip install 'armcell[{extra}]')")

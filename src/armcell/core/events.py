@@ -12,7 +12,7 @@ from armcell.core.transforms import SE3
 
 @dataclass(frozen=True, eq=False)
 class StateSample:
-    """State of a robot cell at one instant for observers of its events: joints, objects, grippers."""
+    """State of a robot cell at one instant, as passed to observers: joints, objects and grippers."""
 
     time: float  # [s]
     joints: JointState  # all actuated joints, with velocities and efforts where known
@@ -25,7 +25,7 @@ class StateSample:
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """An event of a cell's run, for example a stage's start, a weld, or an unwanted contact.
+    """Event during the run of a robot cell, for example the start of a stage, a weld, or an unwanted contact.
 
     `kind` is one of "stage", "plan", "scene", "grasp", "weld", "contact", "stop", "error", "note". The event
     of a stage has the stage's name as text and `data["phase"]` "begin" or "end"; the event of a plan contains
@@ -39,7 +39,7 @@ class Event:
 
 
 class Observer(Protocol):
-    """A receiver of a cell's states, events and trajectories.
+    """Base class for receivers of the states, events and trajectories of a robot cell.
 
     The thread that steps the cell calls the methods, so they must return quickly.
     """

@@ -24,7 +24,8 @@ TRIED = {True: "", None: " (not tried)", False: " (needed, but not enough alone)
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
-    """Suggestion in an explanation: a change of the scene or planning request after a failure.
+    """Suggested change of the scene or of the planning request that may turn a failed request into a
+    successful one.
 
     Attributes:
         text: the change as an instruction ("move the goal 12 mm along +z").
@@ -40,7 +41,9 @@ class Suggestion:
     works: bool | None = None
 
     def apply(self, scene: Any, request: Any) -> tuple[Any, Any]:
-        """Apply an explanation's suggestion: return the changed scene and request, the arguments stay."""
+        """Apply a suggested change to a scene and a request, and return changed copies; the arguments are not
+        modified.
+        """
         return self.change(scene, request, **self.arguments)
 
     def as_dict(self) -> dict[str, Any]:
@@ -56,7 +59,7 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Explanation: the causes of a failed request, and the changes that would help.
+    """Explanation of a failed request: the causes of the failure, and the changes that would help.
 
     Attributes:
         summary: one line.
@@ -78,7 +81,7 @@ class Explanation:
     data: Mapping[str, Any] = field(default_factory=dict)
 
     def text(self) -> str:
-        """Return the explanation of a failure as text, one finding per line."""
+        """Return the explanation of a failed request as text, with one line per finding."""
         lines = [f"{self.code.name}: {self.summary}", *(f"  {line}" for line in self.details)]
         if self.suggestions:
             lines.append("what would help:")
@@ -87,7 +90,7 @@ class Explanation:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the explanation of a failure as a dictionary of JSON types."""
+        """Return the explanation of a failed request as a dictionary that contains only JSON types."""
         return {
             "code": int(self.code),
             "code_name": self.code.name,
@@ -102,7 +105,7 @@ class Explanation:
 
 
 def plain(value: Any) -> Any:
-    """Convert an explanation's value to JSON types.
+    """Convert a value from an explanation to JSON types.
 
     Non-finite numbers become None, and a pose becomes a mapping of position and quaternion.
     """

@@ -30,7 +30,7 @@ def _positive(what: str, **sizes: float) -> None:
 @dataclass(frozen=True)
 @checked()
 class Box:
-    """Box shape with full edge lengths x, y, z [m], centered on its own frame."""
+    """Box shape, centered on its own frame, with full edge lengths x, y and z [m]."""
 
     x: float
     y: float
@@ -74,7 +74,7 @@ class Cylinder:
 @dataclass(frozen=True)
 @checked()
 class Capsule:
-    """Capsule shape with the length and radius [m] of its cylindrical part.
+    """Capsule shape: a cylindrical part of the given length and radius [m], with a half ball at each end.
 
     The total length is `length + 2 radius`.
     """
@@ -93,7 +93,7 @@ class Capsule:
 @dataclass(frozen=True)
 @checked()
 class Cone:
-    """Cone shape with its base at -length/2 and its apex at +length/2 [m]."""
+    """Cone shape whose base is at -length/2 and whose apex is at +length/2 on the z axis [m]."""
 
     radius: float
     length: float
@@ -108,7 +108,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Plane:
-    """Plane shape: a half space as an obstacle: z <= 0 in its own frame is solid."""
+    """Plane shape, an obstacle that fills a half space: all points with z <= 0 in its own frame are solid."""
 
     @property
     def half_extents(self) -> Array:
@@ -146,7 +146,8 @@ Shape = Box | Sphere | Cylinder | Capsule | Cone | Plane | Mesh | PointCloud | O
 
 
 def extent(shape: Shape, direction: Array) -> tuple[float, float]:
-    """Return the lowest and highest coordinate [m] of a shape's geometry along a unit direction (3,).
+    """Return the lowest and the highest coordinate [m] that a shape reaches along a direction, given as a
+    unit vector (3,).
 
     The direction is in the shape's frame.
     """
@@ -180,7 +181,8 @@ def extent(shape: Shape, direction: Array) -> tuple[float, float]:
 
 
 def local_bounds(shape: Shape) -> tuple[Array, Array]:
-    """Return center and half extents (3,), (3,) [m] of a shape geometry's bounding box, in its frame.
+    """Return the center and the half extents, each (3,) [m], of a shape's bounding box in the frame of the
+    shape.
 
     The box is aligned with the axes of the shape's frame.
     """

@@ -14,7 +14,7 @@ from armcell.core.errors import InputError
 @dataclass(frozen=True, eq=False)
 @checked()
 class HeightMap:
-    """Height map: a grid of heights [m] over a rectangle of the world, as seen from above.
+    """Height map: a grid of heights [m] over a rectangle of the world, as a camera sees it from above.
 
     Unseen cells have the height of the highest seen neighbor, because hidden objects may be there.
     """
@@ -25,7 +25,9 @@ class HeightMap:
     resolution: float  # [m]
 
     def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the center of each height-map cell (n, 2) at its height: points (n, 3) [m, world]."""
+        """Return the centers of the given cells of a height map as points (n, 3) [m, world frame], each at
+        the height of its cell.
+        """
         cells = float_array(cells, (None, 2), "cells").astype(np.int64)
         if ((cells < 0) | (cells >= self.heights.shape)).any():
             raise InputError(f"a cell is outside a map of {self.heights.shape} cells")
@@ -35,7 +37,9 @@ class HeightMap:
         return found
 
     def cells_within(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
-        """Return a mask (nx, ny) of the height-map cells whose center is in a rectangle [m, world]."""
+        """Return a mask (nx, ny) of the cells in a height map whose centers are inside a rectangle [m, world
+        frame].
+        """
         low, high = float_array(low, (2,), "low"), float_array(high, (2,), "high")
         nx, ny = self.heights.shape
         x = self.origin[0] + self.resolution * np.arange(nx)

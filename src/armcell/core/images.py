@@ -19,7 +19,7 @@ MAX_PIXELS = 8192
 @dataclass(frozen=True)
 @checked()
 class Pinhole:
-    """Intrinsics of a pinhole camera. Pixel centers have integer coordinates; x is right, y down.
+    """Intrinsics of a pinhole camera. The centers of pixels have integer coordinates; x points right, y down.
 
     `distortion` is "plumb_bob" as in ROS and OpenCV: k1, k2, p1, p2, k3; empty for a rectified image.
     """
@@ -48,7 +48,7 @@ class Pinhole:
 
     @staticmethod
     def of_fov(width: int, height: int, fovy_deg: float) -> Pinhole:
-        """Create camera image intrinsics with square pixels from a vertical field of view [deg].
+        """Create the intrinsics of a pinhole camera with square pixels from its vertical field of view [deg].
 
         The principal point is the center of the image.
         """
@@ -59,16 +59,19 @@ class Pinhole:
 
     @property
     def matrix(self) -> Array:
-        """Return the camera matrix K (3, 3) [px] of a pinhole image."""
+        """Return the camera matrix K (3, 3) [px] of a pinhole camera."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     @property
     def fovy_deg(self) -> float:
-        """Return the vertical field of view [deg] of a pinhole image with centered principal point."""
+        """Return the vertical field of view [deg] of a pinhole camera whose principal point is at the image
+        center.
+        """
         return float(np.rad2deg(2 * np.arctan(self.height / 2 / self.fy)))
 
     def project(self, points: ArrayLike) -> Array:
-        """Project points (n, 3) [m, camera frame] to image pixels (n, 2), without distortion.
+        """Project points (n, 3) [m, camera frame] to pixel coordinates (n, 2) of a camera image, without lens
+        distortion.
 
         Points behind the camera yield NaN.
         """
@@ -80,7 +83,7 @@ class Pinhole:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CameraImage:
-    """A camera image: color (h, w, 3) uint8, depth (h, w) [m] along the optical axis, or both.
+    """Camera image with color (h, w, 3) uint8, depth (h, w) [m] along the optical axis, or both.
 
     Pixels without depth are 0 (NaN and negative numbers mean the same). The camera frame is optical: z
     forward, x right, y down.

@@ -6,7 +6,8 @@ import math
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """Return Wilson's confidence interval (1927) of a success rate from its counts.
+    """Return Wilson's confidence interval (1927) of a success rate, given the numbers of successes and
+    trials.
 
     `z` is 1.96 for 95 %. Without trials the interval is (0, 1).
 

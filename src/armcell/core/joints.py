@@ -29,13 +29,13 @@ def _columns(have: Names, want: Iterable[str]) -> list[int]:
 
 
 def all_finite(values: Array) -> bool:
-    """Return whether all values (n,) of a joint state are finite, faster than NumPy for small n."""
+    """Return whether all values (n,) of a joint state are finite; for small n, this is faster than NumPy."""
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """A joint state: positions [rad or m] and, if known, velocities of named joints.
+    """State of named joints: their positions [rad or m] and, if known, their velocities.
 
     Velocities are in rad/s or m/s.
     """
@@ -68,7 +68,7 @@ class JointState:
         joint_names: Names, positions: Array, velocities: Array | None = None, efforts: Array | None = None,
         time: float = 0.0,
     ) -> JointState:  # fmt: skip
-        """Create a joint state without checks and copies, for drivers with high sample rates."""
+        """Create a joint state without checking or copying the arrays, for drivers with high sample rates."""
         state = object.__new__(JointState)
         state.__dict__.update(
             joint_names=joint_names, positions=positions, velocities=velocities, efforts=efforts, time=time
@@ -80,7 +80,7 @@ class JointState:
         return JointState(tuple(values), np.array(list(values.values()), dtype=float))
 
     def reindexed(self, joint_names: Iterable[str]) -> JointState:
-        """Return the joint state in another joint order, or for a subset of its joints.
+        """Return a joint state with its joints in another order, or reduced to some of its joints.
 
         Raises:
             UnknownNameError: this state does not have the joint.
@@ -91,7 +91,7 @@ class JointState:
         return JointState(names, self.positions[cols], pick(self.velocities), pick(self.efforts), self.time)
 
     def columns(self, joint_names: Iterable[str]) -> list[int]:
-        """Return the indices of the given joints in a joint state.
+        """Return the indices at which the given joints are stored in the arrays of a joint state.
 
         Raises:
             UnknownNameError: this state does not have the joint.
@@ -99,7 +99,9 @@ class JointState:
         return _columns(self.joint_names, joint_names)
 
     def updated(self, other: JointState) -> JointState:
-        """Return a joint state with the positions of another state's joints replaced."""
+        """Return a copy of a joint state with the positions of some joints replaced by those in another
+        state.
+        """
         positions = self.positions.copy()
         positions[_columns(self.joint_names, other.joint_names)] = other.positions
         return JointState(self.joint_names, positions, time=other.time or self.time)
@@ -113,7 +115,7 @@ class JointState:
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """A path of waypoints in joint space, connected by straight segments, without time."""
+    """Path in joint space: waypoints that are connected by straight segments, without timing."""
 
     joint_names: Names
     waypoints: Array  # (k, n) [rad or m]
@@ -130,7 +132,9 @@ class JointPath:
 
     @property
     def length(self) -> float:
-        """Return a joint-space path's length [rad]: the sum of its segments' Euclidean lengths."""
+        """Return the length [rad] of a path in joint space, the sum of the Euclidean lengths of its
+        segments.
+        """
         return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
 
     def reversed(self) -> JointPath:
@@ -139,7 +143,9 @@ class JointPath:
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """A timed joint motion with optional velocities and accelerations (trajectory_msgs)."""
+    """Timed motion of joints (joint trajectory), optionally with velocities and accelerations, as in ROS's
+    trajectory_msgs.
+    """
 
     joint_names: Names
     times: Array  # (k,) [s], from the start, strictly increasing
@@ -182,7 +188,7 @@ class JointTrajectory:
         return JointState(self.joint_names, self.positions[-1])
 
     def reindexed(self, joint_names: Iterable[str]) -> JointTrajectory:
-        """Return the trajectory in another joint order, or for a subset of its joints.
+        """Return a joint trajectory with its joints in another order, or reduced to some of its joints.
 
         Raises:
             UnknownNameError: this trajectory does not have the joint.
@@ -197,7 +203,7 @@ class JointTrajectory:
         )
 
     def sample(self, t: float) -> tuple[Array, Array, Array]:
-        """Return a joint trajectory's position, velocity and acceleration (n,) at time t [s].
+        """Return the position, velocity and acceleration, each (n,), of a joint trajectory at a time t [s].
 
         Before the start and after the end, the position is constant.
 
@@ -219,7 +225,8 @@ class JointTrajectory:
         return self._between(i, t - times[i], [h**k for k in range(6)])
 
     def samples(self, times: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return a joint trajectory's positions, velocities and accelerations (k, n) at times (k,) [s].
+        """Return the positions, velocities and accelerations, each (k, n), of a joint trajectory at several
+        times (k,) [s].
 
         The values equal the results of `sample`, but take less time than single calls.
         """
@@ -238,7 +245,8 @@ class JointTrajectory:
         return q, v, a
 
     def _between(self, i: Any, s: Any, h: Sequence[Any]) -> tuple[Array, Array, Array]:
-        """Evaluate a joint trajectory's position, velocity and acceleration s [s] after its point i.
+        """Evaluate position, velocity and acceleration of a joint trajectory at a time s [s] after its point
+        i.
 
         Args:
             h: powers 0 to 5 of the interval's length. For k times, s and the powers have shape (k, 1).

@@ -17,7 +17,7 @@ T = TypeVar("T", float, Array)
 
 
 class Playback:
-    """Playback: a fast evaluator of a trajectory's positions and velocities.
+    """Fast evaluator for playing back a trajectory: it returns the positions and velocities at any time.
 
     The values agree with `JointTrajectory.sample`; accelerations are not available.
 
@@ -57,7 +57,8 @@ class Playback:
         self._coefficients = np.concatenate([c, slopes], axis=2)  # (k - 1, 6, 2n)
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return during playback a trajectory's position and velocity (n,) at time t [s].
+        """Return the position and the velocity, each (n,), of the trajectory that is played back at a time t
+        [s].
 
         Before the start and after the end, the position is constant.
         """
@@ -69,7 +70,8 @@ class Playback:
         return both[:n], both[n:]
 
     def at_times(self, times: ArrayLike) -> tuple[Array, Array]:
-        """Return during playback a trajectory's positions and velocities (k, n) at times (k,) [s].
+        """Return the positions and velocities, each (k, n), of the trajectory that is played back at several
+        times (k,) [s].
 
         Before the start and after the end, the position is constant.
         """

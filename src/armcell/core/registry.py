@@ -30,7 +30,8 @@ _loading = threading.RLock()
 
 
 def load_plugins(group: str) -> None:
-    """Import the plugin modules that installed packages declare for a registry, once per process.
+    """Import the plugin modules that installed packages declare for a registry. Each module is imported once
+    per process.
 
     A plugin that fails to import gives a warning that names the plugin, its package and the error; the other
     plugins are loaded.
@@ -55,7 +56,8 @@ def _package(point: EntryPoint) -> str:
 
 
 class Registry(Generic[T]):
-    """Registry: a mapping from names to registered components, such as planners or drivers.
+    """Registry of components, such as planners or drivers, which maps the name of each component to the
+    component.
 
     `@registry.register("name")` adds a component; `registry["name"]` returns it.
 
@@ -78,7 +80,9 @@ class Registry(Generic[T]):
         return add
 
     def imported(self) -> dict[str, T]:
-        """Return a registry's components of all imported modules, without loading plugins."""
+        """Return the components in a registry that imported modules have registered, without loading
+        plugins.
+        """
         return dict(self._items)
 
     def _load_plugins(self) -> None:

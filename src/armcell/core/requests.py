@@ -15,7 +15,7 @@ from armcell.core.transforms import SE3
 @dataclass(frozen=True, eq=False)
 @checked()
 class JointGoal:
-    """Goal of a planning request by joint positions; joints without a goal keep their positions.
+    """Goal of a planning request that gives positions of some joints; the other joints keep their positions.
 
     The planner prefers the exact positions and otherwise uses positions within the tolerance. With `turns`, a
     joint may end whole turns away from its goal, as close to the start as its limits allow.
@@ -29,7 +29,7 @@ class JointGoal:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PoseGoal:
-    """Goal of a planning request: a link's pose (default: the group's tip) in the world frame.
+    """Goal of a planning request that gives the world pose of a link, by default of the planning group's tip.
 
     The planner prefers the exact pose and otherwise uses one within the tolerances: a ball around the
     position, and a rotation by less than one angle, or less than three angles about the goal's axes.
@@ -43,14 +43,17 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class NamedGoal:
-    """Goal of a planning request: a named state of the group (group_state in the SRDF)."""
+    """Goal of a planning request that refers to a named state of the planning group (group_state in the
+    SRDF).
+    """
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintGoal:
-    """Goal of a planning request as a region: any state that satisfies all constraints.
+    """Goal of a planning request that is a region: any robot state that satisfies all constraints reaches the
+    goal.
 
     The constraints limit position, orientation, region and joint ranges.
     """
@@ -68,7 +71,7 @@ ADAPTERS = ("fix_start_state_bounds", "resolve_constraint_frames", "timing", "va
 @dataclass(frozen=True, eq=False)
 @checked()
 class PlanRequest:
-    """A request for a collision-free motion of one planning group.
+    """Request to plan a collision-free motion of one planning group.
 
     The defaults are MoveIt's where MoveIt has one.
     """
@@ -98,7 +101,7 @@ class PlanRequest:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CartesianRequest:
-    """A request for straight-line motions of a link through poses (compute_cartesian_path)."""
+    """Request to move a link through poses on straight lines, as in MoveIt's compute_cartesian_path."""
 
     group: str
     waypoints: tuple[SE3, ...]  # T_world_link
@@ -117,7 +120,7 @@ class CartesianRequest:
 
 @dataclass(frozen=True, eq=False)
 class SequenceRequest:
-    """A request for a sequence of motions with a blend radius [m] around each motion's end.
+    """Request for a sequence of motions, with a blend radius [m] at the end of each motion.
 
     With radius 0, the robot stops there.
     """

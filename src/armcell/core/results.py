@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Base class of results: an error code, a one-line message, and evidence by name."""
+    """Base class of results: an error code, a message of one line, and evidence by name."""
 
     code: ErrorCode
     message: str = ""
@@ -34,7 +34,8 @@ class Outcome:
         return self.code is ErrorCode.SUCCESS
 
     def explain(self, seconds: float = 10.0) -> Explanation:
-        """Explain a failed result and suggest changes, within about the given number of seconds.
+        """Explain a failed result and suggest changes that would help; the search for them takes about the
+        given number of seconds.
 
         Without a diagnosis for the kind of request, the explanation contains the code, the message and the
         contacts.
@@ -50,7 +51,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class IKResult(Outcome):
-    """Result of an inverse kinematics request: joint positions (dof,) of a planning group.
+    """Result of an inverse kinematics request, with the joint positions (dof,) that were found.
 
     After a failure, `positions` are the closest ones found.
     """
@@ -62,7 +63,7 @@ class IKResult(Outcome):
 
 @dataclass(frozen=True)
 class PlanResult(Outcome):
-    """Result of a planning request: a path and its trajectory.
+    """Result of a planning request, with a path and the trajectory along this path.
 
     After a failure both are None, except for partial Cartesian paths.
     """
@@ -76,7 +77,7 @@ class PlanResult(Outcome):
 
     @cached_property
     def min_clearance(self) -> float:
-        """Return the minimum clearance [m] of a plan result's motion, over the checked pairs.
+        """Return the smallest clearance [m] between the checked pairs of bodies during a planned motion.
 
         The value is computed on first access.
         """
@@ -85,7 +86,7 @@ class PlanResult(Outcome):
 
 @dataclass(frozen=True)
 class ExecutionResult(Outcome):
-    """The result of an executed motion: times [s] of the driver's clock, and errors."""
+    """Result of executing a motion, with times [s] on the driver's clock and the tracking errors."""
 
     started: float = 0.0
     finished: float = 0.0

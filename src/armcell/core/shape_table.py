@@ -32,7 +32,7 @@ from armcell.core.transforms import SE3
 
 
 class Format(StrEnum):
-    """Shape table's file and message formats that support only some of the shapes by name.
+    """File and message formats that know only some of the shapes in the shape table by name.
 
     Cell files and records support all shapes.
     """
@@ -46,7 +46,9 @@ class Format(StrEnum):
 
 @dataclass(frozen=True)
 class SolidPrimitive:
-    """Shape table entry for shape_msgs/SolidPrimitive: a shape's `type` and the order of its `dimensions`."""
+    """Entry of the shape table that describes a shape as shape_msgs/SolidPrimitive: its `type` and the order
+    of its `dimensions`.
+    """
 
     type: int
     dimensions: tuple[str, ...]
@@ -54,7 +56,8 @@ class SolidPrimitive:
 
 @dataclass(frozen=True, eq=False)
 class SizedMesh(Mesh):
-    """Kind of shape in the shape table: a mesh made from sizes by a function of `register_shape`.
+    """Mesh shape in the shape table, which is created from sizes by a function that was registered with
+    `register_shape`.
 
     Attributes:
         name: name of the shape in the table.
@@ -67,7 +70,8 @@ class SizedMesh(Mesh):
 
 @dataclass(frozen=True)
 class ShapeKind:
-    """One row of the shape table: constructor, names of the sizes, and supporting formats.
+    """Row of the shape table, which describes one kind of shape: its constructor, the names of its sizes, and
+    the formats that support it.
 
     Attributes:
         make: the shape's class, or a function that makes the shape from its sizes.
@@ -87,20 +91,23 @@ class ShapeKind:
     parts: Callable[[Any, SE3], list[tuple[Shape, SE3]]] | None = None
 
     def values(self, shape: Any) -> list[float]:
-        """Return a shape's sizes [m] in the order of the shape table."""
+        """Return the sizes [m] of a shape in the order that the shape table defines."""
         if isinstance(shape, SizedMesh):
             return list(shape.sizes)
         return [float(getattr(shape, size)) for size in self.sizes]
 
     def named(self, shape: Any) -> dict[str, Any]:
-        """Return a shape's sizes [m] by the shape table's names, or as one list under the key `vector`."""
+        """Return the sizes [m] of a shape under the names that the shape table defines, or as one list under
+        the key `vector`.
+        """
         values = self.values(shape)
         return {self.vector: values} if self.vector else dict(zip(self.sizes, values, strict=True))
 
     def from_named(
         self, number: Callable[[str], float], vector: Callable[[str, int], Sequence[float]]
     ) -> Shape:
-        """Create a shape of a shape table's kind from a format that stores sizes by name.
+        """Create a shape of this kind in the shape table; its sizes are read from a format that stores them
+        by name.
 
         Args:
             number: reads one number by name.
@@ -130,7 +137,7 @@ def make_shape(name: str, sizes: Sequence[float]) -> Shape:
 
 
 def shape_name(shape: Shape) -> str:
-    """Return a shape's name in the shape table.
+    """Return the name that the shape table uses for a shape.
 
     Meshes and clouds have no row; the result is their class name in lower case.
     """
@@ -138,18 +145,17 @@ def shape_name(shape: Shape) -> str:
 
 
 def shape_kind(shape: Shape, format: Format | None = None) -> ShapeKind | None:
-    """Return a shape's row in the shape table, or None.
+    """Return the row of the shape table that describes a shape, or None if there is no such row.
 
     The result is None for meshes and clouds, and if `format` does not know the shape by name.
-
-    None for meshes and clouds, and if `format` does not know the shape by name.
     """
     kind = shapes.imported().get(shape_name(shape))
     return kind if kind is None or format is None or format in kind.formats else None
 
 
 def simpler_parts(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
-    """Return the shape table's simpler shapes with poses that replace a shape at pose T, or the shape itself.
+    """Return simpler shapes with poses that together replace a shape at pose T, or the shape itself if the
+    shape table has no parts for it.
 
     The result is for formats that do not know the shape.
     """
@@ -158,7 +164,9 @@ def simpler_parts(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
 
 
 def named_shapes(format: Format) -> Mapping[str, ShapeKind]:
-    """Return the shape table's rows of the shapes that a format knows by name, by shape name."""
+    """Return all rows of the shape table whose shapes a format knows by name, as a dictionary by shape
+    name.
+    """
     return {name: kind for name, kind in shapes.imported().items() if format in kind.formats}
 
 
@@ -166,7 +174,8 @@ MeshFunction = Callable[..., tuple[ArrayLike, ArrayLike]]
 
 
 def register_shape(name: str) -> Callable[[MeshFunction], MeshFunction]:
-    """Register a shape in the shape table by a function from its sizes [m] to a mesh, as a decorator.
+    """Decorate a function that makes a mesh from sizes [m], so that the shape table contains this mesh as a
+    shape.
 
     The function returns vertices (v, 3) and faces (f, 3).
 

@@ -27,13 +27,13 @@ QUAT_NORM_TOLERANCE = 1e-3
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the skew-symmetric matrix (3, 3) of a vector for transforms: `skew(v) @ w == cross(v, w)`."""
+    """Return the skew-symmetric matrix (3, 3) of a vector, for which `skew(v) @ w == cross(v, w)`."""
     x, y, z = np.asarray(v, dtype=float)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _length(v: Array) -> float:
-    """Return, for transforms, the length of a vector (n,), in a third of the time of `np.linalg.norm`.
+    """Return the Euclidean length of a vector (n,) for transforms, three times as fast as `np.linalg.norm`.
 
     Both results have the same bits.
     """
@@ -46,7 +46,7 @@ def _finite(values: ArrayLike, count: int, what: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SO3:
-    """SO3: a rotation, stored as a 3x3 matrix."""
+    """Rotation in three dimensions (SO3), stored as a 3x3 matrix."""
 
     matrix: Array  # (3, 3)
 
@@ -64,7 +64,7 @@ class SO3:
 
     @staticmethod
     def from_quat_wxyz(quat_wxyz: ArrayLike) -> SO3:
-        """Create an SO3 rotation from a unit quaternion, scalar first.
+        """Create a rotation (SO3) from a unit quaternion in the order w, x, y, z (scalar first).
 
         Raises:
             InputError: not four finite numbers, or a norm further from 1 than `QUAT_NORM_TOLERANCE`.
@@ -88,13 +88,17 @@ class SO3:
 
     @staticmethod
     def from_quat_xyzw(quat_xyzw: ArrayLike) -> SO3:
-        """Create an SO3 rotation from a unit quaternion, scalar last (ROS, SciPy, Unity)."""
+        """Create a rotation (SO3) from a unit quaternion in the order x, y, z, w (scalar last, as in ROS,
+        SciPy and Unity).
+        """
         x, y, z, w = _finite(quat_xyzw, 4, "a quaternion").tolist()
         return SO3.from_quat_wxyz(np.array((w, x, y, z)))
 
     @staticmethod
     def from_rpy(rpy: ArrayLike) -> SO3:
-        """Create an SO3 rotation from roll, pitch, yaw [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)` (URDF)."""
+        """Create a rotation (SO3) from roll, pitch and yaw angles [rad]: `Rz(yaw) @ Ry(pitch) @ Rx(roll)`, as
+        in URDF.
+        """
         r, p, y = _finite(rpy, 3, "roll-pitch-yaw")
         cr, sr, cp, sp, cy, sy = np.cos(r), np.sin(r), np.cos(p), np.sin(p), np.cos(y), np.sin(y)
         return SO3(
@@ -109,7 +113,7 @@ class SO3:
 
     @staticmethod
     def exp(rotvec: ArrayLike) -> SO3:
-        """Create an SO3 rotation from a rotation vector (3,) [rad], by Rodrigues' formula."""
+        """Create a rotation (SO3) from a rotation vector (3,) [rad] by Rodrigues' formula."""
         v = _finite(rotvec, 3, "a rotation vector")
         angle = float(np.linalg.norm(v))
         K = skew(v)
@@ -119,7 +123,7 @@ class SO3:
 
     @staticmethod
     def between(a: ArrayLike, b: ArrayLike) -> SO3:
-        """Return the shortest SO3 rotation that turns direction `a` into direction `b`."""
+        """Return the smallest rotation (SO3) that turns direction `a` into direction `b`."""
         u, v = _finite(a, 3, "a direction"), _finite(b, 3, "a direction")
         if not (u.any() and v.any()):
             raise InputError("a direction must not be zero")
@@ -136,7 +140,9 @@ class SO3:
 
     @property
     def quat_wxyz(self) -> Array:
-        """Return an SO3 rotation as unit quaternion, scalar first, scalar >= 0 (Shepperd's method)."""
+        """Return a rotation (SO3) as a unit quaternion w, x, y, z with w >= 0, computed by Shepperd's
+        method.
+        """
         (a, b, c), (d, e, f), (g, h, i) = self.matrix.tolist()  # Python's floats: a fifth of numpy's time
         trace = a + e + i
         largest = max(trace, a, e, i)
@@ -154,12 +160,14 @@ class SO3:
 
     @property
     def quat_xyzw(self) -> Array:
-        """Return an SO3 rotation as unit quaternion, scalar last, scalar >= 0."""
+        """Return a rotation (SO3) as a unit quaternion x, y, z, w with w >= 0."""
         return np.roll(self.quat_wxyz, -1)
 
     @property
     def rpy(self) -> Array:
-        """Return an SO3 rotation as roll, pitch, yaw [rad]; roll is 0 at the pitch singularity."""
+        """Return a rotation (SO3) as roll, pitch and yaw angles [rad]. If the pitch makes them ambiguous,
+        roll is 0.
+        """
         m = self.matrix
         pitch = np.arctan2(-m[2, 0], np.hypot(m[0, 0], m[1, 0]))
         if abs(np.cos(pitch)) < 1e-9:
@@ -167,7 +175,7 @@ class SO3:
         return np.array([np.arctan2(m[2, 1], m[2, 2]), pitch, np.arctan2(m[1, 0], m[0, 0])])
 
     def log(self) -> Array:
-        """Return an SO3 rotation as a rotation vector (3,) [rad] with a length of at most pi."""
+        """Return a rotation (SO3) as a rotation vector (3,) [rad], whose length is at most pi."""
         q = self.quat_wxyz
         v = q[1:].copy()
         n = _length(v)
@@ -184,7 +192,7 @@ class SO3:
 
 @dataclass(frozen=True, eq=False)
 class SE3:
-    """SE3: a rigid transform between two frames: rotation and translation [m]."""
+    """Rigid transform between two frames (SE3): a rotation and a translation [m]."""
 
     rotation: SO3
     translation: Array  # (3,)
@@ -208,12 +216,14 @@ class SE3:
 
     @staticmethod
     def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> SE3:
-        """Create an SE3 transform from a position [m] and roll-pitch-yaw [rad], as in URDF's `<origin>`."""
+        """Create a rigid transform (SE3) from a position [m] and roll, pitch, yaw angles [rad], as in URDF's
+        `<origin>`.
+        """
         return SE3(SO3.from_rpy(rpy), _finite(xyz, 3, "a position"))
 
     @staticmethod
     def from_matrix(matrix: ArrayLike) -> SE3:
-        """Create an SE3 transform from a 4x4 homogeneous matrix."""
+        """Create a rigid transform (SE3) from a 4x4 homogeneous matrix."""
         m = float_array(matrix, (4, 4), "a homogeneous transform")
         R = m[:3, :3]
         if not (np.abs(R @ R.T - _IDENTITY) <= _ORTHOGONAL).all() or np.linalg.det(R) < 0:
@@ -230,7 +240,8 @@ class SE3:
 
     @staticmethod
     def from_mapping(value: object, what: str = "pose") -> SE3:
-        """Create an SE3 transform from a pose in a cell file: a list, or a mapping with xyz and rpy.
+        """Create a rigid transform (SE3) from a pose in a cell file, which is a list or a mapping with the
+        position and the rotation.
 
         The forms are `[x, y, z]`, `[x, y, z, roll, pitch, yaw]` and `{xyz: [...], rpy: [...]}` / `{xyz,
         rpy_deg}` / `{xyz, quat_xyzw}`.
@@ -285,18 +296,20 @@ class SE3:
         return SE3(SO3(R @ other.rotation.matrix), R @ other.translation + self.translation)
 
     def apply(self, points: ArrayLike) -> Array:
-        """Map points (..., 3) by an SE3 transform from the child frame to the parent frame."""
+        """Transform points (..., 3) from the child frame to the parent frame of a rigid transform (SE3)."""
         p = points if isinstance(points, np.ndarray) else float_array(points, None, "points", finite=False)
         if p.shape[-1:] != (3,):
             raise InputError(f"points must have shape (..., 3), not {p.shape}")
         return p @ self.rotation.matrix.T + self.translation
 
     def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> SE3:
-        """Return an SE3 pose translated by x, y, z [m] along the axes of its parent frame."""
+        """Return a pose (SE3) that is translated by x, y, z [m] along the axes of its parent frame."""
         return SE3(self.rotation, self.translation + _finite((x, y, z), 3, "a shift"))
 
     def distance_to(self, other: SE3) -> tuple[float, float]:
-        """Return the distance between two SE3 poses in position [m] and in rotation angle [rad]."""
+        """Return the distance between the positions of two poses (SE3) [m] and the angle between their
+        orientations [rad].
+        """
         angle = _length((self.rotation.inv() @ other.rotation).log())
         return _length(self.translation - other.translation), angle
 
@@ -305,11 +318,15 @@ class SE3:
         return meters <= position and radians <= rotation
 
     def interpolate(self, other: SE3, fraction: float) -> SE3:
-        """Interpolate between two SE3 poses: linear position and constant angular velocity."""
+        """Interpolate between two poses (SE3): the position changes linearly, the orientation with constant
+        angular velocity.
+        """
         return self.interpolated(other, [fraction])[0]
 
     def interpolated(self, other: SE3, fractions: Iterable[float]) -> list[SE3]:
-        """Interpolate between two SE3 poses at many fractions, faster than single calls."""
+        """Interpolate between two poses (SE3) at many fractions in one call, which is faster than single
+        calls.
+        """
         fractions = float_array(list(fractions), (None,), "fractions")
         rotvec = (self.rotation.inv() @ other.rotation).log()
         turns = float(np.linalg.norm(rotvec)) > 1e-12  # less is rounding

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Push:
-    """Disturbance of a simulated cell: external force on a link or object, at its center, world axes.
+    """Disturbance of a simulated cell: an external force that pushes a
+    link or object at its center, given in world axes.
 
     Attributes:
         on: name of the link or object.
@@ -25,7 +26,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Move:
-    """Disturbance of a simulated cell: displacement of an object in a run, which only cameras observe.
+    """Disturbance of a simulated cell: an object is displaced during a run, and only cameras can observe it.
 
     Attributes:
         object: name of a fixed or movable object.
@@ -42,7 +43,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Disturbances of one simulated cell; by default there are none.
+    """All disturbances of one simulated cell. By default there are none.
 
     Attributes:
         joint_offsets: joint name to offset [rad] of the true joint position from the encoder's reading.

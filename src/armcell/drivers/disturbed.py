@@ -22,7 +22,7 @@ from armcell.scene import PlanningScene
 
 
 class DisturbedSim(SteppedSim):
-    """Disturbed simulation driver, which applies `Disturbances` to every command and joint reading.
+    """Simulation driver that applies `Disturbances` to every command and every joint reading.
 
     The driver cannot play parts of a trajectory itself, so no command bypasses the disturbances.
     """
@@ -87,7 +87,7 @@ class DisturbedSim(SteppedSim):
         self.command(names, state.reindexed(names).positions, np.zeros(len(names)))
 
     def _act(self) -> None:
-        """Send the disturbed simulation the joint commands whose delay has passed."""
+        """Send the disturbed simulation those joint commands whose delay has passed."""
         while self._late and self._late[0][0] <= self._steps:
             _, names, q, v = self._late.popleft()
             self.world.set_arm_target(names, q, v)
@@ -106,7 +106,9 @@ class DisturbedSim(SteppedSim):
         self._pacer.wait_until(self.world.time)
 
     def _events(self) -> Iterator[int]:
-        """Yield the disturbed simulation's steps at which a command, push or displacement takes effect."""
+        """Yield the steps of the disturbed simulation at which a command,
+        push or displacement takes effect.
+        """
         if self._late:
             yield self._late[0][0]
         for first, last, _ in self._pushes:
@@ -123,7 +125,7 @@ class DisturbedSim(SteppedSim):
                 forces[self.world.built.body[push.on], :3] += push.force
 
     def _move(self) -> None:
-        """Displace objects of the disturbed simulation whose displacement time has come."""
+        """Displace the objects of the disturbed simulation whose time for a displacement has come."""
         while self._moved < len(self._moves) and self._moves[self._moved][0] <= self._steps:
             move = self._moves[self._moved][1]
             T = self.world.object_pose(move.object)

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class Capability(Enum):
-    """Optional abilities of a robot driver; each value completes the sentence "the driver can ..."."""
+    """Optional abilities of a robot driver. Each value completes the sentence "the driver can ..."."""
 
     PLAY_TRAJECTORY = "play a whole trajectory itself"  # follow
     PLAY_PARTS = "play a part of a trajectory in one call"  # play
@@ -37,7 +37,7 @@ class Capability(Enum):
 
 @dataclass(frozen=True)
 class GripperReading:
-    """A driver's reading of a gripper: its opening, its force, and the object that it holds."""
+    """Reading that a driver returns for a gripper: its opening, its force and the object that it holds."""
 
     width: float  # [m]
     force_per_finger: float  # [N]
@@ -58,7 +58,7 @@ class ContactRecord:
 
 @dataclass(frozen=True)
 class WeldRecord:
-    """Driver's record of an object that a constraint other than friction attached to a gripper."""
+    """Record of a driver that an object is attached to a gripper by a constraint other than friction."""
 
     object: str
     gripper: str
@@ -70,7 +70,7 @@ class WeldRecord:
 @dataclass(frozen=True)
 @checked()
 class DriverOptions:
-    """Options that a cell passes to every driver; each driver reads only some of them."""
+    """Options that a cell passes to every driver. Each driver reads only some of them."""
 
     seed: int = 0
     time_scale: float | None = None  # None: lock-step; 1.0: real time
@@ -81,7 +81,8 @@ class DriverOptions:
 
 
 class Driver(ABC):
-    """Base class of drivers: connection to a real or simulated robot; `with driver:` connects.
+    """Base class of drivers.
+    A driver is the connection to a real or simulated robot, and `with driver:` connects.
 
     The constructor performs no I/O. Time is the driver's own clock [s]; only `advance` moves it forward, so
     callers never sleep. One thread drives the robot. Other threads may read the state while they hold `lock`.
@@ -119,7 +120,7 @@ class Driver(ABC):
     @property
     @abstractmethod
     def now(self) -> float:
-        """Return the time [s] of the robot driver's clock."""
+        """Return the present time [s] on the clock of the robot driver."""
 
     @abstractmethod
     def advance(self, duration: float) -> None:
@@ -128,35 +129,42 @@ class Driver(ABC):
     # --- arms ---
     @abstractmethod
     def joint_state(self) -> JointState:
-        """Return a robot driver's state of all actuated joints, in the model's order."""
+        """Return the state of all actuated joints from a robot driver, in the order of the model."""
 
     @abstractmethod
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Command the robot driver's joint targets [rad, rad/s]; return the setpoints actually sent."""
+        """Command target positions and velocities [rad, rad/s] of joints to a robot driver, and return the
+        setpoints that were actually sent.
+        """
 
     def targets(self) -> JointState | None:
-        """Return the arm joint positions last commanded to the driver, or None before the first command."""
+        """Return the joint positions that the driver last commanded to the arms,
+        or None before the first command.
+        """
         return None
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop the driver's robot immediately and hold its measured joint positions."""
+        """Stop the robot of a driver immediately, and hold its measured joint positions."""
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the driver's arms that own given joints at their measured positions; other arms continue."""
+        """Stop those arms of a driver that own the given joints, at their measured positions.
+        Other arms continue.
+        """
         names = tuple(joint_names)
         q = self.joint_state().reindexed(names).positions
         self.command(names, q, np.zeros(len(q)))
 
     # --- faults ---
     def fault(self) -> Fault | None:
-        """Return the fault that currently prevents motion of the driver's robot, or None."""
+        """Return the fault that at present prevents the driver's robot from moving, or None."""
         return None
 
     def resume(self) -> None:
-        """Make a driver's stopped robot ready for motions again, without moving it; discard old goals.
+        """Make a driver's robot ready for motions again after a stop, without moving it.
+        Old goals are discarded.
 
         If nothing has stopped the robot, the call has no effect, even during a motion. Any thread may call
         this.
@@ -169,56 +177,64 @@ class Driver(ABC):
 
     @property
     def safety_events(self) -> Sequence[SafetyEvent]:
-        """Return all stops and resumes that a driver's real arms had so far, with time and cause."""
+        """Return all stops and resumes of the driver's real arms so far, each with its time and cause."""
         return ()
 
     # --- grippers and objects ---
     @abstractmethod
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
-        """Drive a driver's gripper to a width [m] with a limited force per finger [N]; width 0 grasps."""
+        """Move a driver's gripper to a width [m] with limited force [N] per finger. A width of 0 grasps."""
 
     @abstractmethod
     def gripper(self, gripper: str) -> GripperReading: ...
 
     @abstractmethod
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object of the movable objects that a driver knows."""
+        """Return T_world_object of the movable objects whose poses a driver knows."""
 
     def true_poses(self) -> dict[str, SE3]:
-        """Return a simulated driver's T_world_object of objects from physics, without camera errors.
+        """Return the true T_world_object of objects from the physics of
+        a simulated driver, without camera errors.
 
         Without physics, the poses are those that the driver reports.
         """
         return self.object_poses()
 
     def welds(self) -> list[WeldRecord]:
-        """Return the objects that a constraint other than friction has attached to a driver's gripper."""
+        """Return the objects that a constraint other than friction
+        has attached to a gripper of the driver.
+        """
         return []
 
     # --- contacts: Capability.KNOW_CONTACTS ---
     def contacts(self) -> list[Contact]:
-        """Return the contacts of a driver's robot now; empty if the driver cannot detect contacts."""
+        """Return the present contacts of a driver's robot.
+        The result is empty if the driver cannot detect contacts.
+        """
         return []
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare to a driver that contacts of a body with others are part of the task, or no longer are."""
+        """Declare to a driver that contacts of a body with other
+        bodies are part of the task, or no longer are.
+        """
         return None
 
     def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
-        """Let the driver report every contact of a held object from now on, except with its supports."""
+        """Let the driver report from now on every contact of a held object with anything but its supports."""
         return None
 
     def unwatch_object(self, name: str) -> None:
-        """Stop the driver's reports of contacts of an object that was watched."""
+        """End the driver's reports on contacts of an object that was watched."""
         return None
 
     def unwanted_contacts(self) -> list[ContactRecord]:
-        """Return all contacts so far that the task did not declare to the driver as expected."""
+        """Return all contacts so far that the task has not declared to the driver as expected."""
         return []
 
     # --- forces: Capability.MEASURE_FORCE ---
     def wrench(self, gripper: str) -> Array:
-        """Return a driver's external wrench on a gripper: force [N], then torque [Nm], as (6,).
+        """Return the external wrench (6,) on a gripper as a driver measures it:
+        the force [N], then the torque [Nm].
 
         The torque is about the TCP, the axes are the world's, and the hand's own weight is excluded. The
         wrench is zero for a robot without force sensing.
@@ -227,7 +243,7 @@ class Driver(ABC):
 
     # --- whole trajectories: Capability.PLAY_TRAJECTORY ---
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory that the driver's robot plays itself, and return its handle.
+        """Start a trajectory that the driver's robot plays itself, and return a handle for it.
 
         Raises:
             InputError: the robot may not move, or the trajectory names joints that are not arm joints.
@@ -238,7 +254,7 @@ class Driver(ABC):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Let a driver play a trajectory until `until` [s] or until a tracking error exceeds the tolerance.
+        """Let a driver play a trajectory until a time [s], or until the tracking error exceeds the tolerance.
 
         At least one driver period passes.
 
@@ -253,7 +269,7 @@ class Driver(ABC):
 
     # --- dry runs: Capability.DRY_RUN ---
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Let a driver dry-run a trajectory in simulation; return the reason not to execute it, or None."""
+        """Let a driver dry-run a trajectory in simulation. Return the reason not to execute it, or None."""
         raise self._incapable(Capability.DRY_RUN)
 
     def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
@@ -267,27 +283,35 @@ class Driver(ABC):
     # --- streaming by the robot's clock: Capability.ROBOT_CLOCK ---
     @property
     def latency(self) -> float:
-        """Return a driver's largest lag [s] of the measured state behind the streamed setpoints."""
+        """Return how much [s] the measured state of a driver's robot
+        may lag behind the streamed setpoints.
+        """
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     @property
     def tick(self) -> float:
-        """Return a driver's time [s] of the next command: the total duration passed to `advance`."""
+        """Return the driver's time [s] for the next command,
+        which is the total duration passed to `advance`.
+        """
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     @property
     def speed_fraction(self) -> float:
-        """Return the speed fraction, 0..1, of a driver's slowest arm that sliders and pauses allow."""
+        """Return the fraction of full speed (0..1) that sliders and pauses allow the driver's slowest arm."""
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     # --- modes: Capability.REPORT_MODES ---
     def arm_modes(self) -> Mapping[str, tuple[int, int]]:
-        """Return a driver's robot mode and safety mode by arm, in the numbers of `ur_dashboard_msgs`."""
+        """Return the robot mode and safety mode of each arm of a driver,
+        as numbers of `ur_dashboard_msgs`.
+        """
         raise self._incapable(Capability.REPORT_MODES)
 
     # --- twin ---
     def calibrations(self) -> Mapping[str, str]:
-        """Return a driver's factory calibration checksum of each real arm; else an empty mapping."""
+        """Return the checksum of the factory calibration of each real arm of a driver.
+        The mapping is empty without real arms.
+        """
         return {}
 
     def _incapable(self, capability: Capability) -> InputError:

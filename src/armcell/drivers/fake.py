@@ -21,7 +21,7 @@ FINGER_SPEED = 0.1  # [m/s] rate of the opening width
 
 
 class FakeDriver(Driver):
-    """Fake driver: a robot without physics that follows every command exactly."""
+    """Driver for a fake robot without physics, which follows every command exactly."""
 
     name = "fake"
     is_simulated = True
@@ -79,7 +79,7 @@ class FakeDriver(Driver):
         return GripperReading(width, force, held[0] if held else None)
 
     def resume(self) -> None:
-        """Do nothing, because no event ever stops the fake robot."""
+        """Do nothing to resume the fake robot, because no event ever stops it."""
 
     def wrench(self, gripper: str) -> Array:
         self._model.gripper(gripper)
@@ -107,7 +107,9 @@ class FakeDriver(Driver):
         return self._tree.link_pose(self._q, self._model.gripper(gripper).tcp_link)
 
     def _between(self, gripper: str) -> str | None:
-        """Return the object that a fake gripper grasps: its bounding box contains the TCP; or None."""
+        """Return the object that a fake gripper would grasp because
+        its bounding box contains the TCP, or None.
+        """
         point = self._tcp(gripper).translation
         for name, pose in self._poses.items():
             low, high = self._scene.object(name).bounds()
@@ -117,7 +119,9 @@ class FakeDriver(Driver):
         return None
 
     def _blocked_width(self, gripper: str) -> float:
-        """Return the size [m] along the closing axis of the object in a fake gripper's fingers, or 0."""
+        """Return the size [m] of the object between a fake gripper's fingers,
+        measured along the closing axis, or 0.
+        """
         item = self._held[gripper][0] if gripper in self._held else self._between(gripper)
         if item is None:
             return 0.0

@@ -18,14 +18,16 @@ class Following(Protocol):
     """Handle for following a trajectory that the robot plays itself."""
 
     def clock(self) -> float | None:
-        """Return how far [s] a robot has got in following a trajectory; slider and pause slow it down.
+        """Return how far [s] a robot has got along the trajectory that it follows.
+        The speed slider and pauses slow it down.
 
         None if the robot does not report its progress; `state` then returns the outcome at the end.
         """
         ...
 
     def state(self) -> str | Outcome:
-        """Return the state of following a trajectory: "running", "done", "cancelled", or an error.
+        """Return the state of the followed trajectory: "running", "done", "cancelled",
+        or the reason why it was aborted.
 
         An outcome is the robot's own decision, which the joint states need not confirm.
         """
@@ -37,7 +39,9 @@ class Following(Protocol):
 
 
 class SentClock:
-    """History of streamed setpoints for following: maps send times to trajectory times."""
+    """History of the setpoints streamed while following a trajectory.
+    It maps the time when each was sent to the time on the trajectory.
+    """
 
     KEPT = 200  # points
 
@@ -45,7 +49,8 @@ class SentClock:
         self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
 
     def sent(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
-        """Record a streamed setpoint to follow, with its due time and its time on the trajectory.
+        """Record a setpoint that was streamed to follow a trajectory,
+        with the time when it is due and its time on the trajectory.
 
         Args:
             when: monotonic time [s] at which the point is due.
@@ -55,7 +60,8 @@ class SentClock:
         self._points.append((when, clock, off))
 
     def at(self, when: float) -> tuple[float, NDArray[np.float64] | None]:
-        """Return the trajectory time [s] and offset (n,) of the followed point due at a monotonic time [s].
+        """Return the trajectory time [s], and the offset (n,) from the trajectory, of the streamed setpoint
+        that is due at a monotonic time [s].
 
         Before the first and after the last recorded point, the nearest one applies.
         """

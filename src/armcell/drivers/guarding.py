@@ -20,10 +20,12 @@ Array = NDArray[np.float64]
 
 
 class Watch(Protocol):
-    """Interface of a motion guard's monitor for a motion that the caller streams point by point."""
+    """Interface of the monitor with which a motion guard watches a
+    motion that the caller streams point by point.
+    """
 
     def sent(self, clock: float, off: Array) -> None:
-        """Record a streamed point for the motion guard's comparison with the dry run.
+        """Record a streamed point, so that the motion guard can compare it with the dry run.
 
         Args:
             clock: time of the point on the trajectory [s].
@@ -34,7 +36,9 @@ class Watch(Protocol):
     def look(self) -> None: ...
 
     def end(self, how: str) -> None:
-        """End the motion guard's monitoring of a motion; `how` is "done" or the reason for the failure."""
+        """End the monitoring of a motion by the motion guard. `how` is
+        "done" or the reason why the motion failed.
+        """
         ...
 
 
@@ -58,7 +62,7 @@ class ArmSample:
 
 
 class GuardedArm(Protocol):
-    """Interface of a real arm as the motion guard (dry runs) needs it; `real.RealArm` implements it."""
+    """Interface of a real arm as the motion guard needs it for dry runs. `real.RealArm` implements it."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -75,7 +79,7 @@ class GuardedArm(Protocol):
 
 
 class DryRunStage(Protocol):
-    """Interface to declare contacts in the simulation of a motion guard's dry runs."""
+    """Interface for declaring contacts in the simulation in which a motion guard performs dry runs."""
 
     def expect_contact(self, body: str, others: tuple[str, ...], expected: bool) -> None: ...
 
@@ -85,7 +89,7 @@ class DryRunStage(Protocol):
 
 
 class MotionGuard(Protocol):
-    """Interface of a guard that dry-runs motions of real arms and compares the arms with them.
+    """Interface of a guard that dry-runs the motions of real arms and compares the arms with the simulation.
 
     Attributes:
         trips: shortest recent network round trip [s], by arm.

@@ -17,7 +17,8 @@ from armcell.sim import SimWorld
 
 
 class DriverProxy(Driver):
-    """Proxy driver that forwards every member of `Driver` to another driver; base of wrappers.
+    """Proxy driver, which passes every call on to another driver.
+    It is the base class of drivers that wrap others.
 
     A proxy has its driver's capabilities except `PLAY_PARTS`: the driver would play without the proxy's
     `command` and `advance`. A subclass that leaves both alone may add it again.

@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Fault:
-    """Safety fault: the reason for which an arm must not move."""
+    """Safety fault, which is the reason why an arm must not move."""
 
     arm: str
     kind: str  # "protective stop", "emergency stop", "stale state", ...
@@ -38,7 +38,9 @@ class Fault:
 
 
 def cannot_resume(reason: str, hint: str | None) -> InputError:
-    """Return the error for a `resume()` that the safety supervisor refuses, with reason and remedy."""
+    """Return the error for a `resume()` that the safety supervisor refuses,
+    with the reason and the remedy.
+    """
     if hint and "start armcell" in hint:  # resuming cannot help
         return InputError(f"cannot resume: {reason}", hint=hint)
     return InputError(
@@ -48,7 +50,7 @@ def cannot_resume(reason: str, hint: str | None) -> InputError:
 
 @dataclass(frozen=True)
 class SafetyEvent:
-    """Entry of the safety supervisor's event log."""
+    """Entry in the event log of the safety supervisor."""
 
     time: float  # [s] monotonic clock
     wall: float  # [s] since the epoch
@@ -65,12 +67,14 @@ class Supervised(Protocol):
         ...
 
     def halt(self) -> None:
-        """Stop a supervised arm for safety, discard goals, hold the measured pose; must not block."""
+        """Stop a supervised arm for safety, discard its goals and hold the measured pose.
+        This must not block.
+        """
         ...
 
 
 class Supervisor:
-    """Safety supervisor, which stops all arms when one arm has a fault.
+    """Safety supervisor, which stops all arms as soon as one arm has a fault.
 
     Call `check` often: on every state, and periodically.
     """
@@ -86,7 +90,9 @@ class Supervisor:
         log.info("safety: %s: %s: %s", arm, kind, text)
 
     def check(self) -> Fault | None:
-        """Let the safety supervisor stop all arms if one has a fault; return the latched fault, or None."""
+        """Let the safety supervisor stop all arms if one of them has a fault.
+        Return the latched fault, or None.
+        """
         if self.tripped is None:
             for arm in self._arms.values():
                 found = arm.fault()
@@ -96,7 +102,9 @@ class Supervisor:
         return self.tripped
 
     def trip(self, fault: Fault) -> None:
-        """Latch a fault in the safety supervisor and stop every arm; ignore later faults until `clear`."""
+        """Latch a fault in the safety supervisor and stop every arm.
+        Later faults are ignored until `clear` is called.
+        """
         with self._lock:
             if self.tripped is not None:
                 return
@@ -110,7 +118,8 @@ class Supervisor:
             self._on_trip(fault)
 
     def clear(self) -> None:
-        """Clear the safety supervisor's fault so that arms can move; call only after the operator confirms.
+        """Clear the fault in the safety supervisor so that the arms can move again.
+        Call this only after the operator confirms.
 
         Raises:
             InputError: an arm still has a fault; the message states the fault and the remedy.

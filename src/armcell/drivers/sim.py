@@ -27,7 +27,8 @@ PERIOD = 0.004  # [s] between commands, rounded to whole physics steps
 
 
 class SteppedSim(Driver):
-    """MuJoCo simulation driver with one command per period, in lock-step or paced by wall time.
+    """Driver for the MuJoCo simulation with one command per period,
+    which runs in lock-step or paced by wall time.
 
     Lock-step runs as fast as the computer allows.
     """
@@ -54,7 +55,7 @@ class SteppedSim(Driver):
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
-        """Return the lock of the sim driver for reads outside the thread that advances time."""
+        """Return the lock of the simulation driver, for reads outside the thread that advances time."""
         return self.world.lock
 
     @property
@@ -96,7 +97,7 @@ class SteppedSim(Driver):
         self.world.set_arm_target(arm.joint_names, arm.positions)
 
     def resume(self) -> None:
-        """Check that the simulation driver can continue; only diverged physics stops it for good."""
+        """Check that the simulation driver can continue. Only diverged physics stops it for good."""
         try:
             self._connected().check()
         except ArmcellError as error:
@@ -135,7 +136,7 @@ class SteppedSim(Driver):
 
 
 class SimDriver(SteppedSim):
-    """MuJoCo simulation driver that can also play parts of a trajectory itself."""
+    """Driver for the MuJoCo simulation that can also play parts of a trajectory itself."""
 
     capabilities = SteppedSim.capabilities | {Capability.PLAY_PARTS}
 
@@ -146,7 +147,9 @@ class SimDriver(SteppedSim):
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Play a part of a trajectory with the sim driver, until a time or a tracking error."""
+        """Play a part of a trajectory with the simulation driver,
+        until a given time or until the tracking error is too large.
+        """
         if self._played is None or self._played[:2] != (playback, began):
             self._played = playback, began, self._targets_of(playback, began)
         found = self.world.follow(joint_names, self._played[2], began + until - 1e-9, tolerance)

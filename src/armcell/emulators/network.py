@@ -21,7 +21,7 @@ MAX_WAITING = 1 << 20  # unsent bytes per client above which the client is disco
 
 @dataclass
 class Faults:
-    """Injected faults of an emulated controller's network; times are on the monotonic clock."""
+    """Faults injected into the network of an emulated controller. All times are on the monotonic clock."""
 
     frozen_until: float = 0.0  # no data is sent or received
     refused_until: float = 0.0  # new connections are closed
@@ -39,7 +39,7 @@ class Faults:
 
 
 class Link:
-    """TCP network connection of an emulated controller, with buffers for received and unsent data."""
+    """TCP connection in the network of an emulated controller, with buffers for received and unsent data."""
 
     def __init__(self, sock: socket.socket, network: Network):
         sock.setblocking(False)
@@ -51,7 +51,9 @@ class Link:
 
     @property
     def behind(self) -> bool:
-        """Return whether a client of an emulated controller's network reads too slowly for all states."""
+        """Return whether a client in an emulated controller's network
+        reads too slowly to receive every state.
+        """
         return self._waiting > MAX_BEHIND
 
     def send(self, data: bytes) -> None:
@@ -85,7 +87,9 @@ class Link:
             self._out.pop(0)
 
     def read(self) -> None:
-        """Read data of an emulated controller's network connection; close it if the client has closed."""
+        """Read data from a network connection of an emulated controller.
+        Close the connection if the client has closed it.
+        """
         try:
             data = self.socket.recv(65536)
         except BlockingIOError:
@@ -105,7 +109,7 @@ class Link:
 
 
 class Datagrams:
-    """UDP socket of an emulated controller, with injected network faults; read by polling.
+    """UDP socket of an emulated controller, which is read by polling and obeys the injected network faults.
 
     Attributes:
         loss: fraction of the datagrams, in both directions, that the fault "loss" drops.
@@ -141,7 +145,9 @@ class Datagrams:
         return self.loss > 0.0 and bool(self._network.faults.rng.random() < self.loss)
 
     def receive(self, size: int) -> list[bytes]:
-        """Return the datagrams (at most `size` bytes) that an emulated controller's UDP network received."""
+        """Return the datagrams, of at most `size` bytes each,
+        that have arrived in an emulated controller's network by UDP.
+        """
         found = []
         while True:
             try:
@@ -174,7 +180,8 @@ class Network:
         self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
         service: str,
     ) -> int:  # fmt: skip
-        """Reserve a network port of an emulated controller, served after `open`; return its number.
+        """Reserve a network port of an emulated controller and return
+        its number. `open` starts to serve the port.
 
         Args:
             begin: called with each new connection.
@@ -209,19 +216,23 @@ class Network:
         return self.endpoints[-1].port
 
     def datagrams(self, host: str, service: str) -> Datagrams:
-        """Open a UDP socket in an emulated controller's network; `service` names it in messages."""
+        """Open a UDP socket in the network of an emulated controller.
+        Messages to the user call it by the name `service`.
+        """
         self._datagrams.append(Datagrams(host, self))
         self.endpoints.append(Endpoint.of(self._datagrams[-1].socket, service))
         return self._datagrams[-1]
 
     def open(self) -> None:
-        """Start accepting network connections on all reserved ports of the emulated controller."""
+        """Start accepting network connections on all ports that the emulated controller has reserved."""
         for sock, accept in self._ports.items():
             listen(sock, BACKLOG)
             self._selector.register(sock, selectors.EVENT_READ, accept)
 
     def connect(self, host: str, port: int) -> Link | None:
-        """Open an outgoing network connection for URScript's socket_open; None if the host is silent."""
+        """Open an outgoing network connection for the URScript function socket_open.
+        Return None if the host does not answer.
+        """
         try:
             sock = socket.create_connection((host, port), timeout=0.05)
         except OSError:
@@ -251,7 +262,7 @@ class Network:
             link.flush()
 
     def drop(self, seconds: float) -> None:
-        """Close all network connections of the emulated controller and refuse new ones for a time [s]."""
+        """Close all network connections of the emulated controller, and refuse new ones for a time [s]."""
         self.faults.refused_until = time.monotonic() + seconds
         for link in list(self.links):
             link.close()

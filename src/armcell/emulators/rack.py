@@ -16,7 +16,7 @@ MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger 
 
 
 class Controller(Protocol):
-    """Interface of an emulated controller with its ports, as a rack runs it.
+    """Interface of an emulated controller with its ports, which a rack runs.
 
     Attributes:
         period: control period [s].
@@ -30,26 +30,31 @@ class Controller(Protocol):
 
     @property
     def in_use(self) -> bool:
-        """Return whether a rack's emulated controller has a client, or lost it only by an injected fault."""
+        """Return whether a client uses an emulated controller in the rack,
+        or has only been disconnected by an injected fault.
+        """
         ...
 
     def step(self) -> None:
-        """Run one control step of a rack's emulated robot and its ports."""
+        """Run one control step of an emulated robot in the rack, and of its ports."""
         ...
 
     def reset(self) -> None:
-        """Reset a rack's emulated controller: its arm and world to their initial state."""
+        """Reset an emulated controller in the rack: the arm and the world return to their initial state."""
         ...
 
     def trace(self) -> bytes:
-        """Return the record of the last step of a rack's emulated controller, for a trace file."""
+        """Return the record of the last control step of an emulated
+        controller in the rack, for a trace file.
+        """
         ...
 
     def close(self) -> None: ...
 
 
 def selector() -> selectors.BaseSelector:
-    """Return an I/O selector for a rack of emulated controllers that keeps timeouts below a millisecond.
+    """Return an I/O selector for a rack of emulated controllers that
+    respects timeouts of less than a millisecond.
 
     epoll would round timeouts up to whole milliseconds.
     """
@@ -84,7 +89,9 @@ class Rack(Generic[AnyController]):
         self._opened = False
 
     def open(self) -> None:
-        """Open the ports of a rack's emulated controllers; `run` does so itself, and serves the clients."""
+        """Open the ports of the emulated controllers in the rack. `run`
+        also does this before it serves the clients.
+        """
         if not self._opened:
             self._opened = True
             for controller in self.controllers:
@@ -93,7 +100,7 @@ class Rack(Generic[AnyController]):
                 controller.network.open()
 
     def run(self) -> None:
-        """Run the rack's emulated controllers and serve their clients until `stop`.
+        """Run the emulated controllers in the rack and serve their clients until `stop` is called.
 
         The controllers' cycles are evenly offset within a period, because real controllers are not
         synchronized either.

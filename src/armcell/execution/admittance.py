@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AdmittanceSettings:
-    """Parameters of an admittance controller with one or several force directions; SI units."""
+    """Parameters of an admittance controller for one or several force directions, in SI units."""
 
     damping: float = 20_000.0  # [N s/m] a larger value makes the setpoint yield more slowly
     dead_band: float = 2.0  # [N] force errors below this value cause no motion
@@ -35,7 +35,8 @@ class AdmittanceSettings:
 
 
 class Admittance:
-    """Admittance controller that offsets a setpoint (n,) [m] to reduce force errors (n,) [N].
+    """Admittance controller, which shifts a setpoint (n,) [m] so that the force error (n,) [N] becomes
+    smaller.
 
     Attributes:
         offset: current offset from the planned setpoint (n,) [m].
@@ -48,7 +49,8 @@ class Admittance:
         self._first = True
 
     def update(self, force: ArrayLike, dt: float, wanted: ArrayLike = 0.0) -> Array:
-        """Return an admittance controller's setpoint offset (n,) [m] after one period under a force.
+        """Advance an admittance controller by one control period under a measured force, and return the new
+        setpoint offset (n,) [m].
 
         Args:
             force: measured force (n,) [N]. A force above the target moves the setpoint in the positive

@@ -17,7 +17,7 @@ import numpy as np
 
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Outcome
 from armcell.drivers import Capability, Driver
-from armcell.execution.gate import Executable, executable
+from armcell.execution.gate import NOT_STARTED, Executable, executable
 from armcell.execution.setpoints import (
     CANCEL_TIME,
     Correction,
@@ -43,7 +43,7 @@ def execute(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionResult:
-    """Execute a trajectory to its end and wait until the arm rests at the goal.
+    """Execute a trajectory to its end, and wait until the arm is at rest at the goal.
 
     Args:
         motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops the arm.
@@ -68,7 +68,8 @@ def execute_coupled(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionResult:
-    """Execute one trajectory of several arms on one clock; wait until all arms rest at its end.
+    """Execute one trajectory of several arms on a common clock, and wait until all arms are at rest at its
+    end.
 
     Args:
         motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops all arms.
@@ -89,7 +90,7 @@ def execution_steps(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionSteps:
-    """Execute a motion step by step: each `next` commands the driver for its next period.
+    """Execute a motion step by step: each `next` sends the driver the commands for its next period.
 
     The caller advances the driver's clock between two steps. Several of these generators, for different
     joints, can run on one driver at the same time. Arguments and result are those of `execute`.
@@ -102,7 +103,8 @@ def execution_steps(
 
 
 def _source(driver: Driver, may_play: bool = False) -> Source:
-    """Return the source of setpoints with which the executor drives a driver.
+    """Select the source of setpoints that the executor uses for a driver: streaming, or playback by the
+    robot.
 
     Args:
         may_play: True if the driver may advance the clock itself.
@@ -113,7 +115,7 @@ def _source(driver: Driver, may_play: bool = False) -> Source:
 
 
 def _advanced(driver: Driver, steps: ExecutionSteps) -> ExecutionResult:
-    """Run an executed motion's steps to the end and advance the driver's clock between the steps."""
+    """Run all steps of a motion's execution to the end, and advance the driver's clock between the steps."""
     while True:
         try:
             next(steps)
@@ -139,7 +141,7 @@ def _steps(
 
 
 class _Execution:
-    """Executor's state of one motion, from the start check to the result."""
+    """State of the executor while it executes one motion, from the check of the start to the result."""
 
     def __init__(
         self, driver: Driver, motion: Executable, settings: ExecutionSettings, progress: Progress | None
@@ -150,7 +152,9 @@ class _Execution:
         self.tracking = 0.0  # [rad or m] largest tracking error so far
 
     def run(self, make_source: Source) -> ExecutionSteps:
-        """Execute the motion step by step, as a generator of type `ExecutionSteps`."""
+        """Run the execution of a motion as a generator, which yields once per driver period
+        (`ExecutionSteps`).
+        """
         measured = self.driver.joint_state().reindexed(self.names)
         if len(self.trajectory.times) == 0:
             self.driver.stop()  # ROS: an empty trajectory means stop
@@ -172,7 +176,9 @@ class _Execution:
 
     # --- before the motion ---
     def _check_start(self, measured: JointState) -> ExecutionResult | None:
-        """Check in the executor that the arm is at the trajectory's start; return a failure or None."""
+        """Check before execution whether the arm is at the start of the trajectory; return a failure if it is
+        not, else None.
+        """
         error, column = largest(np.abs(measured.positions - self.trajectory.positions[0]))
         tolerance, code = self.settings.start_tolerance, ErrorCode.CONTROL_FAILED
         if error <= tolerance:
@@ -182,19 +188,24 @@ class _Execution:
             "the robot moved since it was planned; plan again from the current state"
         )
         return ExecutionResult(
-            code, text, {"joint": self.names[column], "error": error}, self.began, self.began,
+            code, text, {"joint": self.names[column], "error": error, NOT_STARTED: True},
+            self.began, self.began,
             explainer=partial(explain_start, measured, self.trajectory.start, tolerance, code, text),
         )  # fmt: skip
 
     def _dry_run(self) -> ExecutionResult | None:
-        """Return a failure if the dry run in simulation refuses the executor's motion, else None."""
+        """Dry-run a motion in simulation before its execution; return a failure if the dry run refuses the
+        motion, else None.
+        """
         dry_runs = Capability.DRY_RUN in self.driver.capabilities
         refused = self.driver.rehearse(self.trajectory) if dry_runs else None
         return None if refused is None else self._result(refused.code, refused.message, refused.evidence)
 
     # --- the motion ---
     def _move(self, source: SetpointSource) -> Generator[None, None, Outcome]:
-        """Send the executor's setpoints until the arm rests at the goal, and return the outcome."""
+        """Send the setpoints of an executed motion until the arm is at rest at the goal, and return the
+        outcome.
+        """
         while True:
             if source.complete and (outcome := self._settle(source)) is not None:
                 return outcome
@@ -211,7 +222,9 @@ class _Execution:
                 return outcome
 
     def _check(self, source: SetpointSource) -> Outcome | None:
-        """Compare the executor's arm with the setpoints; return the outcome that ends the motion, or None."""
+        """Compare the moving arm with its setpoints; return the outcome that ends the motion, or None to
+        continue.
+        """
         found = source.tracking_error()
         if found is not None:
             self.tracking = max(self.tracking, found[0])
@@ -224,7 +237,9 @@ class _Execution:
         return None
 
     def _settle(self, source: SetpointSource) -> Outcome | None:
-        """Return the executor's SUCCESS if the arm rests at the goal, failure after a timeout, or None."""
+        """Return success if the arm is at rest at the goal of the executed motion, a failure after the time
+        limit, or None to keep waiting.
+        """
         state = self.driver.joint_state()
         found = largest(np.abs(state.positions[source.columns] - source.goal))
         v = state.velocities
@@ -236,7 +251,7 @@ class _Execution:
         return None
 
     def _halt(self, source: SetpointSource) -> Generator[None, None, None]:
-        """Cancel the motion in the executor and wait until the arm rests."""
+        """Cancel the motion that the executor runs, and wait until the arm is at rest."""
         source.cancel()
         deadline = self.driver.now + CANCEL_TIME
         while not source.halted() and self.driver.now < deadline:
@@ -244,7 +259,7 @@ class _Execution:
 
     # --- results ---
     def _fault(self) -> Outcome | None:
-        """Return a failure if a fault of the robot stops the executed motion, else None."""
+        """Return a failure if the robot reports a fault that stops the executed motion, else None."""
         fault = self.driver.fault()
         if fault is None:
             return None
@@ -274,7 +289,8 @@ class _Execution:
 def blend_from(
     measured: JointState, trajectory: JointTrajectory, settings: ExecutionSettings
 ) -> JointTrajectory | None:
-    """Return the executor's quintic blend from an arm's current motion into a trajectory; None if at rest.
+    """Return a quintic blend from an arm's current motion into a new trajectory, or None if the arm is at
+    rest.
 
     The blend is an offset from the trajectory that ends at zero position and velocity.
     """

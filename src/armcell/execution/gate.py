@@ -36,39 +36,52 @@ NOT_STARTED = "not_started"  # evidence key of a motion that the gate refused
 
 
 class World(Protocol):
-    """Interface through which the motion gate reads a cell: scene, objects, contacts and clock."""
+    """Interface through which the motion gate reads a robot cell: its scene, objects, expected contacts and
+    clock.
+    """
 
     @property
     def base(self) -> PlanningScene:
-        """The motion gate's planning scene without measurements; every scene change yields a new object."""
+        """Planning scene of the motion gate without measured values. Every change of the scene results in a
+        new object.
+        """
         ...
 
     def scene(self) -> PlanningScene:
-        """Return the motion gate's scene with the measured state of every arm and of held objects."""
+        """Return the planning scene that the motion gate checks motions in, with the measured state of every
+        arm and of held objects.
+        """
         ...
 
     def object_poses(self) -> Mapping[str, SE3]:
-        """Return T_world_object of the measured objects, including held ones, for the motion gate."""
+        """Return the poses T_world_object of all measured objects, including held ones, for checks by the
+        motion gate.
+        """
         ...
 
     def expected_contacts(self) -> Iterable[frozenset[str]]:
-        """Return the body pairs whose contact the motion gate allows, because the task expects it."""
+        """Return the pairs of bodies that the motion gate allows to touch, because the current task expects
+        their contact.
+        """
         ...
 
     def clock(self) -> float:
-        """Return the time [s] on the clock of the motion gate's cell."""
+        """Return the time [s] on the clock of the cell whose motions the gate checks."""
         ...
 
     @property
     def keeps_time(self) -> bool:
-        """Whether a gated motion's progress always matches the cell's clock."""
+        """Whether a running motion always progresses exactly with the cell's clock, so that the motion gate
+        can rely on it.
+        """
         ...
 
     def emit(self, kind: str, text: str, **data: Any) -> None: ...
 
 
 class MotionGate:
-    """Motion gate that certifies motions in one world as collision-free and tracks running motions.
+    """Gate that every motion in a cell must pass: it certifies motions as collision-free and keeps track of
+    the running motions.
 
     Motions are certified in the thread that moves the arms. Any thread may call `conflict`.
 
@@ -90,7 +103,7 @@ class MotionGate:
         cancel: threading.Event | None = None,
         scene: Callable[[], PlanningScene] | None = None,
     ) -> GuardedMotion:
-        """Return a motion guarded by the motion gate, which the executor can play.
+        """Return a motion that the gate guards against collisions and that the executor accepts.
 
         Args:
             planned_in: scene in which the trajectory was planned; its allowed contacts apply to the motion.
@@ -106,7 +119,8 @@ class MotionGate:
         ignore: GuardedMotion | None = None,
         planned: PlanningScene | None = None,
     ) -> Conflict | None:
-        """Return a gated motion's first collision from now on, also with running motions, or None.
+        """Return the first collision that the rest of a motion would have, also with other running motions,
+        or None if it is collision-free.
 
         Args:
             ignore: a running motion to ignore, usually the motion under test.
@@ -133,7 +147,9 @@ class MotionGate:
 
 
 class Executable(threading.Event, ABC):
-    """A gated trajectory that the executor accepts, and an event that stops the motion when set."""
+    """Trajectory that has a motion gate and that the executor therefore accepts, with an event that stops the
+    motion when set.
+    """
 
     def __init__(self, trajectory: JointTrajectory, cancel: threading.Event | None = None):
         super().__init__()
@@ -144,7 +160,8 @@ class Executable(threading.Event, ABC):
 
     @abstractmethod
     def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
-        """Check an executable motion for collisions in the gate; return the result that refuses it, or None.
+        """Check a motion for collisions in the motion gate before it starts. Return the result if the gate
+        refuses the motion, else None.
 
         Args:
             blend: offset added to the start of the trajectory: the remaining motion of an arm that is not at
@@ -153,11 +170,14 @@ class Executable(threading.Event, ABC):
 
     @abstractmethod
     def end(self, result: Result) -> Result:
-        """Mark a gated motion as ended; return `result`, with the gate's reason if it stopped the motion."""
+        """Register the end of a motion in the motion gate. Return `result`, which contains the gate's reason
+        if the gate stopped the motion.
+        """
 
 
 def executable(motion: object) -> Executable:
-    """Return `motion` if the executor may play it (gated or declared ungated), else raise an error.
+    """Return `motion` unchanged if the executor may execute it, because a gate checks it or it is declared
+    ungated; otherwise raise an error.
 
     Raises:
         InputError: `motion` is a bare trajectory that no gate has checked.
@@ -171,7 +191,8 @@ def executable(motion: object) -> Executable:
 
 
 class UngatedMotion(Executable):
-    """Motion that passes the gate without collision checks, for dry runs, tests and benchmarks.
+    """Motion that is executed without the collision checks of a motion gate, for dry runs, tests and
+    benchmarks.
 
     Contacts in such a simulation are findings.
     """
@@ -184,7 +205,7 @@ class UngatedMotion(Executable):
 
 
 class GuardedMotion(Executable):
-    """Motion that the gate checks for collisions at its start and again when the world changes."""
+    """Motion that the motion gate checks for collisions at its start and again whenever the world changes."""
 
     def __init__(
         self,
@@ -256,7 +277,7 @@ class GuardedMotion(Executable):
 
     # --- collision check ---
     def moving(self, scene: PlanningScene) -> Moving:
-        """Return the part of a gated motion that the arm has not executed yet.
+        """Return the part of a guarded motion that the arm has not executed yet.
 
         Args:
             scene: measured scene; its joint state gives the progress if motions do not follow the clock.
@@ -270,7 +291,9 @@ class GuardedMotion(Executable):
         return Moving(self.trajectory, min(passed, self.trajectory.duration), self._blend)
 
     def _moved(self) -> list[str]:
-        """Return the measured objects that have moved since the gate last checked the motion."""
+        """Return the measured objects that have moved since the motion gate last checked the motion for
+        collisions.
+        """
         now = self._world.clock()
         if now < self._next_object_check:
             return []
@@ -282,7 +305,7 @@ class GuardedMotion(Executable):
         ]  # fmt: skip
 
     def _prove(self, names: Iterable[str] = ()) -> None:
-        """Check a gated motion's rest for collisions, only with the objects `names` if given."""
+        """Check the rest of a guarded motion for collisions; if `names` is given, only with these objects."""
         self._proven_for = (self._world.base, self._gate.version)
         scene = self._scene()
         self._objects = frozenset(scene.objects)
@@ -317,7 +340,8 @@ class GuardedMotion(Executable):
 
 
 def describe(found: Conflict, passed: float, began: bool) -> str:
-    """Return a sentence about a gated motion's conflict: the pair, the position, the time and the remedy.
+    """Describe in a sentence why the motion gate stops a motion: which bodies would collide, where and when,
+    and what helps.
 
     Args:
         passed: completed part of the motion [s].
@@ -340,7 +364,9 @@ def describe(found: Conflict, passed: float, began: bool) -> str:
 
 @dataclass(frozen=True)
 class DriverWorld:
-    """Motion gate's world for a driver without a cell: its scene with measured joints and objects."""
+    """World that the motion gate checks motions in if a driver has no cell: its scene with the measured
+    joints and objects.
+    """
 
     driver: Any
     base: PlanningScene

@@ -17,14 +17,14 @@ EPSILON = 1e-9  # [s]
 
 
 class _Ended(BaseException):
-    """Exception that ends a scheduled program's wait after another program has failed.
+    """Exception that ends a waiting program of the cooperative scheduler after another program has failed.
 
     It is a BaseException, so that no handler in the program stops it.
     """
 
 
 class CooperativeScheduler:
-    """Scheduler that runs one program at a time on a shared driver clock.
+    """Scheduler for several programs that share the clock of one driver; only one program runs at a time.
 
     See `run_cooperatively`.
     """
@@ -46,13 +46,17 @@ class CooperativeScheduler:
             raise _Ended
 
     def sleep(self, name: str, duration: float) -> None:
-        """Suspend one scheduled program for `duration` [s] of driver time and let the others run."""
+        """Suspend one program of the scheduler for `duration` [s] of driver time, and let the other programs
+        run.
+        """
         self._wake[name] = self.driver.now + duration
         self._pass_on(name)
         self.wait_until_scheduled(name)
 
     def finish(self, name: str, error: BaseException | None = None) -> None:
-        """Remove a finished program from the cooperative schedule; an error ends all other programs."""
+        """Remove a finished program from the cooperative scheduler. If it ended with an error, all other
+        programs end, too.
+        """
         if error is not None and not isinstance(error, _Ended) and self.failed is None:
             self.failed = error
         del self._wake[name]
@@ -81,7 +85,7 @@ class CooperativeScheduler:
 
 
 class ArmDriver(DriverProxy):
-    """Driver of one scheduled program on a robot that several programs share.
+    """Driver that the cooperative scheduler gives to one of several programs on the same robot.
 
     A sleep lets time pass for all programs; `stop` acts on the program's own joints.
     """
@@ -106,7 +110,7 @@ class ArmDriver(DriverProxy):
 def run_cooperatively(
     driver: Driver, joints: Mapping[str, tuple[str, ...]], programs: Mapping[str, Callable[[ArmDriver], None]]
 ) -> None:
-    """Schedule several programs cooperatively on one driver; return when all have ended.
+    """Run several programs on one driver by cooperative scheduling, and return when all of them have ended.
 
     Args:
         joints: program name to the joints that its `stop` holds.

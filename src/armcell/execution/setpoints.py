@@ -27,7 +27,7 @@ SCALING_RATE = 2.0  # [1/s] limit on the speed scaling's rate: a pause brakes wi
 
 
 class SetpointSource(ABC):
-    """Base class of the setpoint sources; an object sends the setpoints of one motion.
+    """Base class of the setpoint sources. An instance sends the setpoints of one motion to a driver.
 
     The executor calls `start` once, then for each driver period `send`, `tracking_error` and `ended`.
 
@@ -51,7 +51,7 @@ class SetpointSource(ABC):
         self._completed_at: float | None = None  # [s]
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
-        """Start to send a motion's setpoints; return a result if the motion ends at once, else None.
+        """Start to send the setpoints of a motion. Return a result if the motion ends at once, else None.
 
         Args:
             blend: offset to add to the setpoints, for a source that `blends`; None for an arm at rest.
@@ -60,39 +60,41 @@ class SetpointSource(ABC):
 
     @abstractmethod
     def send(self) -> bool:
-        """Send the motion's next setpoint; return False if the driver has advanced its clock itself."""
+        """Send the next setpoint of a motion. Return False if the driver has already advanced its clock."""
 
     @abstractmethod
     def tracking_error(self) -> tuple[float, int] | None:
-        """Return the setpoints' largest tracking error [rad or m] and its column; None: only goals count."""
+        """Return the largest deviation [rad or m] of the joints from their setpoints, and the joint's column;
+        None if only the goal tolerance applies now.
+        """
 
     def ended(self) -> Outcome | None:
-        """Return the outcome that ends a setpoint source's motion, other than a violated tolerance, or
+        """Return the outcome if the motion has ended for another reason than a violated tolerance, else
         None.
         """
         return None
 
     def settling_time(self) -> float:
-        """Return the time [s] since a motion's last setpoint was sent (`complete`)."""
+        """Return the time [s] that has passed since the last setpoint of the motion was sent."""
         if self._completed_at is None:
             self._completed_at = self.driver.now
         return self.driver.now - self._completed_at
 
     def cancel(self) -> None:
-        """Cancel a setpoint source's motion: discard the setpoints that the robot already has."""
+        """Cancel a motion: the robot discards the setpoints that it has already received."""
         return None
 
     def halted(self) -> bool:
-        """Return whether the arm rests after `cancel` of its setpoints; if not, the executor waits."""
+        """Return whether the arm is at rest after its setpoints were canceled. If not, the executor waits."""
         return True
 
     def end(self, outcome: Outcome) -> None:
-        """Finish a setpoint source's work after the motion has ended with an outcome."""
+        """Clean up a setpoint source after its motion has ended with an outcome."""
         return None
 
 
 class StreamedSetpoints(SetpointSource):
-    """Setpoint source that streams one setpoint per driver period, by the driver's clock.
+    """Setpoint source that streams one setpoint to the robot in each period of the driver's clock.
 
     Args:
         plays: True if the driver plays parts of the trajectory itself, which advances its clock; False to
@@ -162,7 +164,7 @@ class StreamedSetpoints(SetpointSource):
 
 
 class RobotPlayback(SetpointSource):
-    """Setpoint source for a trajectory that the robot plays itself, by its own clock.
+    """Setpoint source for robots that receive a whole trajectory and play it back by their own clock.
 
     The executor monitors the robot's progress.
     """
@@ -233,7 +235,7 @@ class RobotPlayback(SetpointSource):
 
 
 class CoupledSetpoints(SetpointSource):
-    """Setpoint source for several coupled arms by one clock, which the slowest arm scales.
+    """Setpoint source for several coupled arms on a common clock, whose speed follows the slowest arm.
 
     Args:
         correct: maps the trajectory time [s] and the setpoints q, v, each (n,), to the setpoints to send.
@@ -293,7 +295,9 @@ class CoupledSetpoints(SetpointSource):
             self._monitor.end("done" if outcome.ok else outcome.message)
 
     def _advance_clock(self) -> float:
-        """Advance the coupled arms' common setpoint clock by one period and return its speed scaling."""
+        """Advance the common clock of coupled arms by one setpoint period, and return the speed scaling of
+        the clock.
+        """
         period = self.driver.period
         scale = min(
             max(self._allowed_speed(), self._scale - SCALING_RATE * period),
@@ -307,7 +311,9 @@ class CoupledSetpoints(SetpointSource):
         return scale
 
     def _allowed_speed(self) -> float:
-        """Return the speed fraction, 0..1, of coupled setpoints that sliders, pauses and caller allow."""
+        """Return the speed fraction, from 0 to 1, that speed sliders, pauses and the caller allow for the
+        setpoints of coupled arms.
+        """
         if self._scalings is not None:
             fraction = min(self._scalings())
         elif self._has_clock:
@@ -318,14 +324,16 @@ class CoupledSetpoints(SetpointSource):
 
 
 class _RecentSetpoints:
-    """Setpoints of the last `latency` seconds; a real robot lags behind the newest setpoint."""
+    """Setpoints that were sent in the last `latency` seconds, because a real robot lags behind the newest
+    setpoint.
+    """
 
     def __init__(self, latency: float):
         self._latency = latency
         self._kept: deque[tuple[float, Array]] = deque()
 
     def nearest(self, measured: Array, q: Array, now: float) -> Array:
-        """Return the recent setpoint (n,) that is nearest to the measured position.
+        """Return the setpoint (n,) from the recent ones that is nearest to the measured position.
 
         Args:
             measured: measured joint positions (n,) [rad or m].
@@ -341,7 +349,7 @@ class _RecentSetpoints:
 
 
 def largest(errors: Array) -> tuple[float, int]:
-    """Return the largest of the setpoint errors (n,) and its index; (0, 0) without joints."""
+    """Return the largest of several setpoint errors (n,) and its index, or (0, 0) if there are no joints."""
     if len(errors) == 0:
         return 0.0, 0
     i = int(errors.argmax())
@@ -349,6 +357,8 @@ def largest(errors: Array) -> tuple[float, int]:
 
 
 def max_speed(driver: Driver, columns: NDArray[np.int64]) -> float:
-    """Return the largest measured speed [rad/s or m/s] of setpoint joints; 0 if none is measured."""
+    """Return the largest measured speed [rad/s or m/s] of the joints that receive setpoints, or 0 if the
+    robot measures no speed.
+    """
     v = driver.joint_state().velocities
     return 0.0 if v is None else float(np.max(np.abs(v[columns]), initial=0.0))

@@ -10,7 +10,7 @@ from armcell.core.checks import checked, require
 @dataclass(frozen=True)
 @checked()
 class ExecutionSettings:
-    """Settings of execution: tolerances and time limits for the execution of a trajectory.
+    """Settings for the execution of a trajectory: tolerances and time limits.
 
     The start tolerance of 0.01 rad is MoveIt's default.
     """

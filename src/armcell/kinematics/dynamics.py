@@ -32,7 +32,8 @@ def _cross(a, b, out):
 @njit(cache=True)
 def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset, mass, center, inertia,
                  gravity, q, dq, ddq, out):  # fmt: skip
-    """Inverse dynamics: compute joint torques of m states q, dq, ddq (m, dof) into `out` (m, dof).
+    """Compute the inverse dynamics of a robot: write the joint torques for m states q, dq, ddq (m, dof) to
+    `out` (m, dof).
 
     Args:
         parent, ..., offset: the tree, see `KinematicTree`.
@@ -120,7 +121,7 @@ def newton_euler(parent, T_parent_joint, kind, axis, column, multiplier, offset,
 
 
 class InverseDynamics:
-    """Inverse dynamics of some of a robot's joints; the other joints rest at given positions.
+    """Inverse dynamics for some joints of a robot, while its other joints rest at given positions.
 
     Args:
         joint_names: joints that move; all actuated joints by default.
@@ -169,7 +170,9 @@ class InverseDynamics:
             )
 
     def _add(self, link: int, inertial: Inertial) -> None:
-        """Add a body to a link for inverse dynamics: sum masses, and inertias about the common center."""
+        """Add a body to a link for inverse dynamics: sum up the masses, and the inertias about the common
+        center of mass.
+        """
         R = inertial.T_link_com.rotation.matrix
         m0, m1, c0, c1 = self.mass[link], inertial.mass, self.center[link], inertial.T_link_com.translation
         mass = m0 + m1
@@ -182,7 +185,9 @@ class InverseDynamics:
         self.mass[link], self.center[link], self.inertia[link] = mass, center, total
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Return inverse dynamics' joint torques (m, n) [Nm or N] of positions, velocities, accelerations."""
+        """Compute the joint torques (m, n) [Nm or N] for given positions, velocities and accelerations by
+        inverse dynamics.
+        """
         at, speed, gain = self._whole(q, self.positions), self._whole(dq, 0.0), self._whole(ddq, 0.0)
         out = np.empty_like(at)
         tree = self._tree
@@ -193,7 +198,9 @@ class InverseDynamics:
         return out[:, self.columns]
 
     def _whole(self, values: ArrayLike, others: float | Array) -> Array:
-        """Expand values (m, n) of the moving joints to all joints (m, dof), for inverse dynamics."""
+        """Expand values (m, n) for the moving joints to all joints of the robot (m, dof), as inverse dynamics
+        requires.
+        """
         values = np.atleast_2d(float_array(values, None, "joint values"))
         if values.shape[1:] != (len(self.columns),):
             raise InputError(f"joint values must have shape (m, {len(self.columns)}), not {values.shape}")
@@ -203,11 +210,14 @@ class InverseDynamics:
 
     @property
     def limits(self) -> Array:
-        """Torque limits of inverse dynamics for the moving joints (n,) [Nm or N], from the URDF."""
+        """Torque limits of the joints (n,) [Nm or N] from the URDF, for the joints that inverse dynamics
+        moves.
+        """
         return self.model.limits(self.joint_names, "effort")
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return the coefficients of inverse dynamics' joint torques along a path: tau = a u + b x + c.
+        """Return coefficients a, b, c that give the joint torques along a path by inverse dynamics: tau = a u
+        + b x + c.
 
         u is the path acceleration and x the squared path speed.
 

@@ -23,7 +23,8 @@ _KINDS = {"fixed": FIXED, "revolute": REVOLUTE, "continuous": REVOLUTE, "prismat
 
 @njit(cache=True)
 def forward(parent, T_parent_joint, kind, axis, column, multiplier, offset, q, out):
-    """Forward kinematics of a kinematic tree: all T_root_link into `out` (links, 4, 4) at q.
+    """Compute forward kinematics: write the poses T_root_link of all links of a kinematic tree at q to `out`
+    (links, 4, 4).
 
     Link 0 is the root, link i+1 the child of joint i.
     """
@@ -69,7 +70,8 @@ def forward(parent, T_parent_joint, kind, axis, column, multiplier, offset, q, o
 
 @njit(cache=True)
 def chain_jacobian(Ts, point, joints, kind, axis, column, multiplier, group_column, out):
-    """Compute a kinematic tree's Jacobian of a point into `out` (6, n), one column per group joint.
+    """Compute the Jacobian of a point in a kinematic tree, and write it to `out` (6, n), one column per joint
+    of the group.
 
     Rows: velocity of `point` (3,) [root frame], then angular velocity.
     """
@@ -102,7 +104,7 @@ def chain_jacobian(Ts, point, joints, kind, axis, column, multiplier, group_colu
 
 
 class KinematicTree:
-    """A `RobotModel`'s kinematic tree as flat arrays for compiled functions.
+    """Kinematic tree of a robot model, stored as flat arrays for compiled functions.
 
     `kinematic_tree(model)` returns the one tree of a model.
     """
@@ -134,7 +136,9 @@ class KinematicTree:
         self._group_columns: dict[tuple[str, ...], NDArray[np.int64]] = {}
 
     def link_transforms(self, q: ArrayLike) -> Array:
-        """Return T_root_link of a kinematic tree's links (links, 4, 4), as in `link_names`, at q (dof,)."""
+        """Return the poses T_root_link (links, 4, 4) of all links of a kinematic tree at joint positions q
+        (dof,), in the order of `link_names`.
+        """
         out = np.empty((len(self.link_names), 4, 4))
         q = np.ascontiguousarray(float_array(q, (self.model.dof,), "positions", finite=False))
         forward(
@@ -151,7 +155,9 @@ class KinematicTree:
         return out
 
     def full_positions(self, q: ArrayLike) -> dict[str, float]:
-        """Return all movable joints' positions of a kinematic tree by name, with mimic joints; q (dof,)."""
+        """Return the positions of all movable joints of a kinematic tree by name, including mimic joints, for
+        joint positions q (dof,).
+        """
         q = float_array(q, (self.model.dof,), "positions")
         return {
             name: float(self.multiplier[i] * q[self.column[i]] + self.offset[i])
@@ -160,7 +166,7 @@ class KinematicTree:
         }
 
     def link_pose(self, q: ArrayLike, link: str) -> SE3:
-        """Return the pose T_root_link of one link of a kinematic tree at positions q (dof,).
+        """Return the pose T_root_link of one link of a kinematic tree at joint positions q (dof,).
 
         Raises:
             UnknownNameError: no such link.
@@ -169,7 +175,9 @@ class KinematicTree:
         return self.link_poses(q, (link,))[0]
 
     def link_poses(self, q: ArrayLike, links: Sequence[str]) -> list[SE3]:
-        """Return T_root_link of several links of a kinematic tree from one forward-kinematics pass."""
+        """Return the poses T_root_link of several links of a kinematic tree, computed in one pass of forward
+        kinematics.
+        """
         for link in links:
             if link not in self.link_index:
                 raise UnknownNameError("link", link, self.link_index)
@@ -182,7 +190,9 @@ class KinematicTree:
         return poses
 
     def path_to(self, link: str) -> NDArray[np.int64]:
-        """Return the indices of the joints between a kinematic tree's root and a link, root first."""
+        """Return the indices of the joints between the root of a kinematic tree and a link, beginning at the
+        root.
+        """
         if link not in self.link_index:
             raise UnknownNameError("link", link, self.link_index)
         return self._path_to(link).copy()
@@ -197,7 +207,9 @@ class KinematicTree:
         return self._paths[link]
 
     def _group_column(self, names: tuple[str, ...]) -> NDArray[np.int64]:
-        """Return a kinematic tree's column of each actuated joint (dof,) in `names`, or -1."""
+        """Return for each actuated joint of a kinematic tree its position in `names`, or -1 if `names` does
+        not contain it (dof,).
+        """
         if names not in self._group_columns:
             columns = np.full(self.model.dof, -1, dtype=np.int64)
             columns[self.model.columns(names)] = np.arange(len(names))
@@ -211,7 +223,7 @@ class KinematicTree:
         joint_names: tuple[str, ...] | None = None,
         point: ArrayLike = ORIGIN,
     ) -> Array:
-        """Return a kinematic tree's Jacobian (6, n) at a point of a link, in the root frame.
+        """Return the Jacobian (6, n) of a point on a link of a kinematic tree, in the root frame.
 
         Rows: linear velocity, then angular velocity.
 
@@ -238,7 +250,7 @@ class KinematicTree:
 
 @lru_cache(maxsize=64)
 def kinematic_tree(model: RobotModel) -> KinematicTree:
-    """Return the kinematic tree of a robot model; each model's tree is built only once.
+    """Return the kinematic tree of a robot model. The tree of each model is built only once.
 
     Models are frozen and hash by identity.
     """

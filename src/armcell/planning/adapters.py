@@ -47,12 +47,14 @@ MOVEIT_NAMES = {
 
 
 def adapter_names() -> tuple[str, ...]:
-    """List all planning adapter names: request adapters first, then steps that run after the planner."""
+    """List the names of all planning adapters: first the adapters that change a request, then the steps that
+    run after the planner.
+    """
     return (*request_adapters, *FINISHING)
 
 
 def normalize_adapter_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Convert names of planning request adapters, armcell's or MoveIt's, to armcell's names.
+    """Convert names of planning request adapters, which may be MoveIt's names, to armcell's names.
 
     MoveIt's names may have the prefix `default_planning_request_adapters/`.
 
@@ -74,7 +76,7 @@ def normalize_adapter_names(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def apply_request_adapters(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Apply the request adapters of a planning request in their order.
+    """Apply the adapters that a planning request names, one after the other.
 
     Return the changed request, or the reason why an adapter refuses it.
 
@@ -101,7 +103,7 @@ def apply_request_adapters(validated: ValidatedRequest) -> ValidatedRequest | Ou
 
 @request_adapters.register("fix_start_state_bounds")
 def fix_start_state_bounds(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Request adapter: move a start state that is slightly outside the joint limits to the limits.
+    """Request adapter that moves a start state slightly outside the joint limits back to these limits.
 
     The start may be outside by at most `MAX_BOUNDS_ERROR`. The planned motion begins with a lead-in from the
     robot's actual state to the moved start.
@@ -128,7 +130,8 @@ def fix_start_state_bounds(validated: ValidatedRequest) -> ValidatedRequest | Ou
 
 @request_adapters.register("fix_start_state_collision")
 def fix_start_state_collision(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Request adapter: replace a start state in contact, however deep, by a free state near it.
+    """Request adapter that replaces a start state in collision, however deep, by a collision-free state
+    nearby.
 
     The motion begins at the robot's actual state only if the way out is proven: no contact deepens or drags
     along, and no other pair touches. Otherwise the motion begins at the free state. `start_repaired` in the
@@ -150,7 +153,9 @@ def fix_start_state_collision(validated: ValidatedRequest) -> ValidatedRequest |
 
 @request_adapters.register("resolve_constraint_frames")
 def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Request adapter: express goal constraints of object frames in the world's or carrying link's frame."""
+    """Request adapter that converts goal constraints from the frames of objects to the world frame, or to the
+    frame of the link that carries the object.
+    """
     if not any(isinstance(goal, ConstraintGoal) for goal in validated.request.goals):
         return validated
     goals = tuple(
@@ -163,7 +168,8 @@ def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest |
 
 
 def in_robot_frames(scene: PlanningScene, constraints: Constraints) -> Constraints:
-    """Re-express a request's constraints in robot frames (world or link), for a request adapter.
+    """Return a request's constraints with their frames converted to frames of the robot (the world or a
+    link), as a request adapter does.
 
     The frame of an attached object becomes the frame of the link that carries the object.
     """

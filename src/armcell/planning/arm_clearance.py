@@ -20,7 +20,7 @@ SPARE = 1e-3  # [m] subtracted from the distance at a start or goal that is smal
 
 @dataclass(frozen=True, eq=False)
 class ArmClearance:
-    """Clearance that the arms of a multi-arm group must keep from each other on a motion [m].
+    """Clearance [m] that the arms of a multi-arm group must keep from each other during a motion.
 
     Attributes:
         distance: [m]; 0 means that the arms only do not touch.
@@ -35,7 +35,9 @@ class ArmClearance:
     sides: dict[str, int]
 
     def apply_to(self, checker: KernelChecker) -> KernelChecker:
-        """Return a copy of the checker that also enforces an arm clearance."""
+        """Return a copy of a collision checker that also requires the clearance between the arms of a
+        group.
+        """
         return checker.with_clearance_between(self.sides, self.distance)
 
 
@@ -47,7 +49,8 @@ def achievable_arm_clearance(
     goals: Sequence[Array],
     wanted: float,
 ) -> ArmClearance | None:
-    """Compute the largest clearance between a group's arms that a free start and the goals (n,) allow.
+    """Compute the largest clearance between the arms of a group that both the collision-free start and the
+    goals (n,) allow.
 
     Returns:
         The clearance, at most `wanted` [m]; None for fewer than two arms or a zero `wanted`.

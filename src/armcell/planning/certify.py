@@ -47,7 +47,7 @@ PADDED_ROUNDINGS = (
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
-    """Certified and timed motion of a plan, or the certificate of the contact on its path."""
+    """Certified motion with timing for a plan, or the certificate that shows the contact on its path."""
 
     certificate: Certificate
     trajectory: JointTrajectory | None = None
@@ -56,7 +56,9 @@ class CertifiedMotion:
 
 
 class Certifier(Protocol):
-    """Protocol of a checker that certifies planned motions: the exact checker or the kernel."""
+    """Protocol of a collision checker that can certify planned motions: the exact checker or the fast kernel
+    checker.
+    """
 
     model: RobotModel
     joint_names: tuple[str, ...]
@@ -76,7 +78,8 @@ def certify_and_time(
     jerk_limits: bool = False,
     keeps_padding: Callable[[Array, Array | None], bool] | None = None,
 ) -> CertifiedMotion:
-    """Round the corners of a planned path (k, n), certify it and compute its timing.
+    """Turn a planned path (k, n) into a motion: round its corners, certify that it is collision-free, and
+    compute its timing.
 
     Corners whose rounding touches an obstacle are rounded less and in the end remain sharp: the motion then
     stops at the corner.
@@ -139,7 +142,9 @@ def certify_and_time(
 
 
 def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseDynamics:
-    """Build the inverse dynamics to certify and time a plan: the group's links and attached objects."""
+    """Build the inverse dynamics with which a plan is timed within torque limits; they include the links of
+    the group and attached objects.
+    """
     payloads = []
     for body in scene.attached.values():
         center, inertia = solid_inertia(body.object.shapes, body.object.mass_kg)
@@ -149,7 +154,7 @@ def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseD
 
 
 def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> float:
-    """Compute the distance [m] (at most 0.25) that a certified motion is proven to keep from obstacles.
+    """Compute the distance [m], up to 0.25, that a certified motion is proven to keep from obstacles.
 
     See `KernelChecker.clearance`. A pair in resting contact at the start counts from the point where it no
     longer moves apart.
@@ -159,7 +164,9 @@ def clearance_along(checker: KernelChecker, trajectory: JointTrajectory) -> floa
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
-    """A planned path (k, n) with its certified trajectory, or the reason why certification failed."""
+    """Planned path (k, n) with a certified trajectory along it, or the reason why it could not be
+    certified.
+    """
 
     waypoints: Array
     trajectory: JointTrajectory | None = None
@@ -172,7 +179,7 @@ class PlannedMotion:
 def certify_request_motion(
     validated: ValidatedRequest, checker: KernelChecker, waypoints: Array
 ) -> PlannedMotion | Outcome:
-    """Certify and time a path (k, n) for a planning request.
+    """Certify a path (k, n) for a planning request and compute its timing.
 
     Return an Outcome if no other path can succeed either.
     """
@@ -205,7 +212,9 @@ def _certify_padded(checker: KernelChecker, chords: Array, slack: Array | None) 
 def complete_motion(
     validated: ValidatedRequest, checker: KernelChecker, waypoints: Array, trajectory: JointTrajectory
 ) -> PlannedMotion:
-    """Complete a certified motion: prepend the lead-in from the actual state, limit Cartesian speed."""
+    """Complete a certified motion: begin with the lead-in from the robot's actual state, and limit the
+    Cartesian speed.
+    """
     request, note = validated.request, ""
     if validated.lead_in is not None:
         lead = time_lead_in(validated, checker)
@@ -225,13 +234,16 @@ def complete_motion(
 
 
 def contact_note(validated: ValidatedRequest) -> str:
-    """Describe the start contacts that a certified motion leaves first, as text for the plan result."""
+    """Describe, for the message of a plan, the contacts at the start that the certified motion leaves
+    first.
+    """
     contacts = validated.evidence.get("start_repaired", {}).get("contacts", ())
     return "the motion first leaves contact: " + "; ".join(c.describe() for c in contacts) if contacts else ""
 
 
 def time_lead_in(validated: ValidatedRequest, checker: KernelChecker) -> JointTrajectory | None:
-    """Time the lead-in: the motion from the robot's actual state to the start of the certified path.
+    """Compute the timing of the lead-in, the motion from the robot's actual state to the start of the
+    certified path.
 
     Return None if the motion is not proven collision-free.
     """

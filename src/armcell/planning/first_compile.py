@@ -13,7 +13,8 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def in_another_process(*statements: str) -> Iterator[None]:
-    """Compile kernels in parallel: run Python statements in a second process during a `with` block.
+    """Run Python statements in a second process during a `with` block, so that kernels are compiled in
+    parallel.
 
     Machines with one core start no second process. The statements must be optional work: an error in the
     second process has no effect.
@@ -34,7 +35,9 @@ def in_another_process(*statements: str) -> Iterator[None]:
 
 @contextmanager
 def progress_line(text: str) -> Iterator[None]:
-    """Show a progress line with the elapsed seconds of the first compilation on the terminal."""
+    """Show a line on the terminal that reports the progress and the elapsed seconds of the first
+    compilation.
+    """
     if not sys.stderr.isatty():
         yield
         return

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class MovedFrame:
-    """A link, or a frame attached to a link, that a planning group moves.
+    """Frame that the joints of a planning group move: a link, or a frame attached to a link.
 
     Attributes:
         link: the robot link that carries the frame (the link itself if `name` is a link).
@@ -47,21 +47,23 @@ class MovedFrame:
             self.T_link_point = scene.frame_pose(self.link).inv() @ scene.frame_pose(name)
 
     def full(self, q: ArrayLike) -> Array:
-        """Return all joint positions (dof,) of a moved frame's robot with the group's joints at q (n,)."""
+        """Return the positions (dof,) of all joints of a moved frame's robot, with those of the group at q
+        (n,).
+        """
         positions = self.scene.positions.copy()
         positions[self.scene.model.columns(self.joint_names)] = q
         return positions
 
     def pose(self, q: ArrayLike) -> SE3:
-        """Compute a moved frame's pose T_world_name at joint positions q (n,) of the group."""
+        """Compute the pose T_world_name of a moved frame at joint positions q (n,) of its group."""
         return self.tree.link_pose(self.full(q), self.link) @ self.T_link_point
 
     def link_target(self, T_world_name: SE3) -> SE3:
-        """Convert a target pose of the moved frame to the target pose of the link that carries it."""
+        """Convert a target pose for a moved frame to the target pose for the link that carries it."""
         return T_world_name @ self.T_link_point.inv()
 
     def velocity(self, q: ArrayLike, qd: ArrayLike) -> Array:
-        """Compute the velocity (3,) [m/s] of a moved frame's origin in the world."""
+        """Compute the velocity (3,) [m/s] of the origin of a moved frame in the world."""
         full = self.full(q)
         twist = self.tree.jacobian(full, self.link, self.joint_names) @ np.asarray(qd)
         arm = self.tree.link_pose(full, self.link).rotation.matrix @ self.T_link_point.translation
@@ -69,7 +71,9 @@ class MovedFrame:
 
 
 def with_joint_positions(scene: PlanningScene, joint_names: tuple[str, ...], q: ArrayLike) -> PlanningScene:
-    """Return a copy of the scene with the named joints at q (n,) for frame poses, without limit checks."""
+    """Return a copy of the scene with the named joints at positions q (n,), to compute frame poses. Joint
+    limits are not checked.
+    """
     positions = scene.positions.copy()
     positions[scene.model.columns(joint_names)] = q
     return replace(scene, positions=positions)
@@ -79,7 +83,9 @@ BETWEEN = 4  # speed samples between two points of a trajectory
 
 
 def check_cartesian_speed(speed: float | None) -> None:
-    """Raise an InputError unless a moved frame's Cartesian speed limit [m/s] is positive or None."""
+    """Check that the Cartesian speed limit [m/s] of a moved frame is positive or None, else raise an
+    InputError.
+    """
     if speed is not None and not (np.isfinite(speed) and speed > 0):
         raise InputError(f"max_cartesian_speed is {speed:g} m/s, it must be positive")
 
@@ -87,12 +93,12 @@ def check_cartesian_speed(speed: float | None) -> None:
 def limit_cartesian_speed(
     trajectory: JointTrajectory, moved_frame: MovedFrame, speed: float
 ) -> JointTrajectory:
-    """Slow down a motion in time so that a moved frame's origin never exceeds `speed` [m/s]."""
+    """Slow down a trajectory so that the origin of a moved frame never exceeds `speed` [m/s]."""
     return stretched(trajectory, max(1.0, peak_cartesian_speed(trajectory, moved_frame) / speed))
 
 
 def peak_cartesian_speed(trajectory: JointTrajectory, moved_frame: MovedFrame) -> float:
-    """Compute the highest speed [m/s] of a moved frame's origin along a trajectory."""
+    """Compute the highest speed [m/s] that the origin of a moved frame reaches on a trajectory."""
     times = trajectory.times
     fractions = np.arange(BETWEEN) / BETWEEN
     moments = np.append((times[:-1, None] + np.diff(times)[:, None] * fractions).ravel(), times[-1:])

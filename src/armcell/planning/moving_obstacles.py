@@ -31,7 +31,7 @@ def plan_among_moving(
     clearance: float = 0.0,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan a motion that is proven free of static obstacles and of obstacles in known motion.
+    """Plan a motion that is proven to avoid both static obstacles and obstacles whose motion is known.
 
     Args:
         start_time: start of the motion [s of the obstacles' clock].
@@ -86,7 +86,7 @@ def _waiting(
     scene: PlanningScene, trajectory: JointTrajectory, moving: Sequence[MovingObject], start_time: float,
     clearance: float, deadline: float,
 ) -> tuple[float, JointTrajectory] | None:  # fmt: skip
-    """Find the shortest wait that lets the moving obstacles pass, and the motion after the wait."""
+    """Find the shortest wait after which a motion avoids the moving obstacles; return the delayed motion."""
     last = max(float(item.times[-1]) for item in moving)
     standing = resting(trajectory.joint_names, trajectory.positions[0])
     stay: TimedCertificate = certify_timed(scene, standing, moving, start_time, clearance, until=last)
@@ -106,7 +106,7 @@ def _around(
     scene: PlanningScene, request: PlanRequest, moving: Sequence[MovingObject], start_time: float,
     clearance: float, duration: float, cancel: threading.Event | None,
 ) -> PlanResult | None:  # fmt: skip
-    """Plan a motion around the volume that moving obstacles sweep in its duration.
+    """Plan a motion around the volume that moving obstacles sweep while the motion lasts.
 
     If this motion fails the certification in time, plan again with a longer sweep.
     """

@@ -55,7 +55,7 @@ ROUND_SEED, ATTEMPT_SEED = 7919, 104_729  # primes, so that rounds and attempts 
 
 @with_explanation(PlanRequest)
 def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None) -> PlanResult:
-    """Plan a certified, timed motion of one planning group by the whole planning pipeline.
+    """Plan a certified motion with timing for one planning group, using the whole planning pipeline.
 
     Args:
         scene: the world; its state is the start unless the request names one.
@@ -95,7 +95,9 @@ def plan(scene: PlanningScene, request: PlanRequest, cancel: threading.Event | N
 
 
 def _links(request: PlanRequest) -> Iterator[str | None]:
-    """Yield the links whose inverse kinematics the pipeline needs for a request's goals."""
+    """Yield the links for which the planning pipeline must solve inverse kinematics to reach the goals of a
+    request.
+    """
     for goal in request.goals:
         if isinstance(goal, PoseGoal):
             yield goal.link
@@ -105,7 +107,8 @@ def _links(request: PlanRequest) -> Iterator[str | None]:
 
 @dataclass(frozen=True, eq=False)
 class StartAndGoals:
-    """Pipeline input of planners: a free start (n,), free goals (n,), bounds and a collision checker.
+    """Input that the pipeline gives to planners: a collision-free start (n,), collision-free goals (n,),
+    bounds and a collision checker.
 
     Attributes:
         validated: the request with this start; after resting contact, its `lead_in` leads to the start.
@@ -121,7 +124,9 @@ class StartAndGoals:
 
 
 def find_start_and_goals(validated: ValidatedRequest) -> StartAndGoals | Outcome:
-    """Find the pipeline's start and goals as joint positions, or the reason why they are invalid."""
+    """Find the start and the goals of a request as joint positions for the planning pipeline, or the reason
+    why they are invalid.
+    """
     scene = validated.scene
     try:
         scene.model.check_positions(scene.positions, margin=1e-3)
@@ -152,7 +157,7 @@ PADDED_SHARE = 0.5
 
 
 def search(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
-    """Run the planning pipeline's search for a motion that keeps the clearance between arms.
+    """Search in the planning pipeline for a motion that keeps the clearance between the arms of the group.
 
     If no such motion is found, search for any collision-free motion.
     """
@@ -183,7 +188,7 @@ def search(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
 
 
 def _report_arm_clearance(result: PlanResult, distance: float, words: str) -> PlanResult:
-    """Add the clearance between arms [m] to a successful result of the planning pipeline."""
+    """Add the clearance between the arms [m] to a successful result of the planning pipeline."""
     if not result.ok:
         return result
     message = "; ".join(text for text in (result.message, words) if text)
@@ -191,9 +196,8 @@ def _report_arm_clearance(result: PlanResult, distance: float, words: str) -> Pl
 
 
 def search_once(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanResult:
-    """Run one search of the planning pipeline; return the straight line to a goal if it is free.
-
-    Otherwise return the shortest motion of all planning attempts.
+    """Run the search of the planning pipeline once: return the straight line to a goal if it is
+    collision-free, otherwise the shortest motion of all attempts.
     """
     problem = _problem(validated, endpoints, validated.request.seed)
     line = _direct(problem)
@@ -221,7 +225,7 @@ def search_once(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanRe
 
 
 def _endpoints_of_thread(validated: ValidatedRequest, endpoints: StartAndGoals) -> StartAndGoals:
-    """Copy the pipeline's start and goals with a new checker for use in another thread.
+    """Copy the pipeline's start and goals for use in another thread, with a collision checker of its own.
 
     Threads must not share a checker's workspace.
     """
@@ -250,7 +254,8 @@ def _problem(validated: ValidatedRequest, endpoints: StartAndGoals, seed: int) -
 
 
 def attempt(validated: ValidatedRequest, endpoints: StartAndGoals, number: int) -> PlanResult:
-    """Run the planning pipeline from one seed until a path can be certified and timed.
+    """Run the planner that the pipeline has selected repeatedly, with different seeds, until a path can be
+    certified and timed.
 
     Planners check the padding only at samples, so between samples a thin obstacle can be nearer than the
     padding. A few more rounds therefore try to find a motion that keeps the padding everywhere.
@@ -333,7 +338,9 @@ def _unsolved(
 
 
 def _direct(problem: Problem) -> Array | None:
-    """Return the pipeline's direct path: the straight line to a goal, if free with padding."""
+    """Return the straight line to a goal as the pipeline's direct path, if it is collision-free with
+    padding.
+    """
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])

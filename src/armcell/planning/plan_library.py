@@ -52,7 +52,8 @@ Array = NDArray[np.float64]
 
 
 def fingerprint(*values: Any) -> str:
-    """Hash the content of values to 32 hexadecimal digits, as key of a plan library.
+    """Return a hash (32 hexadecimal digits) of the content of values, which serves as a key in the plan
+    library.
 
     Equal robots, scenes and goals give equal hashes. File locations do not count.
 
@@ -105,7 +106,7 @@ POSE_TOLERANCE = (1e-4, 1e-3)  # [m], [rad] smallest tolerances: the accuracy of
 
 @dataclass
 class LibraryStatistics:
-    """Counts of reused, repaired and newly planned motions of a plan library."""
+    """Counts of the motions that a plan library has reused, repaired and newly planned."""
 
     hits: int = 0  # stored motions, proven again
     repairs: int = 0  # stored motions with replanned parts
@@ -116,14 +117,16 @@ class LibraryStatistics:
 
 @dataclass(frozen=True, eq=False)
 class _Stored:
-    """A plan library's stored motion: waypoints (k, n) of the group's joints, and its scene's hash."""
+    """Motion that a plan library has stored: waypoints (k, n) of the group's joints, and a hash of the
+    scene.
+    """
 
     scene: str
     waypoints: Array
 
 
 class PlanLibrary:
-    """Plan library: a folder of stored motions with one JSON file per motion.
+    """Plan library, which stores planned motions in a folder with one JSON file per motion and reuses them.
 
     Args:
         start_region: largest distance of each joint from a stored motion's start [rad or m].
@@ -145,7 +148,8 @@ class PlanLibrary:
     def plan(
         self, scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None
     ) -> PlanResult:
-        """Plan like `planning.plan`, but reuse a motion of the plan library if it can be proven.
+        """Plan like `planning.plan`, but reuse a stored motion from the plan library if it can be proven
+        collision-free.
 
         `evidence["library"]` reports what happened: "hit", "repaired" or "planned".
         """
@@ -175,7 +179,8 @@ class PlanLibrary:
         self, scene: PlanningScene, request: PlanRequest, problem: str, began: float,
         cancel: threading.Event | None,
     ) -> PlanResult | None:  # fmt: skip
-        """Return a plan library's motion for the request's start and goal, proven again or repaired.
+        """Return a stored motion of the plan library that fits the start and goal of the request, after it
+        has been proven again or repaired.
 
         Return None if no stored motion is usable.
         """
@@ -242,7 +247,7 @@ class PlanLibrary:
 
 
 def _read(file: Path, model: RobotModel, names: tuple[str, ...]) -> _Stored:
-    """Read a plan library's stored motion from a JSON file.
+    """Read a stored motion of a plan library from a JSON file.
 
     Only the motion's numbers are used, and they are proven before use.
     """
@@ -272,7 +277,9 @@ def _model_hash(model: RobotModel) -> str:
 
 
 def _problem_hash(model: RobotModel, request: PlanRequest) -> str:
-    """Hash robot, group and goals of a request for the plan library, without time stamps."""
+    """Return a hash of the robot, the group and the goals of a request for the plan library; time stamps do
+    not count.
+    """
     goals = [
         (dict(zip(g.state.joint_names, g.state.positions.tolist(), strict=True)), g.tolerance)
         if isinstance(g, JointGoal) else g
@@ -282,7 +289,9 @@ def _problem_hash(model: RobotModel, request: PlanRequest) -> str:
 
 
 def _scene_hash(scene: PlanningScene) -> str:
-    """Hash a scene's obstacles and attached objects for the plan library, without the robot's state."""
+    """Return a hash of the obstacles and attached objects in a scene for the plan library; the robot's state
+    does not count.
+    """
     held = {n: (b.object.shapes, b.link, b.T_link_object, b.touch_links) for n, b in scene.attached.items()}
     things = {n: (o.shapes, o.T_world_object) for n, o in scene.objects.items()}
     arm_clearance = (scene.padding, scene.link_padding, scene.link_scale, scene.allowed)
@@ -290,7 +299,9 @@ def _scene_hash(scene: PlanningScene) -> str:
 
 
 def _needs_new_plan(request: PlanRequest) -> bool:
-    """Return whether a planning request has options that stored motions of a plan library do not cover."""
+    """Return whether a planning request has options that do not permit the reuse of stored motions from a
+    plan library.
+    """
     return (
         bool(request.path_constraints)
         or pipeline_for(request.pipeline_id, request.planner_id) == PILZ
@@ -302,7 +313,9 @@ def _needs_new_plan(request: PlanRequest) -> bool:
 
 
 def _reaches(scene: PlanningScene, request: PlanRequest, names: tuple[str, ...], q: Array) -> bool:
-    """Return whether a plan library's stored motion ends, at q (n,), in one of the request's goals."""
+    """Return whether the end q (n,) of a stored motion in the plan library satisfies one of the goals of the
+    request.
+    """
     there = replace(scene, positions=scene.state.updated(JointState(names, q)).positions)
     for goal in request.goals:
         match goal:
@@ -325,7 +338,9 @@ def _repaired(
     checker: KernelChecker, scene: PlanningScene, request: PlanRequest, waypoints: Array, began: float,
     cancel: threading.Event | None,
 ) -> Array | None:  # fmt: skip
-    """Replan the blocked parts of a plan library's motion and simplify it; None on failure."""
+    """Replan the blocked parts of a stored motion in the plan library, then simplify the motion. Return None
+    on failure.
+    """
     free = [checker.is_free(q) for q in waypoints]
     if not free[-1]:
         return None
@@ -362,7 +377,9 @@ def _finished(
     checker: KernelChecker, scene: PlanningScene, request: PlanRequest, waypoints: Array, began: float,
     how: str,
 ) -> PlanResult | None:  # fmt: skip
-    """Round, certify and time a plan library's stored motion; return None if that fails."""
+    """Round the corners of a stored motion in the plan library, certify it and compute its timing. Return
+    None if that fails.
+    """
     torque = torque_model(scene, checker.joint_names) if request.torque_limits else None
     try:
         finished = certify_and_time(

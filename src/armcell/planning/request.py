@@ -27,7 +27,8 @@ STEP = 0.02  # [rad] between workspace checks along a motion
 
 
 class Workspace:
-    """Workspace of a planning request: the world-frame box that the group's tip must not leave.
+    """Workspace of a planning request: a box in the world frame that the tip of the planning group must not
+    leave.
 
     Raises:
         InputError: not two corners; the low corner is not below the high corner; the group has no tip.
@@ -44,12 +45,16 @@ class Workspace:
         self.tip = MovedFrame(scene, request.group)
 
     def excess(self, q: ArrayLike) -> float:
-        """Compute the tip's distance [m] from the request's workspace box at q (n,); 0 inside."""
+        """Return how far [m] the tip is outside the workspace box of a request at positions q (n,); 0 if it
+        is inside.
+        """
         at = self.tip.pose(q).translation
         return float(np.linalg.norm(np.maximum(np.maximum(self.low - at, at - self.high), 0.0)))
 
     def describe(self, q: ArrayLike) -> str:
-        """Describe the tip's position relative to the request's workspace box at q (n,)."""
+        """Describe where the tip is, at positions q (n,), relative to the workspace box of a planning
+        request.
+        """
         low, high, at = (
             ", ".join(f"{v:.3g}" for v in p) for p in (self.low, self.high, self.tip.pose(q).translation)
         )
@@ -59,7 +64,8 @@ class Workspace:
         )
 
     def first_outside(self, positions: ArrayLike) -> Array | None:
-        """Return the first positions (n,) of a motion (k, n) with the tip outside the request's workspace.
+        """Return the first joint positions (n,) of a motion (k, n) at which the tip is outside the workspace
+        of the request.
 
         The result is None if the tip stays in the workspace.
         """
@@ -75,7 +81,7 @@ class Workspace:
 
 @dataclass(frozen=True, eq=False)
 class ValidatedRequest:
-    """A planning request after validation, with its scene, planner and deadline.
+    """Planning request that has passed validation, with its scene, planner and deadline.
 
     Adapters return changed copies of the request.
     """
@@ -97,17 +103,19 @@ class ValidatedRequest:
 
     @property
     def deadline(self) -> float:
-        """Time [s, time.monotonic()] at which planning of a validated request must end."""
+        """Time [s, time.monotonic()] by which planning of a validated request must end."""
         return self.began + self.request.planning_time
 
     def forbids(self, q: Array) -> str:
-        """Explain why a request forbids collision-free positions q (n,); "" if they are allowed."""
+        """Return the reason why a request forbids joint positions q (n,) although they are collision-free, or
+        "" if it allows them.
+        """
         if self.workspace is not None and self.workspace.excess(q) > 0.0:
             return self.workspace.describe(q)
         return ""
 
     def failed(self, outcome: Outcome) -> PlanResult:
-        """Build the failed PlanResult of a validated planning request."""
+        """Create the failed PlanResult of a validated planning request from an outcome."""
         return PlanResult(
             outcome.code,
             outcome.message,
@@ -120,7 +128,8 @@ class ValidatedRequest:
 def validate_request(
     scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None
 ) -> ValidatedRequest:
-    """Validate a planning request: check it for misuse before any computation.
+    """Check a planning request for errors before any computation, and return it with its scene, planner and
+    deadline.
 
     Raises:
         InputError: unknown group, pipeline, planner, parameter, joint, link or frame; an impossible number.

@@ -44,7 +44,7 @@ CLEARANCE = 2e-3  # [m] beyond the padding that a sampled start keeps from objec
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """Departure: a motion from a start state (n,) in contact to a free state.
+    """Departure motion, which leads from a start state (n,) in contact to a collision-free state nearby.
 
     Attributes:
         points: (k, n) from the start to a free state.
@@ -66,7 +66,8 @@ def find_departure(
     deepest: float = RESTING,
     keeps: Callable[[Array], bool] = lambda points: True,
 ) -> Departure | None:
-    """Find a motion from a start (n,) in contact to a free state; None if no free state is near.
+    """Find a motion from a start (n,) in contact to a collision-free state nearby. Return None if there is no
+    such state.
 
     Args:
         deepest: depth [m] of the deepest contact that may be left.
@@ -93,7 +94,8 @@ def find_departure(
 
 
 def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> ValidatedRequest | Outcome:
-    """Move a start out of resting contact and store the motion as the plan's `lead_in`, or refuse.
+    """Move the start of a plan out of resting contact and store this motion as the plan's `lead_in`, or
+    refuse the start.
 
     `start_repaired` in the evidence reports the distance between the old and the new start.
     """
@@ -109,7 +111,9 @@ def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> 
 
 
 def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
-    """Refuse a start in contact deeper than `RESTING`, else return None."""
+    """Return the result that refuses a start in contact deeper than `RESTING`, or None if no contact is that
+    deep.
+    """
     if all(c.distance >= -RESTING for c in contacts):
         return None
     what = "; ".join(c.describe() for c in contacts[:3])
@@ -121,7 +125,9 @@ def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
 
 
 def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
-    """Return a test whether a departure (k, n) from contact keeps workspace and path constraints."""
+    """Return a function that tests whether a motion (k, n) out of contact at the start stays in the workspace
+    and satisfies the path constraints.
+    """
     request, workspace = validated.request, validated.workspace
     is_pilz = (
         normalized_pipeline_id(request.pipeline_id) == PILZ
@@ -145,7 +151,9 @@ def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
 
 
 def start_from_departure(validated: ValidatedRequest, found: Departure, begins_at: str) -> ValidatedRequest:
-    """Return a copy of the request that starts at the free end of a departure from contact."""
+    """Return a copy of a request whose start is the collision-free end of the departure from a start in
+    contact.
+    """
     start, free = found.points[0], found.points[-1]
     report = {
         "contacts": found.contacts,
@@ -184,7 +192,7 @@ def _refused(what: str, contacts: list[Contact], found: Departure | None) -> Out
 
 
 def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | None:
-    """Push all touching body pairs of a start in contact `distance` [m] apart.
+    """Move a start in contact so that all touching pairs of bodies end up `distance` [m] apart.
 
     Return the configurations (k, n) from the start on, or None if the pairs cannot be separated.
     """
@@ -212,7 +220,9 @@ def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | No
 def _push(
     exact: ExactChecker, q: Array, near: Mapping[Pair, float], apart: Collection[Pair], distance: float
 ) -> Array:
-    """Compute the joint step (n,) that separates a start's touching bodies and closes no other gap."""
+    """Compute the joint step (n,) that separates the bodies touching at the start and brings no other bodies
+    closer together.
+    """
     rows, wanted, turning = [], [], []
     bodies = list(near)
     rates = _rates(exact, q, bodies)
@@ -231,7 +241,8 @@ def _push(
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
-    """Compute the distance rate of each pair in contact at the start by each joint (pairs, n) [m/rad].
+    """Return for each pair in contact at the start how fast its distance changes when each joint moves, as an
+    array (pairs, n) [m/rad].
 
     Two flat faces in contact come nearer for either direction of rotation; the central difference cancels
     this effect and leaves the motion along the pair's normal.
@@ -255,7 +266,9 @@ def _rows(exact: ExactChecker, pair: Pair) -> list[tuple[int, int]]:
 
 
 def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
-    """Compute the relative rotation rate (3, n) of two bodies in contact at the start, per joint."""
+    """Return how fast two bodies in contact at the start rotate relative to each other when each joint moves
+    (3, n).
+    """
     a, b = _rows(exact, pair)[0]
     full, names = exact.full(q), exact.joint_names
     turn = np.zeros((3, len(q)))
@@ -267,7 +280,7 @@ def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
 
 
 def _nearest_free(checker: KernelChecker, start: Array, rng: np.random.Generator) -> Array | None:
-    """Find a collision-free state (n,) near a start in contact by random sampling.
+    """Search by random sampling for a collision-free state (n,) near a start that is in contact.
 
     Take the nearest free sample in the smallest ball that contains one, then bisect toward the start.
     """

@@ -32,7 +32,7 @@ BOUNDS = np.array([0.0]), np.array([0.05])  # joint limits of the gripper in the
 
 
 def prepare(scene: PlanningScene, group: str) -> None:
-    """Warm up a planning group: compute the data that all its plans share, before the first plan.
+    """Prepare a planning group before its first plan (warm-up): compute the data that all its plans share.
 
     The data are collision covers, pairs of links that can collide, and the inverse kinematics.
     """
@@ -44,7 +44,8 @@ def prepare(scene: PlanningScene, group: str) -> None:
 
 @lru_cache(maxsize=64)
 def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
-    """Warm up the inverse kinematics of a chain, so that the first solve does not compile.
+    """Warm up the inverse kinematics of a kinematic chain: compile its kernels, so that the first query is
+    fast.
 
     Arms with a closed-form solution use other kernels.
     """
@@ -56,7 +57,7 @@ def warm_up_ik(model: RobotModel, group: str, link: str | None = None) -> None:
 
 @lru_cache(maxsize=1)
 def warm_up() -> float:
-    """Warm up the default planner: compile all kernels, or load them from the cache on disk.
+    """Warm up the default planner: compile all its kernels, or load them from the cache on disk.
 
     The first call on a machine (or after source changes) compiles: two processes share the work, and a
     progress line on the terminal shows the wait. Later runs load the kernels from disk.
@@ -83,7 +84,7 @@ def warm_up() -> float:
 
 
 def compile_rest() -> None:
-    """Warm up in a separate process: compile all planner kernels except collision checking.
+    """Compile all planner kernels except collision checking, in a separate process during the warm-up.
 
     Planners call the collision check by its address, so a check that reports every configuration as free
     replaces it here.
@@ -104,7 +105,9 @@ def _plan_small_problem() -> None:
 
 
 def small_problem() -> tuple[KernelChecker, Array, Array]:
-    """Build a tiny planning problem for warm-up: a gripper's checker and two gripper positions."""
+    """Create a tiny planning problem for the warm-up: the collision checker of a gripper and two gripper
+    positions.
+    """
     model = load_robot("parallel_gripper")
     checker = KernelChecker(PlanningScene.of(model), model.group("gripper").joint_names)
     return checker, np.array([0.01]), np.array([0.04])

@@ -20,7 +20,7 @@ from armcell.tasks.search import Branch, PartialSolution, Planning, Stage, in_or
 @stage_types.register("serial")
 @dataclass(frozen=True, eq=False)
 class Serial:
-    """Container that runs its stages in sequence, for example a pick as a part of a task."""
+    """Container that runs its stages in sequence. For example, a pick can be one part of a task."""
 
     name: str
     stages: tuple[Stage, ...]
@@ -36,7 +36,9 @@ class Serial:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Alternatives:
-    """Container of alternative stages that are all planned; the cheapest solution is proposed first."""
+    """Container of alternative stages.
+    All of them are planned, and the cheapest solution is proposed first.
+    """
 
     name: str
     stages: tuple[Stage, ...]
@@ -62,7 +64,7 @@ class Alternatives:
 @stage_types.register("fallbacks")
 @dataclass(frozen=True, eq=False)
 class Fallbacks:
-    """Container of fallback stages that are tried in order until one has a solution."""
+    """Container of fallback stages that are tried one after the other until one has a solution."""
 
     name: str
     stages: tuple[Stage, ...]
@@ -89,7 +91,9 @@ def _need_some(name: str, stages: tuple[Stage, ...]) -> None:
 
 
 def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Return the stage interface names that a container of alternatives provides, and all problems."""
+    """Return the names that a container provides whichever of its alternative stages runs,
+    and all interface problems of these stages.
+    """
     results = [single(stage, have, scene) for stage in stages]
     return InterfaceCheck(
         frozenset.intersection(*(each.have for each in results)),

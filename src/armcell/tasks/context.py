@@ -23,7 +23,7 @@ from armcell.tasks.stage_statistics import reason_in_short
 
 
 class World:
-    """World in a task's context: the planning scene without measurements, shared by threads.
+    """World of a task's context: the planning scene without measurements, which threads share.
 
     Attributes:
         scene: may be read at any time. It is replaced while `editing` is held, never mutated.
@@ -41,7 +41,8 @@ class World:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """Reset measured values of a task context's changed scene to those of the base scene.
+    """Return the changed scene of a task's context,
+    in which measured values are reset to those of the base scene.
 
     Args:
         base: the scene before the change.
@@ -74,7 +75,7 @@ UNWATCHED = 0.02  # [s] step size without observers
 
 @dataclass
 class StageReport:
-    """Row of a task context's stage table: the report of one stage."""
+    """Report of one stage, which is one row in the stage table of a task's context."""
 
     name: str
     planner: str = ""
@@ -92,7 +93,7 @@ class StageReport:
 
 @dataclass
 class Holding:
-    """Object in a gripper, as a task's context and the planning scene assume."""
+    """Object that a gripper holds, as the task's context and the planning scene assume."""
 
     object: str
     gripper: Gripper
@@ -100,7 +101,9 @@ class Holding:
 
 
 class TaskContext:
-    """Context (runtime state) of a task; `scene()` is always built from the driver's measurements."""
+    """Runtime state (context) of a task. `scene()` is always built
+    from the latest measurements of the driver.
+    """
 
     def __init__(
         self,
@@ -129,14 +132,17 @@ class TaskContext:
 
     # --- measured state ---
     def scene(self) -> PlanningScene:
-        """Return a task context's planning scene: measured joints and object poses, objects attached.
+        """Return the planning scene of a task's context, with measured joint positions and object poses,
+        and with held objects attached.
 
         Safe to call from any thread, like `whole_scene` and `change_scene`.
         """
         return self.whole_scene()
 
     def belief(self, name: str) -> str:
-        """Return a task context's belief of an object's pose as text, and on real arms how to correct it."""
+        """Return as text where a task's context assumes an object to be and,
+        on real arms, how to correct this pose.
+        """
         x, y, z = self.scene().object(name).T_world_object.translation
         text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
         if self.driver.is_simulated:
@@ -148,7 +154,9 @@ class TaskContext:
         )
 
     def whole_scene(self) -> PlanningScene:
-        """Return a task context's scene with all arms; with two arms, `scene` contains only one."""
+        """Return the scene of a task's context with all arms.
+        If two arms work side by side, `scene` contains only one of them.
+        """
         return self._measured(self.base)
 
     def _measured(self, scene: PlanningScene) -> PlanningScene:
@@ -165,17 +173,17 @@ class TaskContext:
         return scene
 
     def hands(self) -> Iterable[Holding]:
-        """Return the objects that all hands hold in a task's context."""
+        """Return the objects that the hands of all arms hold, according to the task's context."""
         contexts = self.at_work or (self,)
         return [held for ctx in contexts for held in list(ctx.holding.values())]
 
     @property
     def base(self) -> PlanningScene:
-        """Return a task context's planning scene without measurements."""
+        """Return the planning scene of a task's context, without measurements."""
         return self.world.scene
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change a task context's planning scene atomically: add, change, move or remove objects.
+        """Change the planning scene of a task's context atomically: add, change, move or remove objects.
 
         Safe to call at any time from any thread, also during a motion. Later plans respect the change, and a
         running motion is stopped if an object blocks its remaining part (`MotionGate`). Joints, held objects
@@ -202,7 +210,9 @@ class TaskContext:
         return self.scene()
 
     def _tell_changes(self) -> None:
-        """Report a task context's scene changes to observers in order, from one thread at a time."""
+        """Report scene changes of a task's context to the observers in order,
+        from only one thread at a time.
+        """
         while self.world.news and self.world.telling.acquire(blocking=False):
             try:
                 while self.world.news:
@@ -219,31 +229,33 @@ class TaskContext:
                 self.world.telling.release()
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Let a task context allow a body's contacts, for physics and motion gate, or forbid them."""
+        """Allow contacts of a body with others in a task's context,
+        both in physics and in the motion gate, or forbid them.
+        """
         others = tuple(others)
         pairs = {frozenset((body, other)) for other in others}
         self.expected = self.expected | pairs if expected else self.expected - pairs
         self.driver.expect_contact(body, others, expected)
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object of the objects that a task context's driver measures."""
+        """Return T_world_object of all objects whose poses the driver of a task's context measures."""
         return self.driver.object_poses()
 
     def expected_contacts(self) -> Set[frozenset[str]]:
-        """Return the pairs of bodies whose contact a task's context currently expects."""
+        """Return the pairs of bodies between which a task's context expects contact at present."""
         return self.expected
 
     def clock(self) -> float:
-        """Return the time [s] of a task context's driver."""
+        """Return the present time [s] on the clock of the task's driver."""
         return self.driver.now
 
     @property
     def keeps_time(self) -> bool:
-        """Return whether motions in a task's context follow their timing exactly; real arms may be slower."""
+        """Return whether motions follow their timing exactly in a task's context. Real arms may be slower."""
         return self.driver.is_simulated
 
     def slip_of(self, held: Holding) -> float:
-        """Return how far [m] a held object has slipped in the gripper since its grasp (task context)."""
+        """Return how far [m] a held object has slipped in the gripper since the task grasped it."""
         return held.T_tcp_object.distance_to(self.T_tcp_object(held.object, held.gripper))[0]
 
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:
@@ -253,7 +265,8 @@ class TaskContext:
 
     # --- coordination with the other arm ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:
-        """Return a motion's trajectory if the task context lets it start, else the reason why not.
+        """Return the trajectory of a motion if the task's context allows it to start,
+        else the reason why it must not.
 
         A single arm may always start.
 
@@ -266,25 +279,27 @@ class TaskContext:
         """Record in a task's context that the arm has come to rest after a motion."""
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """Reserve a zone in a task's context, one arm at a time; a single arm gets the zone at once."""
+        """Reserve a zone in a task's context for one arm at a time. A single arm gets the zone at once."""
         return nullcontext()
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the next item whose zone the other arm does not use, by the task's context.
+        """Return the next item, in a task's context, whose zone the other arm does not use.
 
         For a single arm, this is the first item.
         """
         return items[0]
 
     def rendezvous(self, name: str) -> None:
-        """Wait in a task's context until the other arm's program reaches the same rendezvous point.
+        """Wait in a task's context until the program of the other arm reaches the same rendezvous point.
 
         A single arm does not wait.
         """
 
     # --- time ---
     def advance(self, duration: float) -> None:
-        """Let time [s] pass in a task's context, with observer updates; return early if canceled."""
+        """Let an amount of time [s] pass in a task's context and keep the observers up to date.
+        Return early if the task is canceled.
+        """
         driver, end = self.driver, self.driver.now + duration
         alone = driver.is_simulated and not self.observers
         at_once = max(round(UNWATCHED / driver.period), 1) * driver.period if alone else driver.period
@@ -294,11 +309,13 @@ class TaskContext:
 
     @property
     def progress(self) -> Callable[[float], None] | None:
-        """Return a task context's progress callback for motion commands; None without observers."""
+        """Return the function that motion commands of a task's context call to report progress,
+        or None without observers.
+        """
         return (lambda _: self.observe()) if self.observers else None
 
     def observe(self) -> None:
-        """Send a sample to a task context's observers if one is due, and report new physics events."""
+        """Send a sample to the observers of a task's context if one is due, and report new physics events."""
         if not self.observers or self.driver.now < self._next_sample:
             return
         self.report_news()
@@ -317,7 +334,9 @@ class TaskContext:
             observer.on_state(sample)
 
     def report_news(self) -> None:
-        """Emit a task context's events for new welds, unwanted contacts and safety stops of real arms."""
+        """Emit an event in a task's context for each new weld,
+        unwanted contact and safety stop of a real arm.
+        """
         welds, contacts = self.driver.welds(), self.driver.unwanted_contacts()
         for weld in welds[self._told[0] :]:
             self.emit("weld", f"{weld.object} is welded to {weld.gripper}: {weld.reason}")
@@ -336,7 +355,7 @@ class TaskContext:
         self.lost.pop(held.object, None)
 
     def lose(self, item: str, text: str) -> None:
-        """Record in a task's context that an object has fallen out of a hand."""
+        """Record in a task's context that a hand has lost an object."""
         self.holding.pop(item, None)
         self.lost[item] = text
         self.emit("lost", text, object=item)
@@ -349,7 +368,7 @@ class TaskContext:
             observer.on_event(event)
 
     def announce(self, trajectory: JointTrajectory, plan: str = "", **evidence: Any) -> None:
-        """Notify a task context's observers that a motion begins.
+        """Notify the observers of a task's context that a motion begins.
 
         Args:
             plan: name of the plan; if given, a "plan" event with the evidence is emitted.
@@ -363,7 +382,9 @@ class TaskContext:
 
 @dataclass
 class Rejections:
-    """Rejection reasons in a task's context: counts by stage and reason, and first full texts."""
+    """Reasons for rejected candidates in a task's context: counts by stage and reason,
+    and the first texts in full.
+    """
 
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     details: list[tuple[str, str, str]] = field(default_factory=list)  # stage, candidate, reason

@@ -58,7 +58,7 @@ class MovingSettings:
 def pick_moving(
     ctx: TaskContext, item: str, gripper: Gripper, settings: MovingSettings = MovingSettings()
 ) -> Outcome:
-    """Grasp an object that moves at constant speed, e.g. on a conveyor belt, and lift it.
+    """Grasp and lift an object that moves at constant speed, for example on a conveyor belt.
 
     Args:
         settings: times; the distances come from `ctx.settings`.
@@ -74,7 +74,7 @@ def pick_moving(
 
 
 class _MovingPick(Pick):
-    """Conveyor pick of a moving object; each attempt meets the object farther along its path."""
+    """Pick of a moving object from a conveyor. Each attempt meets the object farther along its path."""
 
     retry = "trying again farther on"
 
@@ -138,7 +138,7 @@ def _measured_velocity(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[
 
 @dataclass(frozen=True, eq=False)
 class _WaitUntil:
-    """Step of a conveyor pick that waits until a time [s] of the driver's clock."""
+    """Step of a conveyor pick that waits until the driver's clock reaches a time [s]."""
 
     time: float
 
@@ -149,7 +149,9 @@ class _WaitUntil:
 
 @dataclass(frozen=True, eq=False)
 class _Along:
-    """Step of a conveyor pick that moves the hand along with the object: descend, close and lift."""
+    """Step of a conveyor pick that moves the hand along with the
+    object while it descends, closes and lifts.
+    """
 
     item: str
     gripper: Gripper
@@ -191,7 +193,9 @@ class _Along:
 @stage_types.register("move_along")
 @dataclass(frozen=True, eq=False)
 class MoveAlong:
-    """Stage of a conveyor pick: the hand descends to a moving object, moves with it and lifts it."""
+    """Stage of a conveyor pick in which the hand descends to the moving object,
+    moves along with it and lifts it.
+    """
 
     item: str
     gripper: Gripper
@@ -248,13 +252,16 @@ JUMP = 0.15  # [rad] maximum joint step between these points
 
 
 def _smooth(u: Array) -> Array:
-    """Blend the hand into a conveyor's motion by a quintic 0 to 1, at rest at both ends."""
+    """Return the quintic blend from 0 to 1, at rest at both ends,
+    with which the hand joins the motion of a conveyor.
+    """
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _carried(times: Array, blend: float, end: float) -> Array:
-    """Return the hand's traveled distance with a conveyor belt at given times, in seconds of belt motion.
+    """Return how far the hand has moved along with a conveyor belt at given times,
+    expressed as seconds of belt motion.
 
     The hand accelerates to the belt speed within `blend` [s] and decelerates in the last `blend` [s].
     """
@@ -269,7 +276,9 @@ def _carried(times: Array, blend: float, end: float) -> Array:
 
 
 def _touches(scene: PlanningScene, trajectory: JointTrajectory) -> str:
-    """Return the contact of a conveyor pick's motion as text; empty if the motion is collision-free."""
+    """Describe the contact that a conveyor pick's motion would cause.
+    The text is empty if the motion is proven collision-free.
+    """
     _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
     proof = KernelChecker(scene, trajectory.joint_names).certify(points, room)
     return "" if proof.free else "it cannot be proven" if proof.contact is None else proof.contact.describe()

@@ -24,7 +24,7 @@ NEAR = 1e-3  # [m] smaller clearances cost the same
 
 
 def motions(solution: PartialSolution) -> Iterator[Motion]:
-    """Yield the arm motions of a task's solution, to compute its cost."""
+    """Yield the arm motions in a task's solution, from which its cost is computed."""
     for step in solution.steps:
         motion = step.motion if isinstance(step, Together) else step
         if isinstance(motion, Motion):
@@ -33,7 +33,7 @@ def motions(solution: PartialSolution) -> Iterator[Motion]:
 
 @costs.register("duration")
 def duration(solution: PartialSolution) -> float:
-    """Cost term: the estimated execution time [s] of a task's solution."""
+    """Return the estimated execution time [s] of a task's solution, as a cost term."""
     seconds = 0.0
     for step in solution.steps:
         if isinstance(step, Motion | Together):
@@ -47,7 +47,7 @@ def duration(solution: PartialSolution) -> float:
 
 @costs.register("path_length")
 def path_length(solution: PartialSolution) -> float:
-    """Cost term: the total length [rad] of the joint-space paths of a task's solution."""
+    """Return the total length [rad] of the joint-space paths in a task's solution, as a cost term."""
     return float(
         sum(
             np.linalg.norm(np.diff(motion.trajectory.positions, axis=0), axis=1).sum()
@@ -58,7 +58,8 @@ def path_length(solution: PartialSolution) -> float:
 
 @costs.register("clearance")
 def clearance(solution: PartialSolution) -> float:
-    """Cost term: the inverse of the smallest clearance [1/m] of a task solution's motions.
+    """Return the inverse [1/m] of the smallest clearance during the
+    motions of a task's solution, as a cost term.
 
     Without near bodies, the cost is 0.
     """
@@ -68,12 +69,14 @@ def clearance(solution: PartialSolution) -> float:
 
 @costs.register("planning_time")
 def planning_time(solution: PartialSolution) -> float:
-    """Cost term: the total planning time [s, wall clock] of a task solution's motions."""
+    """Return the total wall-clock time [s] for which the motions of a
+    task's solution were planned, as a cost term.
+    """
     return sum(motion.planning_time for motion in motions(solution))
 
 
 def weighted(*terms: tuple[float, Cost]) -> Cost:
-    """Cost term of a task's solutions: a weighted sum of other cost terms.
+    """Return a cost term for solutions of a task that is the weighted sum of other cost terms.
 
     Example: `weighted((1.0, duration), (0.1, clearance))`
     """

@@ -18,12 +18,12 @@ from armcell.tasks.search import PartialSolution, Stage
 
 
 def holding(item: str) -> str:
-    """Return the name that stage interfaces use for the condition "a hand holds the object"."""
+    """Return the name of the condition "a hand holds the object" in the interfaces of stages."""
     return f"{item} in a hand"
 
 
 class TaskError(InputError):
-    """Error for task stages whose interfaces do not fit together; `problems` lists all faults."""
+    """Error for a task with stages whose interfaces do not fit together. `problems` lists all faults."""
 
     def __init__(self, problems: Sequence[str], task: str = ""):
         self.problems = tuple(problems)
@@ -31,7 +31,7 @@ class TaskError(InputError):
 
 
 class Container(Stage, Protocol):
-    """Stage that contains other stages and checks the interfaces between them."""
+    """Stage that contains other stages and checks that their interfaces fit together."""
 
     stages: tuple[Stage, ...]
 
@@ -40,14 +40,16 @@ class Container(Stage, Protocol):
 
 @dataclass(frozen=True)
 class InterfaceCheck:
-    """Interface names available after a task's stage, and the problems that the check found."""
+    """Result of an interface check: the names that are available
+    after a stage of a task, and the problems found.
+    """
 
     have: frozenset[str]
     problems: tuple[str, ...] = ()
 
 
 def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") -> None:
-    """Check the stage interfaces of a task: every stage must find its required inputs.
+    """Check the interfaces of a task's stages: every stage must find the inputs that it requires.
 
     Raises:
         TaskError: lists all missing inputs and unknown names.
@@ -58,12 +60,12 @@ def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") 
 
 
 def available(start: PartialSolution) -> frozenset[str]:
-    """Return the names of the data at the interface of a task's first stage."""
+    """Return the names of the data that are available at the interface of a task's first stage."""
     return frozenset(start.data) | {holding(item) for item in start.scene.attached}
 
 
 def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Check the interfaces (inputs and outputs) of stages in sequence."""
+    """Check the interfaces (inputs and outputs) of stages that run in sequence."""
     problems: list[str] = []
     for i, stage in enumerate(stages):
         later = {name: s.name for s in stages[:i:-1] for name in getattr(s, "provides", ())}
@@ -76,7 +78,8 @@ def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene |
 def single(
     stage: Stage, have: frozenset[str], scene: PlanningScene | None, later: Mapping[str, str] = {}
 ) -> InterfaceCheck:
-    """Check the interface (inputs and outputs) of one stage, or of a container with its stages.
+    """Check the interface (inputs and outputs) of one stage.
+    If the stage is a container, its inner stages are checked too.
 
     Args:
         later: names of later stages, by the names that they provide.
@@ -99,7 +102,9 @@ def single(
 
 
 def _unknown(stage: Stage, scene: PlanningScene | None) -> Iterator[str]:
-    """Check stage interfaces: yield a message for each name in a stage's fields that the scene lacks."""
+    """Yield a message for each name in the fields of a stage that the scene does not contain,
+    as part of the interface check.
+    """
     if scene is None:
         return
     model, objects = scene.model, {*scene.objects, *scene.attached}

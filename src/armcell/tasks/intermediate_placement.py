@@ -25,7 +25,7 @@ MOST = 2  # intermediate placements in a row
 
 @dataclass(frozen=True)
 class PlacementRecord:
-    """Record of an intermediate placement: its pose and the number of steps up to it."""
+    """Record of an intermediate placement: the object's pose and the number of steps that lead to it."""
 
     pose: RestingPose
     steps: int
@@ -35,7 +35,8 @@ class PlacementRecord:
 @dataclass(frozen=True, eq=False)
 @checked()
 class IntermediatePlacement:
-    """Stage that makes an intermediate placement, from which another grasp reaches the goal.
+    """Stage that puts an object down at an intermediate placement
+    from which another grasp can reach the goal.
 
     Up to `most` intermediate placements in a row are allowed.
 
@@ -100,7 +101,7 @@ class IntermediatePlacement:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PickAndPlace:
-    """Stage that picks and places an object, with intermediate placements if necessary."""
+    """Stage that picks an object and places it, with intermediate placements where necessary."""
 
     object: str
     support: str
@@ -134,7 +135,7 @@ class PickAndPlace:
 
 @dataclass(frozen=True, eq=False)
 class _AddRecord:
-    """Stage that adds an intermediate placement's record to the partial solution's data."""
+    """Stage that adds the record of an intermediate placement to the data of the partial solution."""
 
     pose: RestingPose
     name: str = "placement record"
@@ -150,7 +151,7 @@ def place_intermediate(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None = None,
     up: Vector | None = None, most: int = MOST,
 ) -> Outcome:  # fmt: skip
-    """Place an object at an intermediate pose from which the goal can be reached.
+    """Place an object at an intermediate pose from which the arm can bring it to the goal with another grasp.
 
     The whole sequence to the goal is planned before the arm moves. Measure the object's pose before you pick
     it again.

@@ -21,7 +21,8 @@ from armcell.timing import merged
 @dataclass(frozen=True, eq=False)
 @checked()
 class Merger:
-    """Merger: container that runs its stages at the same time: two arms, or arms and grippers.
+    """Merger: a container that runs its stages at the same time,
+    either for two arms or for arms and grippers.
 
     Each stage contributes one arm motion or one gripper motion from the same start. Two arms are certified to
     keep their distance on one clock; an arm and fingers are certified for every finger position between start
@@ -100,7 +101,9 @@ class Merger:
             raise InputError(why, element=f"merger {self.name!r}")
 
     def _unproven(self, scene: PlanningScene, motions: Sequence[Motion], grips: Sequence[Grip]) -> str:
-        """Return the reason why a merger's motions must not run at the same time, or an empty text."""
+        """Return the reason why the motions in a merger must not run at the same time.
+        The text is empty if they may.
+        """
         if len(motions) == 2:
             first, second = (m.trajectory for m in motions)
             groups = _group_of(scene, first), _group_of(scene, second)
@@ -121,7 +124,9 @@ class Merger:
 def _choices(
     solution: PartialSolution, planning: Planning, stages: Sequence[Stage]
 ) -> Iterator[tuple[PartialSolution, ...]]:
-    """Yield a merger's combinations of one proposal per stage, all based on the same solution."""
+    """Yield every combination of one proposal per stage of a merger,
+    all of which start from the same solution.
+    """
     if not stages:
         yield ()
         return
@@ -131,7 +136,7 @@ def _choices(
 
 
 def _both_allow(one: PlanningScene | None, other: PlanningScene | None) -> PlanningScene | None:
-    """Return the scene for two merged motions, with both motions' allowed contacts."""
+    """Return the scene for two merged motions, in which the contacts of both motions are allowed."""
     if one is None or other is None:
         return one or other
     return replace(one, allowed_pairs={**one.allowed_pairs, **other.allowed_pairs})

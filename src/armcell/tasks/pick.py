@@ -43,7 +43,8 @@ WIDER = 4  # factor on the number of grasps if later stages reject many
 
 
 class Pick(ABC):
-    """Pick recipe's sequence: plan and perform an attempt; after a failure, try the next grasp.
+    """Sequence that every pick recipe follows: plan an attempt and perform it.
+    If the attempt fails, try the next grasp.
 
     Args:
         label: names the pick in notes and messages, for example "pick cube".
@@ -60,7 +61,7 @@ class Pick(ABC):
         self.label, self.note, self.attempts, self.excluded = label, note, attempts, excluded
 
     def run(self) -> Outcome:
-        """Run the pick recipe: pick the object, with as many attempts as allowed.
+        """Pick the object by the recipe, with at most the allowed number of attempts.
 
         Returns:
             SUCCESS, or the last failure. After a scene change the object stays in the hand if it is grasped.
@@ -87,23 +88,24 @@ class Pick(ABC):
 
     @abstractmethod
     def plan(self) -> tuple[PartialSolution | None, Outcome]:
-        """Plan one attempt of a pick from the measured state, or return None with the reason.
+        """Plan one attempt of a pick from the measured state.
+        If there is no plan, return None and the reason.
 
         Excluded grasps are not used.
         """
 
     @abstractmethod
     def perform(self, solution: PartialSolution) -> Outcome:
-        """Perform a planned pick attempt and verify that the hand holds the object."""
+        """Perform a planned attempt of a pick, and verify that the hand holds the object."""
 
     def keeps_object(self) -> bool:
-        """Return whether a pick holds the object and keeps it if a scene change stops the lift."""
+        """Return whether a pick has the object in the hand and keeps it if a scene change stops the lift."""
         return False
 
     def recover(self, outcome: Outcome) -> None:
-        """Recover from a failed pick attempt so that the next can start: open the hand, leave the object.
+        """Prepare the next attempt after a failed pick: open the hand and retreat from the object.
 
-        After a scene change the hand has not closed yet, so it only leaves the object.
+        After a scene change the hand has not closed yet, so it only retreats.
         """
         changed = outcome.code is SCENE_INVALIDATED
         held = False if changed else self.open_hand()
@@ -111,15 +113,15 @@ class Pick(ABC):
             self.back_off()
 
     def open_hand(self) -> bool:
-        """Open the hand fully during a pick and return whether it held the object."""
+        """Open the hand fully during a pick, and return whether it held the object."""
         return False
 
     def is_around_object(self) -> bool:
-        """Return whether a pick's open hand may surround the object."""
+        """Return whether the open hand may surround the object after a failed pick."""
         return False
 
     def back_off(self) -> None:
-        """Retreat straight from the object that a pick's open hand surrounds."""
+        """Retreat straight from the object that the open hand surrounds after a failed pick."""
         return
 
 
@@ -127,7 +129,7 @@ def grasp_stages(
     choose: Stage, gripper: Gripper, s: TaskSettings, *rest: Stage, name: str = "move to pre-grasp",
     approach: Stage = AppendPlannedMotion("approach", "after_approach", "approach"),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of one pick attempt: choose a grasp, go to its pre-grasp, approach, finish.
+    """Return the stages of one pick attempt: choose a grasp, move to its pre-grasp, approach, and finish.
 
     Args:
         choose: proposes grasps, each with `pre_grasp` and the data that `approach` requires.
@@ -138,7 +140,7 @@ def grasp_stages(
 
 
 def check_hand_is_free(ctx: TaskContext, gripper: Gripper) -> None:
-    """Check that a gripper holds no object before a pick.
+    """Check before a pick that a gripper holds no object.
 
     Raises:
         InputError: it does; the message names the object.
@@ -149,7 +151,7 @@ def check_hand_is_free(ctx: TaskContext, gripper: Gripper) -> None:
 
 
 def check_pickable(ctx: TaskContext, item: str, gripper: Gripper) -> None:
-    """Check before a pick that a gripper is free and that an object is movable.
+    """Check before a pick that the gripper is free and the object is movable.
 
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
@@ -163,7 +165,7 @@ def check_pickable(ctx: TaskContext, item: str, gripper: Gripper) -> None:
 def pick(
     ctx: TaskContext, item: str, gripper: Gripper, excluded: tuple[str, ...] = (), ahead: Sequence[Stage] = ()
 ) -> Outcome:
-    """Pick an object: grasp it and lift it; if a grasp fails, try the next one.
+    """Pick an object: grasp and lift it. If a grasp fails, try the next one.
 
     Args:
         excluded: names of grasps that must not be used.
@@ -220,7 +222,7 @@ def pick_stages(
     scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings, excluded: tuple[str, ...] = (),
     ahead: Sequence[Stage] = (), among: tuple[str, ...] = (),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of the pick recipe, to start in a given (predicted) scene.
+    """Return the stages of the pick recipe, which start in a given (for example predicted) scene.
 
     Args:
         among: names of the allowed grasps; empty for all.
@@ -244,9 +246,9 @@ def pick_stages(
 
 
 def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
-    """Return a pick's fast filter that rejects grasps from which no placement is possible.
+    """Return a fast test that lets a pick reject grasps from which no placement is possible.
 
-    The filter does not use the arm.
+    The test does not consider the arm.
     """
     for stage in ahead:
         if isinstance(stage, ChoosePlacement):
@@ -255,13 +257,13 @@ def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
 
 
 def _grasped(item: str, gripper: Gripper, solution: PartialSolution) -> PartialSolution:
-    """Return a pick's solution in which the object is attached to the hand by the chosen grasp."""
+    """Return the solution of a pick in which the chosen grasp has attached the object to the hand."""
     scene = solution.data["after_approach"].with_attached(item, gripper.tcp_link, gripper.hand_links)
     return solution.then(scene=scene)
 
 
 def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
-    """Pick's grasp without the lift; contact between object and support stays allowed.
+    """Grasp an object as in a pick but do not lift it. Contact between object and support stays allowed.
 
     Raises:
         InputError: no such object, not movable, or the gripper already holds something.
@@ -284,7 +286,8 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
 
 # --- leaving an object ---
 def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Straight:
-    """Return a pick's stage that retreats straight [m] against the hand's approach direction.
+    """Return the stage of a pick that retreats straight,
+    against the hand's approach direction, by a distance [m].
 
     Contact of the hand with the object is allowed during the retreat.
     """
@@ -295,7 +298,7 @@ def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> St
 
 
 def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) -> bool:
-    """Return whether an open hand may surround an object that it failed to pick."""
+    """Return whether an open hand may surround the object that it failed to pick."""
     tcp, T = scene.frame_pose(gripper.tcp_link), scene.object(item).T_world_object
     return bool(np.linalg.norm(tcp.translation - T.translation) <= s.approach_distance)
 
@@ -303,7 +306,7 @@ def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) 
 def retreats(
     scene: PlanningScene, item: str, gripper: Gripper, planning: Planning
 ) -> Iterator[PartialSolution]:
-    """Yield the farthest possible retreat of an open hand from the object that it failed to pick.
+    """Yield the retreat that moves an open hand as far as possible from the object that it failed to pick.
 
     Planners find no path from the start of this retreat; the next plan starts at its end.
     """
@@ -312,6 +315,6 @@ def retreats(
 
 
 def back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
-    """Retreat straight from a failed pick's object that the open hand surrounds."""
+    """Retreat straight from the object that an open hand surrounds after a failed pick."""
     for solution in retreats(ctx.scene(), item, gripper, Planning(ctx.settings, ctx.seed, ctx.cancel)):
         perform_all(ctx, solution.steps)

@@ -24,7 +24,7 @@ from armcell.tasks.task import Task, TaskPlan, emit_rejections
 
 @dataclass(frozen=True, eq=False)
 class PipelinedTask:
-    """Pipelined task: a named list of stages, created from the scene in which they start."""
+    """Pipelined task: a named list of stages, which is created from the scene in which they will start."""
 
     name: str
     stages: Callable[[TaskContext, PlanningScene], Sequence[Stage]]
@@ -33,7 +33,9 @@ class PipelinedTask:
 @dataclass(frozen=True)
 @checked()
 class PipelineSettings:
-    """Tolerances within which a pipelined task's plan made in advance remains valid."""
+    """Tolerances for a pipelined task: how far the scene may differ from the prediction while a plan that was
+    made in advance remains valid.
+    """
 
     joints: float = 0.02  # [rad or m] between predicted and measured joint position
     distance: float = 0.003  # [m] of any object
@@ -45,14 +47,14 @@ class PipelineSettings:
 
 
 def picking(item: str, gripper: Gripper) -> PipelinedTask:
-    """Create a pipelined pick with one attempt."""
+    """Create a pipelined task that picks an object, with one attempt."""
     return PipelinedTask(f"pick {item}", lambda ctx, scene: pick_stages(scene, item, gripper, ctx.settings))
 
 
 def placing(
     item: str, on: str, gripper: Gripper, at: tuple[float, float] | None = None, up: Vector | None = None
 ) -> PipelinedTask:
-    """Create a pipelined placement with one attempt."""
+    """Create a pipelined task that places an object, with one attempt."""
     return PipelinedTask(
         f"place {item} on {on}", lambda ctx, _: place_stages(item, on, gripper, ctx.settings, at, up)
     )
@@ -61,7 +63,8 @@ def placing(
 def perform_pipelined(
     ctx: TaskContext, tasks: Sequence[PipelinedTask], settings: PipelineSettings = PipelineSettings()
 ) -> Outcome:
-    """Perform pipelined tasks in sequence: while one runs, plan the next from its predicted scene.
+    """Perform pipelined tasks one after the other.
+    While one task runs, the next one is planned from the predicted scene.
 
     If the measured scene differs from the prediction, the task is planned again. The run does not depend on
     the planning time.
@@ -106,7 +109,7 @@ def _with_evidence(outcome: Outcome, done: list[str], again: dict[str, str]) -> 
 
 
 class _BackgroundPlan:
-    """Pipelined task that a background thread plans while another task runs."""
+    """Plan of a pipelined task, which a background thread makes while another task runs."""
 
     def __init__(self, ctx: TaskContext, task_spec: PipelinedTask, scene: PlanningScene):
         self.scene = scene
@@ -144,7 +147,9 @@ class _BackgroundPlan:
 def scene_difference(
     expected: PlanningScene, now: PlanningScene, settings: PipelineSettings = PipelineSettings()
 ) -> str:
-    """Return how a scene differs from a pipelined task's predicted scene; empty within the tolerances."""
+    """Describe how a scene differs from the one predicted for a pipelined task.
+    The text is empty within the tolerances.
+    """
     s, model = settings, now.model
     fingers = {gripper.joint_name for gripper in model.grippers.values()}
     for i, name in enumerate(model.joint_names):

@@ -30,7 +30,7 @@ NOISE = Noise(position=0.001, rotation=0.02)
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """Proof of one grasp: the result of its simulated trials."""
+    """Proof of one grasp by simulation: the result of its trials."""
 
     grasp: Grasp
     successes: int
@@ -40,7 +40,8 @@ class Proof:
 
     @property
     def probability(self) -> float:
-        """Return a simulated grasp proof's estimated success probability, strictly between 0 and 1.
+        """Return the estimated probability that a grasp succeeds, from its simulated trials.
+        It is strictly between 0 and 1.
 
         The estimate is a mean with a prior that counts as `PRIOR_TRIALS` trials.
         """
@@ -48,7 +49,7 @@ class Proof:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Return Wilson's 95 % interval of a grasp proof's success rate in simulated trials."""
+        """Return the 95 % Wilson interval for the success rate of a grasp in its simulated trials."""
         return wilson(self.successes, self.trials)
 
 
@@ -63,7 +64,7 @@ def prove(
     seed: int = 0,
     threads: int | None = None,
 ) -> list[Proof]:
-    """Run grasp proofs: lift and shake an object with each grasp in noisy physics trials.
+    """Prove grasps by simulation: lift and shake an object with each grasp in noisy physics trials.
 
     The first of the `trials` trials has no noise. The object rests on its support: its pose is uncertain
     along the surface and about the vertical.
@@ -116,7 +117,8 @@ def _noisy(item: CollisionObject, grasp: Grasp, count: int, noise: Noise, seed: 
 def as_it_may_be(
     item: CollisionObject, count: int, rng: np.random.Generator, noise: Noise = NOISE
 ) -> list[CollisionObject]:
-    """Sample variants of an object for a grasp's physics proof: varied pose, friction and mass.
+    """Sample variants of an object for the trials that prove its grasps:
+    the pose, the friction and the mass vary.
 
     The pose varies along the support and about the vertical. The first variant is the nominal object.
     """
@@ -130,7 +132,9 @@ def as_it_may_be(
 
 
 def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """Return the best distinct grasps for physics proofs; fill up with the next best if too few."""
+    """Return the best grasps that differ clearly from each other, to prove them in physics.
+    If there are too few, add the next best ones.
+    """
     chosen: list[Grasp] = []
     rest: list[Grasp] = []
     for grasp in grasps:
@@ -141,7 +145,9 @@ def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
 
 
 def _alike(a: Grasp, b: Grasp) -> bool:
-    """Return whether two grasps to prove are almost equal, up to a half turn of the hand."""
+    """Return whether two grasps are so similar that only one needs a proof in physics.
+    A half turn of the hand does not count.
+    """
     if np.linalg.norm(a.T_object_tcp.translation - b.T_object_tcp.translation) > SAME_PLACE:
         return False
     A, B = a.T_object_tcp.rotation.matrix, b.T_object_tcp.rotation.matrix

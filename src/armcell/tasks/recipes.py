@@ -34,7 +34,7 @@ Vector = tuple[float, float, float]
 
 
 def let_go(ctx: TaskContext, item: str) -> Outcome:
-    """Recipe: open the hand that holds an object and retreat straight back.
+    """Recipe that opens the hand which holds an object, and retreats straight back.
 
     Raises:
         InputError: the object is not held.
@@ -60,7 +60,8 @@ def place(
     up: Vector | None = None,
     lean: float | None = None,
 ) -> Outcome:
-    """Recipe: place a held object on a support; the evidence "placement" has the target pose.
+    """Recipe that places a held object on a support.
+    The outcome's evidence contains the target pose ("placement").
 
     If the placement fails while the object is still held, it is planned again from the arm's position.
 
@@ -94,7 +95,7 @@ def place_stages(
     item: str, on: str, gripper: Gripper, s: TaskSettings, at: tuple[float, float] | None = None,
     up: Vector | None = None, lean: float | None = None, among: tuple[Placement, ...] = (),
 ) -> list[Stage]:  # fmt: skip
-    """Return the stages of the recipe `place`.
+    """Return the stages of which the recipe `place` consists.
 
     Args:
         among: the allowed placements; empty for all.
@@ -112,7 +113,7 @@ def place_stages(
 
 
 def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> Outcome:
-    """Recipe: move a planning group to a goal or to a named state."""
+    """Recipe that moves a planning group to a goal or to a named state."""
     goal = NamedGoal(goal) if isinstance(goal, str) else goal
     label = name or (f"move to {goal.name}" if isinstance(goal, NamedGoal) else "move")
     speed = ctx.settings.carry if ctx.holding else ctx.settings.free
@@ -120,7 +121,7 @@ def move_to(ctx: TaskContext, group: str, goal: Goal | str, name: str = "") -> O
 
 
 def perform_stages(ctx: TaskContext, stages: Sequence[Stage], name: str) -> Outcome:
-    """Plan a recipe's stages from the measured state, and execute the cheapest solution.
+    """Plan the stages of a recipe from the measured state, and execute the cheapest solution.
 
     Raises:
         TaskError: the stages do not fit together.
@@ -130,7 +131,8 @@ def perform_stages(ctx: TaskContext, stages: Sequence[Stage], name: str) -> Outc
 
 
 def hold(ctx: TaskContext, duration: float) -> Outcome:
-    """Recipe: keep the arm still for a duration [s]; the stage table reports a held object's slip.
+    """Recipe that keeps the arm still for a duration [s].
+    The stage table reports how far a held object slips.
 
     Raises:
         InputError: the duration is negative or not finite.
@@ -140,7 +142,7 @@ def hold(ctx: TaskContext, duration: float) -> Outcome:
 
 
 def release(ctx: TaskContext, gripper: Gripper) -> Outcome:
-    """Recipe: open a gripper fully at its present pose and detach the held object."""
+    """Recipe that opens a gripper fully at its present pose and detaches the held object."""
     for held in [h for h in ctx.holding.values() if h.gripper.name == gripper.name]:
         ctx.holding.pop(held.object)
         ctx.driver.unwatch_object(held.object)

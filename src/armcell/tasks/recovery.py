@@ -34,7 +34,9 @@ Look = Callable[[], Outcome]
 @dataclass(frozen=True)
 @checked()
 class RecoverySettings:
-    """Limits of a transfer's recovery, and tolerances within which it counts as a success."""
+    """Limits for recovery from failures during a transfer,
+    and tolerances within which the transfer counts as a success.
+    """
 
     tries: int = 5  # picks of one object
     seconds: float = 300.0  # time limit [s] on the driver's clock
@@ -55,7 +57,7 @@ class RecoverySettings:
 
 @dataclass
 class Trouble:
-    """Failures during an object's transfer with recovery, in their order."""
+    """Failures during the transfer of an object with recovery, in the order in which they occurred."""
 
     texts: list[str] = field(default_factory=list)
     laid: list[str] = field(default_factory=list)  # supports of the intermediate placements
@@ -79,7 +81,7 @@ def transfer(
     look: Look | None = None,
     settings: RecoverySettings = RecoverySettings(),
 ) -> Outcome:
-    """Transfer an object by pick and place; recover from failures until it is at its goal.
+    """Transfer an object to its goal by pick and place, and recover from failures until it is there.
 
     A dropped object is picked up again from its measured pose, or from the pose that `look` finds; so is an
     object placed inaccurately. A blocked motion is planned again around the obstacle. Only grasps that reach
@@ -127,7 +129,7 @@ def _once(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None,
     up: Vector | None, look: Look | None, s: RecoverySettings, trouble: Trouble,
 ) -> Outcome:  # fmt: skip
-    """Attempt a transfer with recovery once, with intermediate placements if needed."""
+    """Attempt once, as a part of recovery, to transfer an object, with intermediate placements if needed."""
     for left in reversed(range(AGAIN * s.intermediate_placements + 1)):
         if item not in ctx.holding and look is not None:
             seen = look()
@@ -156,14 +158,16 @@ def _once(
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Return whether recovery lacks only the motion to a grasp that leads to the transfer's goal."""
+    """Return whether the failed transfer found a grasp that leads to the goal,
+    so that recovery lacks only a motion to that grasp.
+    """
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 
 
 def _straight(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None, up: Vector | None
 ) -> Outcome:
-    """Transfer an object with a single grasp, without recovery, if one reaches the goal."""
+    """Transfer an object with a single grasp, if one reaches the goal. Failures are left to the recovery."""
     if item not in ctx.holding:
         outcome = pick(ctx, item, gripper, ahead=[_goal(ctx, item, gripper, on, at, up)])
         if not outcome.ok:
@@ -187,7 +191,7 @@ def _goal(
 
 
 def _landed(ctx: TaskContext, item: str, outcome: Outcome, s: RecoverySettings) -> Outcome:
-    """Check, for recovery, that a transferred object is within tolerance of its target pose."""
+    """Check, for recovery from failures, that a transferred object is within tolerance of its target pose."""
     wanted = outcome.evidence.get("placement")
     if not isinstance(wanted, Placement):
         return outcome

@@ -37,21 +37,23 @@ STEP = 0.10  # [m] grid around the present position
 
 @dataclass(frozen=True, eq=False)
 class RestingPose:
-    """Resting pose of an object on a support, for regrasping; `on` is empty for the present pose."""
+    """Resting pose of an object on a support, used for regrasping. `on` is empty for the present pose."""
 
     on: str
     placement: Placement
 
     @property
     def up(self) -> Vector:
-        """Return the upward direction at a regrasp's resting pose (unit vector in the object's frame)."""
+        """Return the direction that points upward at a resting pose for
+        regrasping (unit vector in the object's frame).
+        """
         x, y, z = self.placement.T_world_object.rotation.matrix.T @ self.placement.normal
         return float(x), float(y), float(z)
 
 
 @dataclass(frozen=True, eq=False)
 class RegraspStep:
-    """Regrasp step: pick the object with one of several grasps, place it at one of the poses."""
+    """Step of a regrasp: pick the object with one of several grasps, and place it at one of several poses."""
 
     grasps: tuple[str, ...]  # names; empty if the hand already holds the object
     poses: tuple[RestingPose, ...]
@@ -59,7 +61,9 @@ class RegraspStep:
 
 @dataclass(frozen=True, eq=False)
 class PlacementGoal:
-    """Goal of a regrasped object: its support, a point on the support, and the upward direction."""
+    """Goal for an object that is regrasped: its support, a point on the support,
+    and the direction that must point upward.
+    """
 
     object: str
     on: str
@@ -70,7 +74,7 @@ class PlacementGoal:
 def regrasp_sequences(
     scene: PlanningScene, goal: PlacementGoal, gripper: Gripper, planning: Planning, most: int
 ) -> Iterator[tuple[RegraspStep, ...]]:
-    """Yield regrasp sequences that lead an object to its goal, shortest first.
+    """Yield regrasp sequences that bring an object to its goal, shortest first.
 
     A sequence has at most `most` intermediate placements.
 
@@ -92,7 +96,8 @@ def _breadth_first(
     hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
     goals: tuple[RestingPose, ...], planning: Planning, most: int, seen: set[int],
 ) -> Iterator[tuple[RegraspStep, ...]]:  # fmt: skip
-    """Yield regrasp sequences breadth first; those over sides with a grasp to a goal come first.
+    """Yield regrasp sequences by a breadth-first search.
+    Those through a resting side from which a grasp reaches the goal come first.
 
     Adds the ids of reachable poses to `seen`.
     """
@@ -124,7 +129,7 @@ def _breadth_first(
 
 
 def _goals(scene: PlanningScene, goal: PlacementGoal, planning: Planning) -> tuple[RestingPose, ...]:
-    """Return the collision-free goal poses of a regrasped object, best first."""
+    """Return the collision-free goal poses of an object that is regrasped, best first."""
     item, on = scene.object(goal.object), goal.on
     try:
         found = [RestingPose(on, p) for p in place_candidates(item, scene.object(on), goal.at, up=goal.up)]
@@ -147,14 +152,14 @@ def _goals(scene: PlanningScene, goal: PlacementGoal, planning: Planning) -> tup
 
 
 def _touched(scene: PlanningScene, item: str, pose: RestingPose) -> str:
-    """Return which bodies a regrasped object would touch at a pose besides its support, as text."""
+    """Return as text the bodies besides its support that a regrasped object would touch at a resting pose."""
     put = scene.with_detached(item) if item in scene.attached else scene
     put = put.with_object_pose(item, pose.placement.above(RELEASE_GAP))
     return ", ".join(neighbors(put, item, 0.0))
 
 
 def _sides(scene: PlanningScene, goal: PlacementGoal) -> dict[Vector, list[RestingPose]]:
-    """Return a regrasped object's free resting poses by upward direction, nearest first."""
+    """Return the free resting poses of a regrasped object by upward direction, nearest first."""
     name = goal.object
     item = scene.object(name)
     now = item.T_world_object.translation
@@ -175,7 +180,9 @@ def _sides(scene: PlanningScene, goal: PlacementGoal) -> dict[Vector, list[Resti
 
 
 def _all_over(scene: PlanningScene, name: str, on: str, now: np.ndarray) -> Iterator[Placement]:
-    """Yield intermediate placements for regrasping: all stable sides, near the object, all over a support."""
+    """Yield intermediate placements for regrasping on all stable sides of the object:
+    first near the object, then all over the support.
+    """
     item, support = scene.object(name), scene.object(on)
     try:
         x, y, _ = surface_for(item, support)[0].inv().apply(now)
@@ -194,7 +201,7 @@ def _rounded(up: Vector) -> Vector:
 
 
 class _Hands:
-    """Regrasp planning's cache of the grasps that are feasible at each resting pose of an object."""
+    """Cache for regrasp planning of the grasps that are feasible at each resting pose of an object."""
 
     def __init__(self, scene: PlanningScene, name: str, gripper: Gripper, planning: Planning):
         self.rejections: dict[Vector, Rejections] = {}  # rejections by the upward direction
@@ -216,7 +223,7 @@ class _Hands:
             self._as_held = Grasp("current grasp", T_object_tcp, width, width, 0.0)
 
     def grasps(self, pose: RestingPose) -> list[Grasp]:
-        """Return the grasp candidates of a regrasped object at a resting pose."""
+        """Return the candidate grasps for regrasping an object that rests at a given pose."""
         if pose is self.start and self._as_held is not None:
             return [self._as_held]
         side = _rounded(pose.up)
@@ -229,11 +236,15 @@ class _Hands:
         return self._grasps[side]
 
     def leads_on(self, pose: RestingPose, goals: Sequence[RestingPose]) -> bool:
-        """Return whether a grasp of the object's resting side is also feasible at a regrasp goal pose."""
+        """Return whether one grasp of the object is feasible both at a
+        resting pose and at a goal pose of the regrasp.
+        """
         return any(self.can(grasp, goal) for grasp in self.grasps(pose) for goal in goals)
 
     def shared(self, here: RestingPose, there: Sequence[RestingPose]) -> tuple[str, ...]:
-        """Return the names of the regrasp grasps feasible at one resting pose and at another one."""
+        """Return the names of grasps that are feasible both at one resting
+        pose and at one of the next poses of a regrasp.
+        """
         found: list[str] = []
         for grasp in self.grasps(here):
             if self._fits(grasp, here) and any(self.can(grasp, t) for t in there) and self.can(grasp, here):
@@ -243,7 +254,7 @@ class _Hands:
         return tuple(found)
 
     def can(self, grasp: Grasp, pose: RestingPose) -> bool:
-        """Return whether a regrasp's grasp at a resting pose is reachable without collision.
+        """Return whether a grasp for regrasping is reachable without collision at a resting pose.
 
         A straight retreat must be possible as well.
         """
@@ -290,7 +301,8 @@ class _Hands:
         self.rejections.setdefault(side, Rejections()).add("", candidate, reason)
 
     def why(self, side: Vector, most: int = 2) -> str:
-        """Return the most frequent reasons why a regrasp's grasps fail on a side, with counts.
+        """Return the most frequent reasons, with counts,
+        why grasps for regrasping fail while the object rests on a given side.
 
         Also returns the first reason in full.
         """
@@ -306,7 +318,7 @@ def _report(
     planning: Planning, hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
     seen: set[int], goal: Vector,
 ) -> None:  # fmt: skip
-    """Report for each side of the object why no regrasp sequence was found.
+    """Report, for each side of the object, why no regrasp sequence was found.
 
     Sides with a grasp to the goal come first.
     """

@@ -30,7 +30,9 @@ CANCEL_PERIOD = 0.02  # [s] between checks for cancellation while threads evalua
 
 @dataclass(frozen=True, eq=False)
 class PartialSolution:
-    """Partial solution in a task's search: the resulting scene, the steps so far, data for later."""
+    """Partial solution in the search for a task's plan: the resulting scene,
+    the steps so far, and data for later stages.
+    """
 
     scene: PlanningScene
     steps: tuple[Step, ...] = ()
@@ -40,13 +42,15 @@ class PartialSolution:
         return replace(self, steps=self.steps + steps, scene=scene or self.scene, data={**self.data, **data})
 
     def since(self, start: PartialSolution) -> PartialSolution:
-        """Return a searched partial solution with only the steps added after an earlier solution."""
+        """Return a partial solution of the search that contains only
+        the steps added after an earlier solution.
+        """
         return replace(self, steps=self.steps[len(start.steps) :])
 
 
 @dataclass
 class Planning:
-    """Planning state that a task search's stages share: settings, seed, cancellation, rejections."""
+    """Planning state that the stages of a task search share: settings, seed, cancellation and rejections."""
 
     settings: TaskSettings
     seed: int = 0
@@ -62,7 +66,7 @@ class Planning:
     within: list[str] = field(default_factory=list)  # names of the running stages, outermost first
 
     def propose(self, stage: Stage, solution: PartialSolution) -> Iterator[PartialSolution]:
-        """Yield a stage's proposals to the search and count them for the stage table."""
+        """Yield the proposals of a stage to the search, and count them for the stage table."""
         path = (*self.within, stage.name)
         self.tallies.setdefault(path, Tally(path)).asked += 1
         found = iter(stage.propose(solution, self))
@@ -88,7 +92,7 @@ class Planning:
 
     @property
     def time_left(self) -> float:
-        """Return the rest of a task search's planning budget [s of this thread's CPU time].
+        """Return the rest of the budget [s] for planning a task by search, in CPU time of this thread.
 
         CPU time makes plans independent of the load of the machine.
         """
@@ -96,7 +100,9 @@ class Planning:
 
     @property
     def hopeless(self) -> bool:
-        """Return whether a task's search is hopeless: canceled, out of time, or start in collision."""
+        """Return whether it is useless to continue the search for a task's plan: it is canceled or out of
+        time, or the start is in collision.
+        """
         return (
             self.cancel.is_set()
             or self.time_left <= 0
@@ -105,18 +111,21 @@ class Planning:
 
     @property
     def parallel(self) -> int:
-        """Return the number of candidates that a task's search evaluates in parallel threads."""
+        """Return the number of candidates that the search for a task's plan evaluates in parallel threads."""
         return self.settings.planning_threads if self.threads is None else self.threads
 
     def fork(self) -> Planning:
-        """Fork a task search's planning state for another thread, which can be canceled separately."""
+        """Copy the planning state of a task search for another thread,
+        so that the copy can be canceled separately.
+        """
         return replace(
             self, cancel=threading.Event(), rejections=Rejections(), failure=None, tallies={},
             within=list(self.within), threads=1,
         )  # fmt: skip
 
     def join(self, fork: Planning, seconds: float) -> None:
-        """Merge a forked planning state's reports and CPU time [s] into the task search's own.
+        """Merge the reports and the CPU time [s] of a forked planning
+        state into the state of the task search.
 
         Later reports of the fork go directly to this state.
         """
@@ -131,7 +140,8 @@ class Planning:
 
 
 class Stage(Protocol):
-    """Interface of stages in a task's search: extend a partial solution by alternatives, best first.
+    """Interface of the stages in a task search.
+    A stage extends a partial solution by alternatives, best first.
 
     A stage rejects unusable candidates with a reason. `requires`, `provides` and `consumes` (optional tuples
     of names) declare which data of the solution it reads, adds and removes; `interfaces.py` checks them
@@ -149,7 +159,7 @@ stage_types: Registry[Callable[..., Stage]] = Registry("stage", "armcell.stages"
 
 
 def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
-    """Make a registered stage for a task's search from the values of a cell file.
+    """Create a registered stage for a task search from the values in a cell file.
 
     The default of `name` is the stage's own name.
 
@@ -172,7 +182,9 @@ def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
 def solutions(
     stages: Sequence[Stage], start: PartialSolution, planning: Planning
 ) -> Iterator[PartialSolution]:
-    """Yield complete solutions of a task's search lazily, with only as many candidates as needed."""
+    """Yield complete solutions of a task search lazily,
+    so that only as many candidates as needed are evaluated.
+    """
     if planning.hopeless:
         return
     if not stages:
@@ -184,7 +196,7 @@ def solutions(
 
 @dataclass(frozen=True, eq=False)
 class _Continuation:
-    """Task search over the remaining stages after one proposal of the first stage."""
+    """Continuation of a task search through the remaining stages, after one proposal of the first stage."""
 
     stages: Sequence[Stage]
     solution: PartialSolution
@@ -198,7 +210,8 @@ Branch = Callable[[Planning], Iterator[PartialSolution]]
 
 
 def in_order(branches: Iterable[Branch], planning: Planning) -> Iterator[PartialSolution]:
-    """Yield solutions of one search branch after the other, until planning a task is hopeless.
+    """Yield the solutions of one search branch after the other,
+    until it is useless to continue planning the task.
 
     If `planning` has threads, they search the next branches in parallel.
     """
@@ -236,7 +249,7 @@ def _in_parallel(branches: Iterator[Branch], planning: Planning) -> Iterator[Par
 
 
 class _ThreadedBranch:
-    """Task search branch whose first solution a separate thread computes."""
+    """Branch of a task search whose first solution is computed in a separate thread."""
 
     def __init__(self, branch: Branch, planning: Planning, threads: ThreadPoolExecutor):
         self.planning = planning.fork()
@@ -252,7 +265,9 @@ class _ThreadedBranch:
         return solution, time.thread_time() - own.began
 
     def first_for(self, planning: Planning) -> PartialSolution | None:
-        """Wait for a search branch's first solution; then the caller's thread owns the branch."""
+        """Wait for the first solution of a search branch.
+        After this call, the branch belongs to the caller's thread.
+        """
         while not wait((self._found,), CANCEL_PERIOD).done:
             if planning.cancel.is_set():
                 self.planning.cancel.set()
@@ -262,7 +277,9 @@ class _ThreadedBranch:
 
 
 def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) -> PartialSolution | None:
-    """Search a task's stages for the first complete solution; `planning.rejections` has the reasons."""
+    """Search through the stages of a task for the first complete solution. If there is none,
+    `planning.rejections` contains the reasons.
+    """
     return next(solutions(stages, start, planning), None)
 
 
@@ -270,7 +287,8 @@ def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) 
 @dataclass(frozen=True, eq=False)
 @checked()
 class Lookahead:
-    """Lookahead stage of a task's search: passes only solutions from which later stages continue.
+    """Stage of a task search that looks ahead: it passes on only
+    solutions from which later stages can continue.
 
     The continuation is discarded. Put this stage as early as possible, so that the search does not plan dead
     ends completely.

@@ -25,7 +25,9 @@ _POSITIVE = (
 @dataclass(frozen=True)
 @checked()
 class Speed:
-    """Speed setting of a task: velocity and acceleration scaling relative to joint limits, (0, 1]."""
+    """Speed of a task's motions: scaling of velocity and acceleration
+    relative to the joint limits, in (0, 1].
+    """
 
     velocity: float
     acceleration: float
@@ -39,7 +41,7 @@ class Speed:
 @dataclass(frozen=True)
 @checked()
 class TaskSettings:
-    """Settings of pick and place tasks."""
+    """Settings of tasks that pick and place objects."""
 
     free: Speed = Speed(0.6, 0.25)  # empty hand, away from objects
     carry: Speed = Speed(0.4, 0.15)  # with a held object

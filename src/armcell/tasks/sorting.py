@@ -33,7 +33,7 @@ SPOTS = 4  # maximum number of candidate points tried
 @dataclass(frozen=True)
 @checked()
 class SortSettings:
-    """Settings of sorting: its limits, and the arm's rest state."""
+    """Settings for sorting objects: limits, and the state in which the arm rests."""
 
     tries: int = 3  # picks of one object
     most_picks: int = 60
@@ -62,7 +62,7 @@ def sort(
     by: str | Kind = "color",
     settings: SortSettings = SortSettings(),
 ) -> Outcome:
-    """Sort visible objects by kind into their targets, until an image shows all of them there.
+    """Sort visible objects by kind onto their targets, until an image shows all of them there.
 
     The camera takes a new image after each object, so objects that slipped or were moved are found again.
 
@@ -110,7 +110,7 @@ def _check(scene: PlanningScene, into: Mapping[str, str]) -> None:
 
 
 def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: SortSettings) -> Sight | Outcome:
-    """Return the camera's view of the objects to sort, taken with the arm outside the image."""
+    """Move the arm out of the image, and return the camera's view of the objects to sort."""
     if s.rest:
         moved = move_to(ctx, gripper.arm_group, s.rest)
         if not moved.ok:
@@ -125,7 +125,7 @@ def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: Sort
 def _todo(
     scene: PlanningScene, seen: Sight, kind: Kind, into: Mapping[str, str], tally: _Tally
 ) -> list[tuple[SeenObject, str]]:
-    """Return the objects that still have to be sorted, with their targets."""
+    """Return the objects that are still to be sorted, each with its target."""
     tally.sorted, tally.other, todo = {place_on: [] for place_on in into.values()}, {}, []
     for thing in seen.objects:
         what = kind(thing)
@@ -141,7 +141,7 @@ def _todo(
 
 
 def _lies_on(scene: PlanningScene, thing: SeenObject, place_on: str) -> bool:
-    """Return whether the center of a detected object is above a sorting target."""
+    """Return whether the center of a detected object is above the target onto which it is sorted."""
     frame, size_x, size_y = support_surface(scene.object(place_on))
     middle = thing.points.mean(axis=0) if thing.T_world_object is None else thing.T_world_object.translation
     x, y, z = frame.inv().apply(middle)
@@ -149,7 +149,9 @@ def _lies_on(scene: PlanningScene, thing: SeenObject, place_on: str) -> bool:
 
 
 def _carry(ctx: TaskContext, gripper: Gripper, item: str, place_on: str) -> Outcome:
-    """Sort one object: pick and place it; if placing fails, put it down where it can be picked again."""
+    """Sort one object: pick it and place it on its target.
+    If placing fails, put it down where it can be picked again.
+    """
     outcome = pick(ctx, item, gripper)
     if not outcome.ok:
         return outcome
@@ -168,7 +170,8 @@ def _carry(ctx: TaskContext, gripper: Gripper, item: str, place_on: str) -> Outc
 
 
 def _spots(scene: PlanningScene, item: str, place_on: str) -> list[tuple[float, float]]:
-    """Return candidate points on a sorting target's surface, by free margin, largest first.
+    """Return candidate points for an object on the surface of a sorting target,
+    those with the largest free margin first.
 
     On an empty target the first point is a corner, which leaves space for other objects.
 

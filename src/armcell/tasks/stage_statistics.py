@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass
 class Tally:
-    """Statistics of one stage's candidates in one search."""
+    """Statistics of the candidates that one stage evaluates in one search."""
 
     path: tuple[str, ...]  # names of the containers, then of the stage
     asked: int = 0  # number of solutions to extend
@@ -23,14 +23,16 @@ class Tally:
         return sum(self.reasons.values())
 
     def rejected(self, part: str, candidate: str, reason: str) -> None:
-        """Count a stage's rejected candidate; `part` is the stage, or a motion planned for the candidate."""
+        """Count a candidate that a stage has rejected. `part` names the stage,
+        or a motion planned for the candidate.
+        """
         short = reason_in_short(reason)
         key = short if part == self.path[-1] else f"{part}: {short}"
         self.reasons[key] = self.reasons.get(key, 0) + 1
         self.near_miss = self.near_miss or (candidate, reason)
 
     def add(self, other: Tally) -> None:
-        """Add the statistics of later candidates to a stage's tally."""
+        """Add the statistics of later candidates to those of the same stage."""
         self.asked += other.asked
         self.passed += other.passed
         self.seconds += other.seconds
@@ -39,7 +41,7 @@ class Tally:
         self.near_miss = self.near_miss or other.near_miss
 
     def why(self, most: int = 2) -> str:
-        """Return a stage's most frequent rejection reasons with their counts."""
+        """Return the most frequent reasons why a stage rejected candidates, with their counts."""
         order = sorted(self.reasons.items(), key=lambda kv: -kv[1])
         more = f", {len(order) - most} others" if len(order) > most else ""
         return ", ".join(f"{n} x {reason}" for reason, n in order[:most]) + more
@@ -53,17 +55,21 @@ class Tally:
 
 
 def reason_in_short(reason: str) -> str:
-    """Return a stage's rejection reason without its details, for counting."""
+    """Return the reason for a stage's rejection without its details, so that equal reasons can be counted."""
     return reason.split(":")[0].split(" (")[0]
 
 
 def stage_rows(tallies: Mapping[tuple[str, ...], Tally]) -> list[dict[str, Any]]:
-    """Return JSON-ready rows of all evaluated stages, in the order of their first evaluation."""
+    """Return the statistics of all evaluated stages as rows for JSON,
+    in the order of their first evaluation.
+    """
     return [tally.as_dict() for tally in tallies.values()]
 
 
 def stage_table(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Format stage statistics as a text table; a container's stages are indented below it."""
+    """Format the statistics of stages as a text table,
+    in which the inner stages of a container are indented.
+    """
     lines = [("stage", "tried", "gave", "failed", "time", "best near miss")]
     for row in rows:
         *outer, name = row["stage"].split("/")

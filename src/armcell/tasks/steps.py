@@ -19,7 +19,7 @@ LOOK_AT_HANDS = 0.019  # [s] between two checks of the grippers
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Step of a planned task that executes an arm motion."""
+    """Step of a planned task that executes a motion of the arm."""
 
     name: str
     trajectory: JointTrajectory
@@ -31,11 +31,11 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Return the duration [s] of a step's planned motion."""
+        """Return the duration [s] of the planned motion in a step of a task."""
         return self.trajectory.duration
 
     def announced(self) -> dict[str, Any]:
-        """Return the planning metadata that a record stores with a task step's motion."""
+        """Return the planning metadata that a record stores with the motion of a task's step."""
         return {
             "planner": self.planner, "planning_time_s": self.planning_time, "clearance_m": self.clearance,
             "evidence": dict(self.evidence),
@@ -61,7 +61,7 @@ class Motion:
 
 
 class _Watch(GuardedMotion):
-    """Guarded motion of a task step that also stops as soon as a hand has lost its object."""
+    """Guarded motion of a task's step that also stops as soon as a hand has lost its object."""
 
     def __init__(self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None):
         super().__init__(ctx.gate, trajectory, planned_in, ctx.cancel)
@@ -84,7 +84,9 @@ class _Watch(GuardedMotion):
                 self.lost = held
 
     def dropped(self, where: str) -> Outcome:
-        """Mark a task step's object as not held; return the outcome of the motion that lost it."""
+        """Record that a hand has lost its object during a step of a task,
+        and return the outcome of the motion.
+        """
         assert self.lost is not None
         item = self.lost.object
         text = f"lost {item} on the way ({where}): nothing is between the fingers any more"
@@ -109,11 +111,11 @@ class Grip:
         return self.finish(ctx)
 
     def start(self, ctx: TaskContext) -> None:
-        """Command the gripper to a task step's width without waiting."""
+        """Command the gripper width of a task's step, without waiting for the gripper."""
         ctx.driver.command_gripper(self.gripper.name, self.width, self.force)
 
     def finish(self, ctx: TaskContext) -> Outcome:
-        """Wait for the end of a task step's gripper motion."""
+        """Wait until the gripper motion of a task's step has ended."""
         return staged(ctx, StageReport(self.name), lambda: self._wait(ctx))
 
     def _wait(self, ctx: TaskContext) -> Outcome:
@@ -150,7 +152,9 @@ class Together:
 
     @property
     def duration(self) -> float:
-        """Return the duration [s] of the arm motion in a combined arm and gripper step."""
+        """Return the duration [s] of the arm motion in a task's step
+        that combines arm and gripper motions.
+        """
         return self.motion.duration if self.motion else 0.0
 
     def perform(self, ctx: TaskContext) -> Outcome:
@@ -166,7 +170,7 @@ class Together:
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """Step of a task that checks, after closing, that the hand holds the object.
+    """Step of a task that checks, after the gripper has closed, that the hand holds the object.
 
     From then on the object counts as held.
     """
@@ -215,7 +219,7 @@ class Expect:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """Step of a task that starts or stops the watch of a held object for unexpected contacts.
+    """Step of a task that starts or stops watching a held object for unexpected contacts.
 
     The object may touch nothing but its supports.
     """
@@ -234,7 +238,9 @@ class Watch:
 
 @dataclass(frozen=True, eq=False)
 class CheckGrasp:
-    """Step of a task that checks after the lift that the object moved along and is still held."""
+    """Step of a task that checks, after the lift, that the object has
+    moved along and the hand still holds it.
+    """
 
     object: str
     gripper: Gripper
@@ -270,7 +276,9 @@ class StillHeld:
 
 @dataclass(frozen=True, eq=False)
 class Dwell:
-    """Step of a task that keeps the arm still for a duration [s] and reports a held object's slip."""
+    """Step of a task that keeps the arm still for a duration [s],
+    and reports how far a held object slips meanwhile.
+    """
 
     name: str
     duration: float
@@ -290,13 +298,13 @@ class Dwell:
 
 
 def not_held(ctx: TaskContext, text: str) -> Outcome:
-    """Return the outcome of a task step whose hand does not hold the expected object."""
+    """Return the outcome of a task's step after which the hand does not hold the expected object."""
     ctx.emit("grasp", text)
     return Outcome(ErrorCode.CONTROL_FAILED, text, {EMPTY: True})
 
 
 def lost(ctx: TaskContext, item: str, text: str) -> Outcome:
-    """Mark a held object as lost, and return the outcome of the task's step."""
+    """Mark a held object as lost, and return the outcome of the task's step that lost it."""
     ctx.lose(item, text)
     ctx.driver.unwatch_object(item)
     return not_held(ctx, text)
@@ -309,7 +317,7 @@ class Step(Protocol):
 
 
 def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) -> Outcome:
-    """Execute a task's step and add an entry for it to the stage table."""
+    """Execute a step of a task, and add an entry for it to the stage table."""
     report.started_s = ctx.driver.now
     ctx.emit("stage", report.name, phase="begin")
     outcome = act()
@@ -321,7 +329,7 @@ def staged(ctx: TaskContext, report: StageReport, act: Callable[[], Outcome]) ->
 
 
 def perform_all(ctx: TaskContext, steps: Iterable[Step]) -> Outcome:
-    """Execute a planned task's steps in sequence until one fails."""
+    """Execute the steps of a planned task one after the other, until one fails."""
     for step in steps:
         if ctx.cancel.is_set():
             return Outcome(ErrorCode.PREEMPTED, "cancelled")

@@ -23,7 +23,7 @@ from armcell.tasks.steps import DONE
 
 @dataclass(frozen=True)
 class TaskPlan(Outcome):
-    """Task plan: complete solutions of a task's stages, cheapest first.
+    """Outcome of planning a task: the complete solutions of its stages, cheapest first.
 
     Evidence: `stages`, the statistics of each stage; `rejections`, every rejected candidate (stage,
     candidate, reason).
@@ -34,17 +34,17 @@ class TaskPlan(Outcome):
 
     @property
     def best(self) -> PartialSolution | None:
-        """Return the cheapest solution of a task plan, or None."""
+        """Return the cheapest solution in the plan of a task, or None if there is none."""
         return self.solutions[0] if self.solutions else None
 
     def table(self) -> str:
-        """Return the stage table of a task plan as text."""
+        """Return the stage table of a task's plan as text."""
         return stage_table(self.evidence.get("stages", ()))
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Task with named stages, and a cost that ranks its solutions."""
+    """Task that consists of named stages, with a cost that ranks the solutions."""
 
     name: str
     stages: tuple[Stage, ...]
@@ -84,7 +84,7 @@ class Task:
 
 
 def emit_rejections(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
-    """Emit an event with the candidates that were rejected before a task's plan succeeded, if any."""
+    """Emit an event with the candidates that were rejected, if any, before planning a task succeeded."""
     rejected = plan.evidence.get("rejections", ())
     if rejected:
         ctx.emit("plan", f"{what}: planned, {len(rejected)} rejected", evidence=plan.evidence)
@@ -93,7 +93,7 @@ def emit_rejections(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
 def plan_stages(
     ctx: TaskContext, stages: Sequence[Stage], what: str, scene: PlanningScene | None = None
 ) -> tuple[PartialSolution | None, Outcome]:
-    """Plan a task of stages from the measured state, or from a given scene.
+    """Plan a task that consists of the given stages, from the measured state or from a given scene.
 
     An event reports rejections or the failure.
 
@@ -122,7 +122,7 @@ Some = TypeVar("Some", bound=Outcome)
 
 
 class TaskFailed(ArmcellError):
-    """Exception for a failed outcome of a task in a script.
+    """Exception that a script raises when the outcome of a task is a failure.
 
     `outcome` has the code, the message and the evidence.
     """
@@ -133,7 +133,7 @@ class TaskFailed(ArmcellError):
 
 
 def checked(outcome: Some) -> Some:
-    """Return a task's outcome if it is a success, else raise `TaskFailed`.
+    """Return the outcome of a task if it is a success, else raise `TaskFailed`.
 
     Raises:
         TaskFailed: the outcome is a failure.

@@ -23,7 +23,8 @@ def averaged_pieces(
     joint_names: tuple[str, ...], times: ArrayLike, points: ArrayLike, acceleration: ArrayLike,
     longest: float = 4.0,
 ) -> JointTrajectory:  # fmt: skip
-    """Smooth a piecewise linear motion by a moving average into a trajectory within acceleration limits.
+    """Smooth a piecewise linear motion by a moving average, and return it as a trajectory within the
+    acceleration limits.
 
     The trajectory is as fast as the given motion and takes one averaging window longer. Its time 0 is half a
     window before the start of the given motion.
@@ -58,7 +59,9 @@ def _averaged(t: Array, p: Array, speeds: Array, window: float) -> tuple[Array, 
     )
 
     def integral(x: Array) -> Array:
-        """Return a piecewise linear motion's integral from time 0 to `x`, to average it; at rest outside."""
+        """Return the integral of a piecewise linear motion from time 0 to `x`; a moving average is the
+        difference of two such integrals.
+        """
         k = np.clip(np.searchsorted(t, x, side="right") - 1, 0, len(t) - 1)
         e = np.clip(x, t[0], t[-1]) - t[k]
         v = speeds[np.minimum(k, len(speeds) - 1)] if len(speeds) else np.zeros((len(x), p.shape[1]))

@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 
 class BlendedPath:
-    """Blended joint path of straight lines and rounded corners through or near waypoints (k, n).
+    """Joint path that consists of straight lines and rounded corners (blends), and passes through or near
+    waypoints (k, n).
 
     A corner that may not be rounded remains sharp, and the motion must stop there; `stops` contains the path
     parameters of these corners.
@@ -70,16 +71,19 @@ class BlendedPath:
 
     @property
     def stops(self) -> list[float]:
-        """A blended path's parameters s [rad] of the sharp corners at which the motion must stop."""
+        """Path parameters s [rad] of the sharp corners of a blended path, at which the motion must stop."""
         return self.starts[1:][self.rests].tolist()
 
     @property
     def arrays(self) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """Arrays (kind, origin, x, y, lengths, radius) of a blended path's pieces for compiled functions."""
+        """Arrays (kind, origin, x, y, lengths, radius) that describe the pieces of a blended path for
+        compiled functions.
+        """
         return self.kind, self.origin, self.x, self.y, self.lengths, self.radius
 
     def evaluate(self, piece: NDArray[np.int64], s: Array) -> tuple[Array, Array, Array]:
-        """Return points and the first and second path derivatives (m, n) on given pieces of a blended path.
+        """Return points (m, n) on given pieces of a blended path, with the first and second derivatives by
+        the path parameter.
 
         Args:
             piece: (m,) indices of path pieces.
@@ -94,13 +98,16 @@ class BlendedPath:
         return pieces.evaluate(*self.arrays, piece, s)
 
     def at(self, s: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return points and the first and second derivatives (m, n) of a blended path at s (m,)."""
+        """Return the points (m, n) of a blended path at path parameters s (m,), with their first and second
+        derivatives.
+        """
         s = np.atleast_1d(float_array(s, None, "s"))
         piece = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.kind) - 1)
         return self.evaluate(piece, np.clip(s - self.starts[piece], 0.0, self.lengths[piece]))
 
     def polyline(self, sagitta: float = 1e-4) -> Array:
-        """Return points (m, n) of a polyline within `sagitta` [rad] of a blended path.
+        """Approximate a blended path by a polyline; return its points (m, n), at most `sagitta` [rad] away
+        from the path.
 
         Raises:
             InputError: `sagitta` is not a positive number.

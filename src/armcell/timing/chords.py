@@ -17,7 +17,8 @@ _NONE = np.zeros((0, 0))
 
 
 def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
-    """Return, for chords, a trajectory's joint positions (k, n) at times (k,) [s] on its own clock.
+    """Return the joint positions (k, n) of a trajectory at times (k,) [s] on its own clock; chords connect
+    such positions.
 
     Before the first point and after the last, the joints hold their positions, as in `sample`.
     """
@@ -25,7 +26,8 @@ def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
 
 
 def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
-    """Return a trajectory's times, positions, velocities, accelerations and kind, to compute chords.
+    """Return the times, positions, velocities and accelerations of a trajectory as arrays for computing
+    chords, and a number for its kind of interpolation.
 
     The kind is 0 for positions only, 1 with velocities, 2 with velocities and accelerations.
     """
@@ -35,12 +37,11 @@ def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, in
 
 
 def acceleration_bounds(trajectory: JointTrajectory) -> Array:
-    """Return an upper bound of each joint's acceleration (n,) in a trajectory, to bound chord errors.
+    """Return an upper bound (n,) on the acceleration of each joint in a trajectory; it limits the error of
+    chords.
 
     A polynomial is bounded by its Bernstein coefficients; the bound uses those of the second derivative.
     Straight pieces have the bound 0.
-
-    A polynomial is within its Bernstein coefficients; those of the second derivative are taken.
     """
     return _accelerations(*_arrays(trajectory))
 
@@ -49,7 +50,7 @@ def chords(
     trajectories: tuple[JointTrajectory, ...], starts: tuple[float, ...], begin: float, end: float,
     error: float = 5e-4,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Approximate several motions on one clock by straight pieces (chords).
+    """Approximate several motions on a common clock by straight pieces (chords).
 
     Args:
         starts: start of each motion [s of the common clock]; its joints rest before and after the motion.

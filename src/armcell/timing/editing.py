@@ -19,7 +19,8 @@ SAME_TIME = 1e-9  # [s] points of merged motions that are closer become one poin
 
 
 def check_scaling(value: float, what: str) -> float:
-    """Check a velocity or acceleration scaling factor for trajectory editing: it must be in (0, 1].
+    """Check that a scaling factor for the velocity or acceleration of a trajectory is greater than 0 and at
+    most 1.
 
     Raises:
         InputError: the factor is outside (0, 1].
@@ -31,7 +32,7 @@ def check_scaling(value: float, what: str) -> float:
 
 # --- time ---
 def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
-    """Edit a trajectory: slow it down by a factor >= 1.
+    """Slow down a trajectory by a factor of at least 1.
 
     Raises:
         InputError: the factor is below 1, which could violate limits, or not finite.
@@ -48,7 +49,7 @@ def stretched(trajectory: JointTrajectory, factor: float) -> JointTrajectory:
 
 
 def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajectory:
-    """Edit a trajectory: slow it down to exactly `duration` [s].
+    """Slow down a trajectory so that it takes exactly `duration` [s].
 
     With r the ratio of the old to the new duration, velocities change by the factor r, accelerations by r^2
     and jerks by r^3, so the trajectory stays within its limits. A trajectory with one point becomes a pause.
@@ -74,13 +75,15 @@ def stretched_to(trajectory: JointTrajectory, duration: float) -> JointTrajector
 
 
 def synchronized(trajectories: Sequence[JointTrajectory]) -> tuple[JointTrajectory, ...]:
-    """Edit trajectories: slow all down to the longest duration, so that they end together."""
+    """Slow down several trajectories to the duration of the longest one, so that all of them end at the same
+    time.
+    """
     longest = max((t.duration for t in trajectories), default=0.0)
     return tuple(stretched_to(t, longest) for t in trajectories)
 
 
 def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
-    """Edit a trajectory: reverse it in time.
+    """Reverse a trajectory in time, so that it leads from its end to its start.
 
     Symmetric limits remain satisfied.
     """
@@ -95,20 +98,21 @@ def reversed_in_time(trajectory: JointTrajectory) -> JointTrajectory:
 
 
 def delayed(trajectory: JointTrajectory, wait: float) -> JointTrajectory:
-    """Edit a trajectory: delay it by a standstill of `wait` > 0 [s] at its start position."""
+    """Delay a trajectory by `wait` [s] > 0: the joints first stand still at its start position."""
     later = replace(trajectory, times=trajectory.times + wait)
     return started_from(trajectory.start, later)
 
 
 # --- points ---
 def resting(joint_names: Iterable[str], positions: ArrayLike, time: float = 0.0) -> JointTrajectory:
-    """Create a trajectory of one point for editing: joints rest at the positions (n,) at `time` [s]."""
+    """Create a trajectory with a single point, at which joints rest at positions (n,) at `time` [s]."""
     q = float_array(positions, (None,), "positions")[None]
     return JointTrajectory(tuple(joint_names), np.array([time]), q, np.zeros_like(q), np.zeros_like(q))
 
 
 def started_from(state: JointState, trajectory: JointTrajectory) -> JointTrajectory:
-    """Edit a trajectory: add a point at time 0 with a state's positions and velocities.
+    """Add a point at time 0 to the beginning of a trajectory, with the positions and velocities of a given
+    state.
 
     Args:
         state: state of at least the trajectory's joints; without velocities the joints are at rest.
@@ -130,7 +134,7 @@ def started_from(state: JointState, trajectory: JointTrajectory) -> JointTraject
 
 
 def section(trajectory: JointTrajectory, begin: float, end: float, apart: float = 0.0) -> JointTrajectory:
-    """Edit a trajectory: cut out the part between two times [s], with unchanged time stamps.
+    """Return the part of a trajectory between two times [s]; the time stamps of its points stay the same.
 
     Args:
         trajectory: with velocities and accelerations.
@@ -149,7 +153,8 @@ def section(trajectory: JointTrajectory, begin: float, end: float, apart: float 
 
 
 def _point(trajectory: JointTrajectory, t: float) -> tuple[Array, Array, Array]:
-    """Return a trajectory's position, velocity and acceleration (n,) at a time [s], for editing.
+    """Return the position, velocity and acceleration (n,) of a trajectory at a time [s], as needed for
+    editing the trajectory.
 
     Unlike `JointTrajectory.sample`, the function does not assume rest at the trajectory's ends.
     """
@@ -168,7 +173,8 @@ def _row(trajectory: JointTrajectory, i: int) -> tuple[Array, Array, Array]:
 def with_resting_joints(
     trajectory: JointTrajectory, state: JointState, joint_names: Iterable[str]
 ) -> JointTrajectory:
-    """Edit a trajectory: extend it to `joint_names`, in this order; other joints rest at `state`.
+    """Extend a trajectory to all joints in `joint_names`, in this order. The added joints rest at their
+    positions in `state`.
 
     Raises:
         UnknownNameError: neither the trajectory nor the state has a joint.
@@ -191,7 +197,7 @@ def with_resting_joints(
 
 
 def concatenated(*parts: JointTrajectory) -> JointTrajectory:
-    """Edit trajectories: concatenate those of the same joints, each from the previous part's end.
+    """Join trajectories of the same joints one after the other: each part begins when the previous part ends.
 
     The first point of a part is dropped, because it equals the last point of the previous part. Velocities
     (accelerations) are kept if all parts have them.
@@ -222,7 +228,7 @@ def concatenated(*parts: JointTrajectory) -> JointTrajectory:
 
 
 def merged(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Edit trajectories: merge two motions of different joints with the same start time.
+    """Merge two trajectories of different joints that start at the same time into one trajectory.
 
     The joints of the shorter motion stay at its end.
     """

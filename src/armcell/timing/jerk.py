@@ -37,7 +37,8 @@ EPS = 1e-12
 
 @njit(cache=True)
 def _ramp(dv, a, j):
-    """Return a jerk-limited speed change's durations of changing and of constant acceleration, for dv >= 0.
+    """Compute the timing of a jerk-limited speed change dv >= 0: how long the acceleration changes, and how
+    long it is constant.
 
     Both durations increase with dv. If a phase would be shorter than MIN_PHASE, the ramp becomes gentler.
     """
@@ -59,11 +60,10 @@ def _distance(v0, v1, a, j):
 
 @njit(cache=True)
 def _fastest(v0, v1, a, j, length, most):
-    """Return the jerk-limited highest speed up to `most` on a line from speed v0 to v1; at least max(v0, v1).
+    """Return the highest speed, at most `most`, that a jerk-limited motion can reach on a line between the
+    speeds v0 and v1. It is at least max(v0, v1).
 
-    v1 < 0: the line may end at the highest speed.
-
-    v1 < 0: the line may end at the speed it reaches.
+    If v1 < 0, the line may end at the highest speed.
     """
     low, high = max(v0, v1), most
     v = most
@@ -79,7 +79,8 @@ def _fastest(v0, v1, a, j, length, most):
 
 @njit(cache=True)
 def _ramp_phases(piece, s, v0, v1, a, j, at, out):
-    """Append the phases of a jerk-limited speed change to `out`; return the new phase count and the new s.
+    """Append the phases of a jerk-limited speed change to `out`. Return the new number of phases and the new
+    path parameter s.
 
     The up to three phases are (piece, s, v, a, jerk, duration).
     """
@@ -105,7 +106,8 @@ def _ramp_phases(piece, s, v0, v1, a, j, at, out):
 
 @njit(cache=True)
 def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
-    """Return a jerk-limited motion's phases of constant path jerk (k, 6) along the path pieces.
+    """Divide a jerk-limited motion along path pieces into phases of constant path jerk; return one row of six
+    values per phase (k, 6).
 
     The columns are piece, path parameter in the piece, speed, acceleration, jerk and duration.
     """
@@ -159,7 +161,7 @@ def phases(kind, x, y, length, rests, velocity, acceleration, jerk):
 
 @njit(cache=True)
 def states(times, begins, phase, kind, origin, x, y, length, radius):
-    """Return a jerk-limited motion's positions, velocities and accelerations (m, n) at times (m,)."""
+    """Return the positions, velocities and accelerations (m, n) of a jerk-limited motion at times (m,)."""
     m, n = len(times), x.shape[1]
     q, dq, ddq = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
     k = 0
@@ -185,7 +187,7 @@ def jerk_limited(
     jerk: ArrayLike,
     settings: TimingSettings = TimingSettings(),
 ) -> JointTrajectory:
-    """Return a trajectory exactly along a path, within velocity, acceleration and jerk limits.
+    """Return a trajectory that follows a path exactly, within the limits of velocity, acceleration and jerk.
 
     The path must have smooth corners. The trajectory has points at the changes of the path jerk and, between
     them, every `settings.sample_time`.
@@ -219,7 +221,9 @@ def jerk_limited(
 
 
 def _times(begins: Array, step: float) -> Array:
-    """Return a jerk-limited trajectory's times: starts of phases and a grid, MIN_GAP apart or more."""
+    """Return the time stamps for a jerk-limited trajectory: the starts of its phases and a regular grid, at
+    least MIN_GAP apart.
+    """
     end = begins[-1]
     knots = begins[np.concatenate([[True], np.diff(begins) >= MIN_GAP])]
     knots = np.append(knots[knots <= end - MIN_GAP], end)
@@ -230,7 +234,8 @@ def _times(begins: Array, step: float) -> Array:
 
 
 def _largest_jerk(times: Array, q: Array, v: Array, a: Array, jerk: Array) -> float:
-    """Return the largest ratio |jerk| / limit of a trajectory's quintic interpolation.
+    """Return the largest ratio of a joint's jerk to its jerk limit in the quintic interpolation of a
+    trajectory.
 
     The ratio is computed at the ends of each interval and at the maximum between them.
     """

@@ -30,7 +30,9 @@ TORQUE_SHARE = 0.985
 @dataclass(frozen=True)
 @checked()
 class TimingSettings:
-    """Settings of the time parameterization: corner deviation, grid, sample time and smoothing."""
+    """Settings of the time parameterization of a path: allowed deviation at corners, grid, sample time and
+    smoothing.
+    """
 
     max_deviation: float = 0.05  # [rad] maximum distance between a corner and the rounded path
     torque_grid: float = 0.02  # [rad] path length between points at which torque limits are enforced
@@ -45,15 +47,18 @@ class TimingSettings:
 
 
 class TorqueModel(Protocol):
-    """Protocol of the torque model for time parameterization: joint torques and their limits."""
+    """Protocol of a torque model that the time parameterization uses: it provides joint torques and their
+    limits.
+    """
 
     @property
     def limits(self) -> Array:
-        """Torque limits (n,) of the joints for time parameterization [Nm or N]."""
+        """Torque limits (n,) of the joints [Nm or N], which the time parameterization respects."""
         ...
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return the coefficients (m, 3, n) of joint torques at a path's points, for time parameterization.
+        """Return coefficients (m, 3, n) from which the joint torques at points of a path follow during time
+        parameterization.
 
         The torques are linear in u and x: the coefficients belong to u, x and 1, with path acceleration u and
         squared path speed x.
@@ -65,12 +70,15 @@ class TorqueModel(Protocol):
         ...
 
     def torques(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """Return joint torques (m, n) of states (m, n) for the time parameterization's torque limits."""
+        """Return the joint torques (m, n) that given motion states (m, n) require, so that the time
+        parameterization can check torque limits.
+        """
         ...
 
 
 class TorqueLimitError(ArmcellError):
-    """Failure of the time parameterization: a joint lacks the torque to hold still at a point of the path.
+    """Failure of the time parameterization: at some point of the path, a joint lacks the torque to hold the
+    arm still.
 
     Slower motion cannot help in this case.
     """
@@ -92,7 +100,8 @@ def parameterize(
     settings: TimingSettings = TimingSettings(),
     torque: TorqueModel | None = None,
 ) -> JointTrajectory:
-    """Parameterize a path: return the fastest trajectory within joint limits and optional torque limits.
+    """Compute the time parameterization of a path: the fastest trajectory along it within the joint limits
+    and, optionally, torque limits.
 
     The trajectory is at rest at both ends and at the path's sharp corners. Its velocities and accelerations
     are within the limits at all times of its (quintic) interpolation. The trajectory follows the path except
@@ -126,7 +135,8 @@ def parameterize(
 
 
 def smoothing_departure(acceleration: ArrayLike, settings: TimingSettings) -> Array:
-    """Return the bound (n,) [rad] of each joint's deviation from the path by `parameterize`'s smoothing.
+    """Return a bound (n,) [rad] on the deviation of each joint from the path that the smoothing in
+    `parameterize` causes.
 
     The bound is a w^2 / 24 for the acceleration limit a and the smoothing window w.
     """
@@ -141,7 +151,7 @@ def fastest_motion(
     settings: TimingSettings,
     torque: TorqueModel | None = None,
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Parameterize a path time-optimally, without smoothing and sampling.
+    """Compute the time-optimal parameterization of a path, without smoothing and sampling.
 
     Returns:
         The arrays that `topp.fastest` returns.
@@ -173,7 +183,8 @@ def fastest_motion(
 
 
 def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
-    """Return the factor by which a time-parameterized trajectory must slow down to keep the torque limits.
+    """Return the factor by which a trajectory must be slowed down after time parameterization, so that it
+    respects the torque limits.
 
     The part of a torque beyond the torque for holding still is proportional to the squared speed.
     """
@@ -185,12 +196,12 @@ def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
 
 
 def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Return the time parameterization of a path of length zero: a single point."""
+    """Return the time parameterization of a path of length zero: a trajectory with a single point."""
     return resting(joint_names, path.points[0])
 
 
 def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -> Array:
-    """Return one kind of joint limits for time parameterization as a finite array (n,).
+    """Check one kind of joint limits for the time parameterization, and return them as a finite array (n,).
 
     Raises:
         InputError: a limit is missing, not positive or not finite.

@@ -18,7 +18,8 @@ HALF_STEP = 0.09375  # integral of the smooth step 3 z^2 - 2 z^3 over its first 
 
 @njit(cache=True)
 def coefficients(kind, length, radius, s):
-    """Return a path piece's (line, arc, spline) coefficients a, b and their two derivatives at s.
+    """Return the coefficients a and b of a path piece (line, arc or spline) at s, with their first and second
+    derivatives.
 
     A line has (a, b) = (s, 0), an arc (r cos(s/r), r sin(s/r)). A spline turns its derivative from x to y by
     a smooth step, q' = (1 - w) x + w y with w = 3 z^2 - 2 z^3, z = s / length: its second derivative is
@@ -38,7 +39,8 @@ def coefficients(kind, length, radius, s):
 
 @njit(cache=True)
 def distinct(points):
-    """Return a mask that keeps distinct points (k, n) of path pieces, more than `MIN_EDGE` apart.
+    """Return a mask that selects points (k, n) which are more than `MIN_EDGE` apart; the pieces of a path are
+    built through these points.
 
     The last point is kept in any case.
     """
@@ -61,7 +63,8 @@ def distinct(points):
 
 @njit(cache=True)
 def build(points, deviation, smooth):
-    """Build the pieces (lines, arcs, splines) of the path through distinct points (k, n).
+    """Build the pieces of a path (lines, arcs and splines) that passes through distinct points (k, n) or
+    rounds them.
 
     The rounded corners deviate from the points by at most `deviation` (k,).
 
@@ -132,7 +135,9 @@ def build(points, deviation, smooth):
 
 @njit(cache=True)
 def evaluate(kind, origin, x, y, length, radius, piece, s):
-    """Evaluate path pieces (lines, arcs, splines) at s (m,): points and two derivatives (m, n)."""
+    """Evaluate the pieces of a path (lines, arcs, splines) at path parameters s (m,); return points (m, n)
+    and their first and second derivatives.
+    """
     m, n = len(s), origin.shape[1]
     point, first, second = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
     for i in range(m):
@@ -147,7 +152,9 @@ def evaluate(kind, origin, x, y, length, radius, piece, s):
 
 @njit(cache=True)
 def chords(kind, origin, x, y, length, radius, turn, sagitta):
-    """Return points (m, n) whose chords stay within `sagitta` [rad] of the path pieces."""
+    """Return points (m, n) along the pieces of a path, so close that the chords between them deviate by at
+    most `sagitta` [rad].
+    """
     p, n = origin.shape
     count = np.ones(p, np.int64)
     total = 1

@@ -17,7 +17,8 @@ GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with thre
 
 @njit(cache=True)
 def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
-    """Sample a motion's integral of position, position and velocity (m, n) at times, for moving averages.
+    """Sample a motion at given times: return the integral of the position, the position and the velocity (m,
+    n), from which moving averages are computed.
 
     The times increase. Positions are relative to the first point, and the integral begins at time 0. The
     motion is at rest before its start and after its end.
@@ -71,7 +72,8 @@ def _motion_at(times, kind, origin, x, y, length, radius, piece, s0, v0, u, t0):
 
 @njit(cache=True)
 def _difference(now, then, shift, factor):
-    """Replace each now[i] by the difference (now[i] - then[i - shift]) * `factor`, to sample an average.
+    """Replace each now[i] by the difference (now[i] - then[i - shift]) * `factor`, which yields the samples
+    of a moving average.
 
     `then` is zero before its first row and may be the same array as `now`.
     """
@@ -83,7 +85,7 @@ def _difference(now, then, shift, factor):
 
 @njit(cache=True)
 def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, t0, step, window):
-    """Sample a motion that is averaged over `window` [s], with a point every `step` [s].
+    """Sample a motion after smoothing by a moving average over `window` [s]; return a point every `step` [s].
 
     The last interval is 0.5 to 1.5 steps long.
 
@@ -118,7 +120,9 @@ def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, 
 
 @njit(cache=True)
 def _largest_cubic(b0, b1, b2, b3):
-    """Return the largest absolute value of a Bernstein cubic over [0, 1], for the peaks of samples."""
+    """Return the largest absolute value that a cubic in Bernstein form reaches on [0, 1]; it bounds the peaks
+    of a trajectory.
+    """
     best = max(abs(b0), abs(b3))
     d0, d1, d2 = b1 - b0, b2 - b1, b3 - b2  # its derivative / 3
     p, r = d0 - 2.0 * d1 + d2, d1 - d0  # p t^2 + 2 r t + d0 = 0
@@ -138,7 +142,8 @@ def _largest_cubic(b0, b1, b2, b3):
 
 @njit(cache=True)
 def peaks(times, q, v, a, velocity, acceleration):
-    """Return the peaks of a sampled trajectory: largest ratios |velocity| / limit, |acceleration| / limit.
+    """Return the peaks of a sampled trajectory: the largest ratios |velocity| / limit and |acceleration| /
+    limit.
 
     The ratios hold at any time of the quintic interpolation.
 

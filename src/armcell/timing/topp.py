@@ -24,7 +24,8 @@ MIN_GRIDDED = 16  # intervals of a line with torque limits
 
 @njit(cache=True)
 def grid(kind, length, turn, line_step):
-    """Divide path pieces into intervals for time-optimal parameterization; return pieces, starts, ends.
+    """Divide the pieces of a path into intervals for time-optimal parameterization. Return the piece, start
+    and end of each interval.
 
     Start and end are path parameters in the piece. Lines are divided only if line_step > 0.
     """
@@ -46,7 +47,8 @@ def grid(kind, length, turn, line_step):
 
 @njit(cache=True, fastmath=FAST)
 def _largest_x(center, half, slope, i, ds, reach, cap):
-    """Return the time-optimal parameterization's largest squared speed x in [0, cap] that interval i allows.
+    """Return the largest squared path speed x in [0, cap] that the constraints of interval i in a
+    time-optimal parameterization allow.
 
     x is allowed if some u has |u - center + slope x| <= half in every row of interval i and
     0 <= x + 2 ds u <= reach. Newton's method on a convex piecewise linear function takes a few steps.
@@ -73,7 +75,8 @@ def _largest_x(center, half, slope, i, ds, reach, cap):
 
 @njit(cache=True)
 def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
-    """Store constraint |alpha u + beta x + constant| <= limit of time-optimal parameterization as row r.
+    """Store a constraint |alpha u + beta x + constant| <= limit of the time-optimal parameterization as row r
+    of an interval.
 
     Return the upper bound that the constraint sets on x, at most `cap`.
     """
@@ -90,9 +93,7 @@ def _row(alpha, beta, constant, limit, i, r, center, half, slope, cap):
 @njit(cache=True, fastmath=FAST)
 def fastest(kind, origin, x, y, length, radius, rests, piece, begin, end, velocity, acceleration,
             torque, torque_limit):  # fmt: skip
-    """Compute the time-optimal motion along path pieces within joint and torque limits.
-
-    The motion is at rest at both ends and at the end of each piece that `rests`.
+    """Compute the time-optimal motion along the pieces of a path within joint limits and torque limits.
 
     The motion is at rest at both ends and at the end of each piece that `rests`.
 

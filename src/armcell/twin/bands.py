@@ -51,7 +51,9 @@ CREEP = 0.02  # [rad/s] at which Coulomb friction reaches 76 % of its final valu
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One sample of a real arm's motion without faults, from which the twin's bands are learned."""
+    """Measured sample from a fault-free motion of a real arm; the twin's residual thresholds (bands) are
+    learned from such samples.
+    """
 
     clock: float  # [s] time on the trajectory
     scaling: float  # speed fraction, 0 to 1
@@ -65,7 +67,9 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class ArmBands:
-    """A twin's bands (residual thresholds) and fitted current model of one arm, by joint."""
+    """Residual thresholds (bands) for each joint of one arm, with the fitted model that predicts its motor
+    currents from the simulated twin.
+    """
 
     lag: float  # [s]
     position: Array  # [rad]
@@ -82,7 +86,8 @@ class ArmBands:
     samples: int
 
     def current_of(self, effort: Array, velocity: Array) -> Array:
-        """Return the motor currents (n,) [A] that a twin's bands predict for efforts and velocities.
+        """Predict the motor currents (n,) [A] of an arm from simulated joint torques and velocities, with the
+        current model fitted for the twin.
 
         Args:
             effort: simulated joint torques (n,) [Nm].
@@ -98,7 +103,8 @@ class ArmBands:
     def deviations(
         self, seen: Seen, twin: Rehearsal, columns: Sequence[int], currents: deque[Array]
     ) -> dict[str, Array]:
-        """Return an arm's residuals by kind (n,), in units of a twin's bands; above 1 is outside a band.
+        """Return the residuals between an arm and its simulated twin by kind, as multiples of the thresholds
+        (bands): a value above 1 is a violation.
 
         `timing` and `load` have shape (1,); a negative load means that the arm carries less than the model
         says.
@@ -138,7 +144,8 @@ class ArmBands:
         return found
 
     def _of_currents(self, looks: Sequence[Array], doubt: Array) -> dict[str, Array]:
-        """Return the `current` and `load` residuals for a twin's bands, as far as the samples permit.
+        """Return the residuals of motor current and load relative to the twin's thresholds (bands), if the
+        samples are sufficient.
 
         Args:
             looks: recent samples (2, n) of current residual [A] and current per kilogram [A/kg].
@@ -161,16 +168,15 @@ class ArmBands:
 
 @dataclass(frozen=True, eq=False)
 class TwinBands:
-    """Twin bands: residual thresholds of all arms of a cell, with the identities that they belong to.
-
-    Other identities (robot, physics, calibration) make the thresholds invalid.
+    """Residual thresholds (bands) for comparing all arms of a cell with their twin, with the identities of
+    the robot, physics and calibration for which they are valid.
     """
 
     arms: Mapping[str, ArmBands]
     identity: Mapping[str, str]  # keys: robot, physics, real, calibration of each arm
 
     def save(self, file: Path) -> None:
-        """Write the twin's bands (residual thresholds) to a JSON file.
+        """Write the residual thresholds (bands) of a twin to a JSON file.
 
         Raises:
             InputError: the file cannot be written.
@@ -187,7 +193,7 @@ class TwinBands:
 
     @staticmethod
     def load(file: Path) -> TwinBands:
-        """Read the twin's bands (residual thresholds) from a JSON file.
+        """Read the residual thresholds (bands) of a twin from a JSON file.
 
         Raises:
             InputError: the file does not exist, or its format is not the current one.
@@ -215,7 +221,8 @@ def _arm_of(entry: dict[str, Any]) -> ArmBands:
 
 
 def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) -> ArmBands:
-    """Learn the twin's bands (residual thresholds) of one arm from motions without faults.
+    """Learn the residual thresholds (bands) for comparing one arm with its twin; the samples come from
+    motions without faults.
 
     Args:
         motions: for each motion its dry run, the arm's columns in the dry run, and the measured samples.
@@ -274,7 +281,8 @@ def learned(motions: Sequence[tuple[Rehearsal, Sequence[int], Sequence[Seen]]]) 
 
 
 def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
-    """Fit the linear motor current model in a twin's bands for each joint by least squares.
+    """Fit the linear motor current model of each joint by least squares; a twin's residual thresholds (bands)
+    rely on this model.
 
     Args:
         current, effort, speed: samples (k, n) in [A], [Nm], [rad/s].
@@ -293,7 +301,8 @@ def _fitted(current: Array, effort: Array, speed: Array) -> tuple[Array, Array]:
 
 
 def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest residual (n,) that lasts for LASTING samples of one motion, for twin bands.
+    """Return the largest residual (n,) that persists for LASTING consecutive samples of a motion. The twin's
+    thresholds (bands) are derived from it.
 
     A shorter peak does not count, because it would not slow the arm either.
     """
@@ -308,7 +317,9 @@ def _largest_lasting(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
-    """Return the largest mean (n,) over SMOOTHED samples of one motion, for the twin's bands."""
+    """Return the largest mean residual (n,) over SMOOTHED consecutive samples of a motion. The twin's
+    thresholds (bands) are derived from it.
+    """
     largest, first = np.zeros(left.shape[1]), 0
     for length in lengths:
         sums = np.cumsum(np.vstack([np.zeros(left.shape[1]), left[first : first + length]]), axis=0)
@@ -320,7 +331,8 @@ def _largest_mean(left: Array, lengths: Sequence[int]) -> Array:
 
 
 def _largest_load(left: Array, kilo: Array, spread: Array, lengths: Sequence[int]) -> float:
-    """Return the largest flange mass [kg] that explains a window of samples, for the twin's bands.
+    """Return the largest flange mass [kg] that would explain the samples in a time window. The twin's load
+    threshold (band) is derived from it.
 
     A window contains the last SMOOTHED samples; at the start of a motion, at least FEWEST.
     """

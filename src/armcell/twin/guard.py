@@ -33,7 +33,9 @@ STEADY = 0.002  # largest change of the speed scaling between two samples of con
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Recorded motion of the twin guard with its dry run, from which thresholds are learned."""
+    """Recorded motion of an arm together with its dry run; the twin guard learns its thresholds from such
+    pairs.
+    """
 
     arm: str
     twin: Rehearsal
@@ -42,7 +44,7 @@ class Motion:
 
 
 class TwinGuard:
-    """Twin guard that monitors all arms of a driver against their simulated twin.
+    """Guard that compares the moving arms of a driver with their simulated twin.
 
     Args:
         stage: simulation in which motions are dry-run.
@@ -68,7 +70,7 @@ class TwinGuard:
         return self.bands is not None
 
     def check_calibration(self, found: Mapping[str, str]) -> None:
-        """Check that the twin guard's thresholds belong to the calibration of the connected robots.
+        """Check that the twin guard's thresholds were learned with the calibration of the connected robots.
 
         Args:
             found: arm name to the checksum of its calibration.
@@ -90,7 +92,8 @@ class TwinGuard:
         poses: Mapping[str, SE3],
         held: Mapping[str, str],
     ) -> Outcome | None:
-        """Dry-run a trajectory for the twin guard; return the reason not to execute it, or None.
+        """Dry-run a trajectory in the simulated twin before the real arm executes it. Return the reason not
+        to execute it, or None.
 
         Args:
             state: measured joint state at the start.
@@ -111,7 +114,8 @@ class TwinGuard:
         self, following: Following, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
         trip: Callable[[Fault], None], sent_for: SentClock | None = None, forced: bool = False,
     ) -> Following:  # fmt: skip
-        """Return the twin guard's handle that compares a running motion with its twin at each reading.
+        """Return a handle to a running motion with which the twin guard compares the arms with their
+        simulated twin at each reading.
 
         Args:
             following: handle of the running motion.
@@ -131,7 +135,7 @@ class TwinGuard:
 
 
 class Watched:
-    """Twin guard's handle of a running motion that compares each arm with its simulated twin.
+    """Handle to a running motion with which the twin guard compares each arm with its simulated twin.
 
     All calls are forwarded to the handle of the running motion.
     """
@@ -229,7 +233,8 @@ class Watched:
     def _worst_of(
         self, found: Mapping[str, Array], arm: GuardedArm, bands: ArmBands
     ) -> tuple[str, float, str]:
-        """Return the kind of the twin guard's largest residual, its size in bands, and a description.
+        """Return the kind of the largest residual that the twin guard found, its size relative to its
+        threshold, and a description.
 
         The description also names a load that explains the currents, whatever kind is largest, because an
         arm may also yield under an unknown load.
@@ -257,7 +262,9 @@ class Watched:
         self._guard.note(cause.name, "twin slowed", f"{text} at {clock:.2f} s: slowed to {SLOW:.0%}")
 
     def _as_before(self) -> None:
-        """Restore the speed sliders to their values before the twin guard slowed the arms."""
+        """Restore the speed sliders to the values that they had before the twin guard slowed the arms
+        down.
+        """
         for arm in self._arms:
             if arm.name in self._before:
                 arm.set_slider(self._before.pop(arm.name))

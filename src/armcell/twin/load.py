@@ -23,7 +23,9 @@ UNTOLD = 1.0  # [kg] prior standard deviation of a mass: keeps poorly observable
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """Joint efforts for load estimation: per kilogram of load, and for the arm's own acceleration."""
+    """Joint efforts for estimating the load on the flange: the effort per kilogram of load, and the effort
+    that accelerates the arm itself.
+    """
 
     weight: Array  # (k, n) [Nm/kg] gravity torque of a mass at the flange
     inertia: Array  # (k, n) [Nm/kg] torque to accelerate the mass at full speed
@@ -31,7 +33,8 @@ class Demand:
 
 
 def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Demand:
-    """Return a trajectory's load and acceleration efforts at times (k,) [s], to estimate the flange load.
+    """Return the joint efforts that load and acceleration cause in a trajectory at times (k,) [s], from which
+    the load on the flange is estimated.
 
     The load is a point mass at the origin of each arm's last link. `swing` excludes held objects.
     """
@@ -52,7 +55,8 @@ def demand(model: RobotModel, trajectory: JointTrajectory, times: Array) -> Dema
 
 
 def explaining(wrong: Array, kilo: Array, spread: Array) -> float:
-    """Estimate the flange load: return the added mass [kg] that explains the motor currents best.
+    """Estimate the load on the flange: return the additional mass [kg] that best explains the measured motor
+    currents.
 
     The result is the expected value under a zero-mean normal prior with standard deviation `UNTOLD`.
 

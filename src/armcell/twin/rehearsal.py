@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """Dry run (rehearsal): simulated course of a trajectory, or the reason why it must not be executed.
+    """Result of a dry run (rehearsal): the simulated course of a trajectory, or the reason why the robot must
+    not execute it.
 
     Attributes:
         outcome: SUCCESS, or CONTROL_FAILED with the bodies that touch or the joint that did not follow.
@@ -36,7 +37,8 @@ class Rehearsal:
     demand: Demand
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Return a rehearsed (dry-run) motion's position, velocity and effort, each (n,), at a time [s].
+        """Return the position, velocity and effort, each (n,), that a dry-run (rehearsed) motion has at a
+        time [s].
 
         Before the start and after the end, the nearest values apply.
         """
@@ -44,7 +46,8 @@ class Rehearsal:
         return q, v, effort
 
     def efforts_at(self, t: float, scaling: float) -> tuple[Array, Array]:
-        """Return a rehearsed (dry-run) motion's efforts at a reduced speed, and the increase per kilogram.
+        """Return the efforts (n,) of a dry-run (rehearsed) motion when played at reduced speed, and their
+        increase per kilogram of load.
 
         Args:
             t: trajectory time [s].
@@ -57,7 +60,9 @@ class Rehearsal:
         return effort - (1.0 - scaling**2) * swing, weight + scaling**2 * inertia
 
     def _between(self, t: float, *rows: Array) -> list[Array]:
-        """Interpolate a rehearsed (dry-run) motion's arrays (k, n) at a time [s]; clamped at both ends."""
+        """Interpolate arrays (k, n) of a dry-run (rehearsed) motion at a time [s]; before the start and after
+        the end, the nearest values apply.
+        """
         k = int(np.searchsorted(self.times, t))
         if k == 0 or k == len(self.times):
             k = min(k, len(self.times) - 1)
@@ -67,7 +72,7 @@ class Rehearsal:
 
 
 class Stage:
-    """Stage for rehearsals: physics simulation of the cell for dry runs, from the measured state.
+    """Physics simulation in which motions of a cell are dry-run (rehearsed) from the measured state.
 
     Args:
         scene: scene of the cell.
@@ -99,7 +104,7 @@ class Stage:
         poses: Mapping[str, SE3],
         held: Mapping[str, str],
     ) -> Rehearsal:
-        """Rehearse (dry-run) a trajectory in simulation from the measured state of the real robot.
+        """Dry-run (rehearse) a trajectory in simulation, starting from the measured state of the real robot.
 
         Args:
             state: measured state of all joints.

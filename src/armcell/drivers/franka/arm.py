@@ -39,7 +39,8 @@ _MODES = {
 
 
 def time_stretch(trajectory: JointTrajectory, limits: FrankaLimits) -> float:
-    """Return the factor, at least 1, by which to slow a real Franka arm's trajectory to keep its limits.
+    """Return the factor (at least 1) by which a trajectory must be
+    slowed to respect the limits of a real Franka arm.
 
     Raises:
         InputError: a position is outside the joint limits.
@@ -68,7 +69,7 @@ def time_stretch(trajectory: JointTrajectory, limits: FrankaLimits) -> float:
 
 
 class FrankaArm(RealArm):
-    """Real Franka arm, which a worker process moves at 1 kHz."""
+    """Real Franka arm, which a separate worker process moves at 1 kHz."""
 
     identity: FrankaIdentity
 
@@ -93,7 +94,7 @@ class FrankaArm(RealArm):
         self.armed = True
 
     def _configure(self) -> None:
-        """Set a real Franka arm's collision thresholds, stiffness and load.
+        """Configure a real Franka arm: its collision thresholds, stiffness and load.
 
         Raises InputError if the robot rejects one of them.
         """
@@ -282,7 +283,7 @@ class FrankaArm(RealArm):
         return Played(self, trajectory.reindexed(self.joint_names))
 
     def play(self, trajectory: JointTrajectory) -> tuple[int, float]:
-        """Play a trajectory on the real Franka arm, slowed if Franka's limits require it.
+        """Play a trajectory on the real Franka arm, more slowly if Franka's limits require it.
 
         Returns its number and the slowing factor.
 
@@ -296,7 +297,9 @@ class FrankaArm(RealArm):
         return self._number, slower
 
     def clock(self, number: int) -> float:
-        """Return the Franka arm's progress [s] in a played motion; 0 before the motion starts."""
+        """Return the progress [s] of the Franka arm in a motion that it plays.
+        It is 0 before the motion starts.
+        """
         current, clock = self._link.progress
         return clock if current == number else 0.0
 
@@ -316,7 +319,7 @@ REALTIME = "the robot missed 20 commands in a row: free this computer, or use ch
 
 
 class Played:
-    """Handle of a trajectory that a Franka arm's worker plays; the speed slider slows its clock."""
+    """Handle of a trajectory that the worker of a Franka arm plays. The speed slider slows its clock."""
 
     def __init__(self, arm: FrankaArm, trajectory: JointTrajectory):
         self._arm, self._duration = arm, trajectory.duration

@@ -16,7 +16,8 @@ TIMEOUT = 2.0  # [s] for an answer
 
 
 class FciError(ArmcellError):
-    """Error of a Franka Control Interface client: no answer, or a rejected connection or command.
+    """Error of a client of the Franka Control Interface: the robot does not answer,
+    or it rejects the connection or a command.
 
     Attributes:
         kind: "refused", "unreachable", "closed", "version" or "protocol".
@@ -28,7 +29,7 @@ class FciError(ArmcellError):
 
 
 class FciClient:
-    """Client of the Franka Control Interface of one robot, which serves one client at a time.
+    """Client of the Franka Control Interface of one robot. A robot serves only one client at a time.
 
     The connection uses the robot's version of the protocol, if armcell supports it.
 
@@ -54,7 +55,9 @@ class FciClient:
             )  # fmt: skip
 
     def _open(self, port: int) -> int:
-        """Connect the Franka client; return the protocol version that the robot accepts or speaks instead."""
+        """Connect the Franka client, and return the protocol version that the robot accepts,
+        or else the one that it speaks.
+        """
         self._identifier, self._received = 0, bytearray()
         self._robot: tuple[str, int] | None = None  # address from which the robot sends its states
         try:
@@ -87,13 +90,16 @@ class FciClient:
         return wanted if status == ConnectStatus.SUCCESS else version
 
     def send(self, command: Command, payload: bytes = b"") -> int:
-        """Send a request from the Franka Control Interface client to the robot; return its identifier."""
+        """Send a request to the robot through the Franka Control Interface,
+        and return the identifier of the request.
+        """
         self._identifier += 1
         self.tcp.sendall(wire.message(self.protocol.code(command), self._identifier, payload))
         return self._identifier
 
     def answers(self) -> list[tuple[int, bytes]]:
-        """Read the Franka client's connection once; return the complete answers (identifier, payload).
+        """Read once from the Franka client's connection,
+        and return all complete answers as (identifier, payload).
 
         Raises:
             FciError: the robot closed the connection, or sends another protocol.
@@ -116,7 +122,8 @@ class FciClient:
         return found
 
     def ask(self, command: Command, payload: bytes = b"") -> bytes:
-        """Send a request from the Franka client and wait for the answer; only at standstill.
+        """Send a request to the Franka robot and wait for the answer.
+        Call this only while the robot stands still.
 
         Raises:
             FciError: no answer arrives.
@@ -133,7 +140,7 @@ class FciClient:
         raise FciError("unreachable", f"{self.host} does not answer")
 
     def states(self) -> list[bytes]:
-        """Return the state messages that the Franka client has received, without waiting for more."""
+        """Return the state messages that the Franka client has already received, without waiting for more."""
         found = []
         while True:
             try:
@@ -143,7 +150,7 @@ class FciClient:
             found.append(data)
 
     def first_state(self) -> bytes:
-        """Wait for the first state message of the Franka client's robot and return it.
+        """Wait for the first state message that the Franka robot sends to the client, and return it.
 
         Raises:
             FciError: none arrives.
@@ -156,7 +163,7 @@ class FciClient:
         return data
 
     def command(self, data: bytes) -> None:
-        """Send a motion command message from the Franka client to the robot over UDP."""
+        """Send a message that commands a motion from the Franka client to the robot, over UDP."""
         if self._robot is not None:
             with contextlib.suppress(OSError):  # a full buffer: the robot misses one command
                 self.udp.sendto(data, self._robot)

@@ -13,7 +13,9 @@ PROGRESS = struct.Struct("<dId")  # receive time of the state [s], number of the
 
 
 def pack(kind: int, content: bytes) -> bytes:
-    """Encode a frame (message) for the stream socket between Franka driver and worker process."""
+    """Encode a message as a frame for the stream socket that connects
+    the Franka driver and its worker process.
+    """
     return _HEAD.pack(len(content), kind) + content
 
 
@@ -22,7 +24,9 @@ def pack_json(kind: int, value: dict[str, Any]) -> bytes:
 
 
 def take(received: bytearray) -> tuple[int, bytes] | None:
-    """Remove and return the first complete frame of a Franka worker's stream buffer, or None."""
+    """Remove the first complete frame from the buffer that holds a
+    Franka worker's stream, and return it, or None.
+    """
     if len(received) < _HEAD.size:
         return None
     size, kind = _HEAD.unpack_from(received)
@@ -34,7 +38,9 @@ def take(received: bytearray) -> tuple[int, bytes] | None:
 
 
 def read_into(sock: socket.socket, received: bytearray) -> bool:
-    """Append a Franka worker's frames from a socket to a buffer; return False if it was closed."""
+    """Append the data that a Franka worker has sent through a socket to a buffer of frames.
+    Return False if the socket is closed.
+    """
     try:
         data = sock.recv(1 << 18)
     except BlockingIOError:

@@ -22,7 +22,7 @@ MIN_FORCE = 1.0  # [N]
 
 
 class FrankaHand:
-    """Connection to a Franka Hand; a thread reads its state and its command results.
+    """Connection to a Franka Hand. A thread reads the state of the hand and the results of its commands.
 
     Raises:
         InputError: no hand answers, or it is not homed.
@@ -122,7 +122,7 @@ class FrankaHand:
                 self._reconnect()
 
     def _reconnect(self) -> None:
-        """Reconnect to the Franka Hand after a lost connection; the hand does not move."""
+        """Reconnect to the Franka Hand after the connection was lost. The hand does not move."""
         with self._lock:
             self._udp.close()
             self._tcp.close()
@@ -139,7 +139,7 @@ class FrankaHand:
             return self._identifier
 
     def home(self) -> None:
-        """Home the Franka Hand: its fingers move to measure the largest width.
+        """Home the Franka Hand, which moves its fingers to measure the largest width.
 
         Raises:
             InputError: homing failed.

@@ -35,7 +35,7 @@ HINTS = {
 
 @dataclass(frozen=True, eq=False)
 class FrankaIdentity:
-    """Identity and state of a Franka robot; its interface reports no serial number.
+    """Identity and state of a Franka robot. The robot's interface reports no serial number.
 
     Attributes:
         model: name of the robot in its own description: fr3, panda. Protocol 5 has no description; its robots
@@ -56,7 +56,9 @@ class FrankaIdentity:
 
     @property
     def calibration(self) -> str:
-        """Return the checksum of the description that a Franka robot sends (in its identity), or nothing."""
+        """Return the checksum of the description that a Franka robot
+        sends as part of its identity, or an empty text.
+        """
         if not self.description:
             return ""
         return f"{crc32(self.description.encode()):08x}"
@@ -68,7 +70,7 @@ class FrankaIdentity:
 
 
 def identify(host: str) -> FrankaIdentity:
-    """Identify a Franka robot: read its description and state over a temporary connection.
+    """Identify a Franka robot by reading its description and state over a temporary connection.
 
     Raises:
         InputError: no Franka robot answers, or it rejects the connection; the message states the remedy.
@@ -112,7 +114,7 @@ def _is_ur(host: str) -> bool:
 
 
 def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> None:
-    """Check a Franka robot's identity: it must be the one that the cell file names.
+    """Check the identity of a Franka robot: it must be the robot that the cell file names.
 
     Raises:
         InputError: it is another model or has another description.
@@ -131,7 +133,7 @@ def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> 
 
 
 def check_load(name: str, arm: FrankaArmSettings) -> None:
-    """Check with a Franka robot's identity that it can carry its payload together with its hand.
+    """Check, when a Franka robot is identified, that it can carry its payload in addition to its hand.
 
     Raises:
         InputError: the arm cannot carry it.
@@ -145,7 +147,7 @@ def check_load(name: str, arm: FrankaArmSettings) -> None:
 
 
 def check_ready(name: str, found: FrankaIdentity) -> None:
-    """Check, after identification, that a Franka robot can be driven now.
+    """Check, after a Franka robot was identified, that it can be driven now.
 
     Raises:
         InputError: it cannot; the message states the remedy.
@@ -162,7 +164,7 @@ def check_ready(name: str, found: FrankaIdentity) -> None:
 
 
 def check_position(name: str, model: str, q: Array) -> None:
-    """Check, after identification, that a Franka arm's positions (7,) [rad] are within limits.
+    """Check, after a Franka arm was identified, that its joint positions (7,) [rad] are within the limits.
 
     Raises:
         InputError: a joint is outside its limits.

@@ -35,7 +35,9 @@ OPERATOR_TIME = 60.0  # [s] in which the operator unlocks the brakes
 
 
 class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
-    """Robot kind `franka`: arms over Franka's Control Interface (FCI), protocols 5 and 10."""
+    """Robot kind `franka`: arms that are driven over the Franka
+    Control Interface (FCI), protocols 5 and 10.
+    """
 
     arm_settings = FrankaArmSettings
     joints = 7
@@ -119,7 +121,7 @@ _DH = (  # a [m], d [m], alpha [rad] of the joints and the flange: Franka's docu
 
 
 def _flange(q: Array) -> Array:
-    """Return the flange position (3,) [m] at joints (7,) [rad] for the robot kind Franka (nominal)."""
+    """Return the nominal flange position (3,) [m] of the robot kind Franka at joint positions (7,) [rad]."""
     T = np.eye(4)
     for (a, d, alpha), theta in zip(_DH, (*q, 0.0), strict=True):
         ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)

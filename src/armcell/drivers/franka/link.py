@@ -31,7 +31,7 @@ KEPT = 512  # states
 
 
 class WorkerLink:
-    """Link that starts the worker process of one Franka arm and exchanges messages with it.
+    """Link to the worker process of one Franka arm, which it starts and with which it exchanges messages.
 
     Attributes:
         history: (receive time [s, monotonic], state) of recent states, oldest first.
@@ -53,7 +53,8 @@ class WorkerLink:
         self._socket: socket.socket | None = None
 
     def start(self) -> None:
-        """Start the worker link of a Franka arm: its process connects to the robot; await the first state.
+        """Start the worker process of a Franka arm over the link, let it connect to the robot,
+        and wait for the first state.
 
         Raises:
             InputError: the connection failed.
@@ -80,7 +81,9 @@ class WorkerLink:
             )
 
     def close(self) -> None:
-        """Close the worker link of a Franka arm: end its process, which stops a moving arm."""
+        """Close the link to the worker of a Franka arm and end the worker process,
+        which stops a moving arm.
+        """
         process, self._process = self._process, None
         if process is None or self._socket is None:
             return
@@ -148,7 +151,8 @@ class WorkerLink:
         self._on_state()
 
     def ask(self, command: Command, payload: bytes = b"") -> int:
-        """Send a command over the worker link to the Franka robot and return the status of its answer.
+        """Send a command to the Franka robot over the link to its worker,
+        and return the status in the answer.
 
         Raises:
             InputError: no answer arrives.
@@ -173,7 +177,9 @@ class WorkerLink:
         self._order(do="pace", pace=pace)
 
     def play(self, rows: Array) -> int:
-        """Play positions (n, 7) [rad] in 1 ms steps over a Franka arm's worker link; return the number."""
+        """Play positions (n, 7) [rad] in steps of 1 ms over the worker link of a Franka arm,
+        and return the number of the motion.
+        """
         self._number += 1
         with self._news:
             self._results.clear()
@@ -189,10 +195,12 @@ class WorkerLink:
         self._order(do="cancel")
 
     def result(self, number: int) -> str:
-        """Return a motion's state from the Franka worker link: running, done, cancelled, or its failure."""
+        """Return the state of a motion from the Franka worker link: running, done,
+        cancelled, or the reason why it failed.
+        """
         return self._results.get(number, self.error or "cancelled")
 
     @property
     def age(self) -> float:
-        """Return the age [s] of the latest robot state on the Franka worker link."""
+        """Return the age [s] of the latest state that the Franka robot has sent over the worker link."""
         return time.monotonic() - self.history[-1][0] if self.history else float("inf")

@@ -28,7 +28,7 @@ CATCH_UP = 0.4  # largest deviation of that rate from 1
 
 
 class Rows:
-    """Franka trajectory to stream in setpoints of 1 ms, played at a pace.
+    """Trajectory for a Franka arm in setpoints of 1 ms, which are streamed at an adjustable pace.
 
     Args:
         rows: joint positions (n, 7) [rad].
@@ -46,7 +46,9 @@ class Rows:
         return self._rows[0]
 
     def next(self, pace: float, now: float) -> Array:
-        """Advance a streamed Franka trajectory by 1 ms at a pace (0 to 1); return positions (7,)."""
+        """Advance a streamed Franka trajectory by 1 ms at a given pace (0 to 1),
+        and return the positions (7,).
+        """
         self.clock = min(self.clock + pace * TICK, (len(self._rows) - 1) * TICK)
         at = self.clock / TICK
         i = min(int(at), len(self._rows) - 2)
@@ -54,7 +56,7 @@ class Rows:
 
 
 class Decay:
-    """Deviation of streamed Franka setpoints from a plan, which decays smoothly to zero.
+    """Deviation of the streamed Franka setpoints from the plan, which decays smoothly to zero.
 
     Args:
         off, rate, change: deviation (7,) [rad] and its first two derivatives.
@@ -69,13 +71,16 @@ class Decay:
         self._coefficients = np.stack([off, rate * T, 0.5 * change * T**2, a, b, c])
 
     def at(self, t: float) -> Array | None:
-        """Return the deviation (7,) of streamed Franka setpoints at time t [s]; None: it has decayed."""
+        """Return the deviation (7,) of the streamed Franka setpoints at time t [s],
+        or None once it has decayed.
+        """
         x = t / self._duration
         return None if x >= 1.0 else np.power(x, np.arange(6)) @ self._coefficients
 
 
 class Points:
-    """Streamed setpoints of a Franka arm with due times, interpolated by cubics.
+    """Setpoints that are streamed to a Franka arm, each with the time when it is due,
+    and interpolated by cubic polynomials.
 
     The setpoints' time follows the wall time, but at an even rate: states arrive with jitter, which would
     turn into steps of speed.
@@ -96,11 +101,13 @@ class Points:
         return self._points[0][1]
 
     def add(self, due: float, q: Array, v: Array) -> None:
-        """Add a streamed Franka setpoint: due time [s, monotonic], positions and velocities (7,)."""
+        """Add a streamed setpoint for a Franka arm: the time [s, monotonic] when it is due,
+        and positions and velocities (7,).
+        """
         self._points.append((due, q, v))
 
     def next(self, pace: float, now: float) -> Array:
-        """Advance streamed Franka setpoints to a time [s, monotonic]; return the positions (7,).
+        """Advance the streamed Franka setpoints to a time [s, monotonic], and return the positions (7,) then.
 
         After the last point, the arm decelerates from the point's speed. A point that comes later is joined
         without a jump.
@@ -136,7 +143,7 @@ class Points:
         return position + self._off(now)
 
     def _off(self, now: float) -> Array:
-        """Return the decaying deviation (7,) from streamed Franka setpoints at a time."""
+        """Return the deviation (7,) of the streamed Franka setpoints at a time, while it decays."""
         off = None if self._away is None else self._away[1].at(now - self._away[0])
         return np.zeros(7) if off is None else off
 
@@ -145,7 +152,9 @@ class Points:
 
 
 def _coasts_from(points: list[Point], now: float) -> Point | None:
-    """Return the streamed setpoint that a Franka arm has passed, if no other follows it soon."""
+    """Return the last streamed setpoint that a Franka arm has passed,
+    if no further setpoint follows it soon.
+    """
     passed = [point for point in points if point[0] <= now]
     coming = points[len(passed) :]
     if not passed or (coming and coming[0][0] - passed[-1][0] < GAP):
@@ -154,14 +163,16 @@ def _coasts_from(points: list[Point], now: float) -> Point | None:
 
 
 def _coasted(point: Point, now: float) -> tuple[Array, Array]:
-    """Return positions and velocities (7,) of a Franka arm decelerated since a streamed setpoint."""
+    """Return the positions and velocities (7,) of a Franka arm that has
+    decelerated since it passed a streamed setpoint.
+    """
     last, q, v = point
     passed = np.minimum(now - last, np.abs(v) / COAST)
     return q + passed * (v - 0.5 * COAST * np.sign(v) * passed), v - COAST * np.sign(v) * passed
 
 
 def _between(points: list[Point], now: float) -> Array:
-    """Interpolate streamed Franka setpoints (7,) at a time, or return the nearest one."""
+    """Interpolate between streamed Franka setpoints (7,) at a time, or return the nearest setpoint."""
     if now <= points[0][0]:
         return points[0][1]
     for (t0, q0, v0), (t1, q1, v1) in pairwise(points):
@@ -173,7 +184,8 @@ def _between(points: list[Point], now: float) -> Array:
 
 
 class Setpoints:
-    """Streaming of a Franka arm: converts a source of positions into one setpoint per millisecond.
+    """Stream of setpoints for a Franka arm, which converts a source
+    of positions into one setpoint per millisecond.
 
     Args:
         source: positions over time.
@@ -192,17 +204,19 @@ class Setpoints:
 
     @property
     def finished(self) -> bool:
-        """Whether a streamed Franka source has ended, with the setpoints at rest."""
+        """Return whether the source streamed to the Franka arm has ended and its setpoints are at rest."""
         return self._settled > WINDOW and self._away is None
 
     def start_error(self, q: Array) -> float:
-        """Return the distance [rad] of a streamed Franka source's start from positions q (7,)."""
+        """Return the distance [rad] between the start of a source
+        streamed to the Franka arm and the positions q (7,).
+        """
         return float(np.abs(self.source.start - q).max())
 
     def next(
         self, ticks: int, wanted_pace: float, now: float, q_d: Array, dq_d: Array, ddq_d: Array
     ) -> Array:
-        """Return the streamed Franka setpoint (7,) [rad] for the millisecond after a state.
+        """Return the setpoint (7,) [rad] to stream to the Franka arm in the millisecond after a state.
 
         Args:
             ticks: milliseconds since the last state; above 1 if states were lost.
@@ -229,7 +243,9 @@ class Setpoints:
         self._settled = self._settled + 1 if self.source.ended else 0
 
     def _rejoin(self, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
-        """Let streamed Franka setpoints rejoin the plan: decay the deviation, smooth in acceleration."""
+        """Let the streamed Franka setpoints rejoin the plan:
+        the deviation from it decays with smooth acceleration.
+        """
         p0, p1, p2 = self._plan
         off = q_d - p2
         rate = dq_d - (p2 - p1) / TICK

@@ -44,7 +44,9 @@ REJECTED = {
 
 
 class Worker:
-    """Worker of one Franka arm: receives orders, commands the robot every cycle, reports states."""
+    """Worker of one Franka arm, which receives orders,
+    commands the robot in every cycle and reports the states.
+    """
 
     def __init__(self, link: socket.socket, client: FciClient, watchdog: float):
         self._link, self._client, self._watchdog = link, client, watchdog
@@ -62,7 +64,9 @@ class Worker:
         link.setblocking(True)
 
     def run(self) -> None:
-        """Serve armcell's orders in the Franka worker until armcell closes the link, then stop the arm."""
+        """Serve the orders that armcell sends to the Franka worker, until armcell closes the link.
+        Then stop the arm.
+        """
         sockets = [self._client.udp, self._client.tcp, self._link]
         try:
             while self._open:
@@ -121,7 +125,7 @@ class Worker:
                 self._open = False
 
     def _ask(self, order: dict[str, Any]) -> None:
-        """Send a command from the worker to the Franka robot and report the status of its answer."""
+        """Send a command from the worker to the Franka robot, and report the status in the answer."""
 
         def report(content: bytes) -> None:
             self._event(answer=order["id"], status=int(self._status(command, content)))
@@ -130,7 +134,7 @@ class Worker:
         self._send(command, bytes.fromhex(order["payload"]), report)
 
     def _status(self, command: Command, content: bytes) -> IntEnum:
-        """Decode the status in an answer to the Franka worker; an unknown status ends the connection."""
+        """Decode the status in an answer to the Franka worker. An unknown status ends the connection."""
         try:
             return self._client.protocol.status(command, STATUS.unpack_from(content)[0])
         except WireError as error:
@@ -160,7 +164,9 @@ class Worker:
             self._points.add(*point)
 
     def _start(self, state: RobotState, since: float, source: Rows | Points) -> None:
-        """Start the Franka worker's motion queued at `since` [s, monotonic] once the robot is idle."""
+        """Start the motion that has waited in the Franka worker since the
+        time `since` [s, monotonic], once the robot is idle.
+        """
         if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
             if time.monotonic() - since > START_TIME:
                 self._drop()
@@ -188,7 +194,7 @@ class Worker:
         self._send(Command.MOVE, request.pack(self._client.protocol), answered)
 
     def _drop(self) -> None:
-        """Discard the Franka worker's queued motion; the next streamed point starts a new one."""
+        """Discard the motion that waits in the Franka worker. The next streamed point starts a new one."""
         if self._waiting is not None and self._waiting[1] is self._points:
             self._points = None
         self._waiting = None

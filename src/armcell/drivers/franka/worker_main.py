@@ -9,7 +9,7 @@ from types import ModuleType
 
 
 def _bare(name: str, folder: Path) -> None:
-    """Main worker entry: register a package without its `__init__`, which would import all drivers."""
+    """Register a package for the worker without running its `__init__`, which would import all drivers."""
     package = ModuleType(name)
     package.__path__ = [str(folder)]
     sys.modules[name] = package

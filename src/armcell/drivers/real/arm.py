@@ -29,16 +29,18 @@ class RealGripper(Protocol):
     hint: str
 
     def drive(self, width: float, force: float) -> None:
-        """Move a real arm's gripper toward a width [m], force-limited per finger [N]; width 0 grasps."""
+        """Move the gripper of a real arm toward a width [m] with limited force [N] per finger.
+        A width of 0 grasps.
+        """
         ...
 
     def read(self) -> tuple[float, bool]:
-        """Return the width [m] of a real arm's gripper and whether it holds an object."""
+        """Return the width [m] of the gripper on a real arm, and whether the gripper holds an object."""
         ...
 
     @property
     def silent(self) -> float:
-        """Return the time [s] since the last answer of a real arm's gripper."""
+        """Return the time [s] since the gripper of a real arm last answered."""
         ...
 
     def close(self) -> None: ...
@@ -68,7 +70,7 @@ class RealArm(ABC):
     # --- connection ---
     @abstractmethod
     def connect(self) -> None:
-        """Connect to a real arm's robot and prepare it for commands; the arm does not move.
+        """Connect to the robot of a real arm and prepare it for commands. The arm does not move.
 
         Raises:
             InputError: the connection failed; the message states the cause and the remedy.
@@ -76,7 +78,7 @@ class RealArm(ABC):
 
     @abstractmethod
     def connect_gripper(self, gripper: Gripper) -> RealGripper | None:
-        """Connect to the gripper that a real arm's settings name, if any, else return None.
+        """Connect to the gripper that the settings of a real arm name. Return None if they name none.
 
         Raises:
             InputError: the gripper does not answer.
@@ -84,17 +86,20 @@ class RealArm(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Stop a real arm if it moves, and close all its connections.
+        """Stop a real arm if it is moving, and close all its connections.
 
         The method may also be called after a failed `connect`.
         """
 
     @abstractmethod
     def beat(self) -> None:
-        """Send a real arm's robot the keep-alive signal, without which it stops; must not raise or block."""
+        """Send the robot of a real arm the keep-alive signal without which it stops.
+        This must not raise or block.
+        """
 
     def start_round_trips(self) -> Callable[[], float]:
-        """Start to measure a real arm's network; return a function for the shortest recent round trip [s].
+        """Start measuring the network of a real arm.
+        Return a function that returns the shortest recent round trip [s].
 
         The function returns NaN while nothing has been measured. `close` ends the measurement.
         """
@@ -104,11 +109,12 @@ class RealArm(ABC):
     @property
     @abstractmethod
     def time_of_state(self) -> float:
-        """Return the time of a real arm's latest state [s, this computer's monotonic clock]."""
+        """Return the time of the latest state of a real arm [s, this computer's monotonic clock]."""
 
     @abstractmethod
     def measured_at(self, when: float) -> tuple[Array, Array]:
-        """Return a real arm's measured positions [rad] and velocities [rad/s], each (n,), at a given time.
+        """Return the positions [rad] and velocities [rad/s], each (n,),
+        measured on a real arm at a given time.
 
         The time is monotonic [s]. Values are interpolated between two states and clamped at the ends of the
         history.
@@ -116,49 +122,50 @@ class RealArm(ABC):
 
     @abstractmethod
     def setpoint(self) -> tuple[Array, Array]:
-        """Return positions [rad] and velocities [rad/s], each (n,), that a real arm currently tracks."""
+        """Return the positions [rad] and velocities [rad/s], each (n,), that a real arm tracks at present."""
 
     @abstractmethod
     def sample(self) -> ArmSample:
-        """Return a real arm's latest measurement, for comparison with its simulated twin."""
+        """Return the latest measurement of a real arm, to compare it with the simulated twin."""
 
     @property
     @abstractmethod
     def scaling(self) -> float:
-        """Return the speed fraction, 0 to 1, that a real arm's slider and pause allow."""
+        """Return the fraction of full speed (0 to 1) that the slider and pauses of a real arm allow."""
 
     @abstractmethod
     def set_slider(self, fraction: float) -> None:
-        """Set a real arm's speed slider, 0 to 1; must not raise while the connection is lost."""
+        """Set the speed slider of a real arm, 0 to 1. This must not raise while the connection is lost."""
 
     @property
     @abstractmethod
     def modes(self) -> tuple[int, int]:
-        """Return a real arm's robot mode and safety mode, in the numbers of `ur_dashboard_msgs`."""
+        """Return the robot mode and safety mode of a real arm, as numbers of `ur_dashboard_msgs`."""
 
     @abstractmethod
     def force(self) -> tuple[Array, Array, Array]:
-        """Return a real arm's tool force [N], torque [Nm] and their reference point [m], base frame.
+        """Return the force [N] and torque [Nm] at the tool of a real arm
+        and their reference point [m], in the base frame.
 
         The base frame is the controller's.
         """
 
     @abstractmethod
     def zero_force(self) -> None:
-        """Zero a real arm's force measurement; call only while nothing touches the hand."""
+        """Zero the force measurement of a real arm. Call this only while nothing touches the hand."""
 
     # --- faults ---
     @abstractmethod
     def fault(self) -> Fault | None:
-        """Return a real arm's current fault, or None; several threads call this often."""
+        """Return the current fault of a real arm, or None. Several threads call this often."""
 
     @abstractmethod
     def halt(self) -> None:
-        """Stop a real arm, discard all goals, hold the measured pose; must not raise or block."""
+        """Stop a real arm, discard all goals and hold the measured pose. This must not raise or block."""
 
     @abstractmethod
     def prepare_resume(self) -> None:
-        """Check before a resume that a real arm's robot is the same and may be driven.
+        """Check, before a real arm resumes, that its robot is still the same one and may be driven.
 
         Raises:
             InputError: the check failed; the message states the remedy.
@@ -166,7 +173,7 @@ class RealArm(ABC):
 
     @abstractmethod
     def restart(self) -> None:
-        """Restart a stopped real arm: reconnect, clear the stop, accept commands; the arm does not move.
+        """Restart a stopped real arm: reconnect, clear the stop and accept commands. The arm does not move.
 
         Raises:
             InputError: the arm stays stopped; the message states the remedy.
@@ -175,14 +182,14 @@ class RealArm(ABC):
     # --- motion ---
     @abstractmethod
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory that a real arm plays itself, and return its handle.
+        """Start a trajectory that a real arm plays itself, and return a handle for it.
 
         A robot without such a function streams the setpoints in a thread of its own: see `motion.Streamed`.
         """
 
     @abstractmethod
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Stream a setpoint that a real arm passes at a given time.
+        """Stream a setpoint which a real arm should pass at a given time.
 
         Setpoints with equal times keep several arms synchronized.
 
@@ -194,4 +201,4 @@ class RealArm(ABC):
 
     @abstractmethod
     def cancel(self) -> None:
-        """End a real arm's running motion and hold the position; the arm stays ready for new motions."""
+        """End the motion of a real arm and hold its position. The arm stays ready for new motions."""

@@ -16,7 +16,7 @@ _NUMBERS = {6: "six", 7: "seven"}
 
 
 def real_settings(values: dict[str, Any], model: RobotModel) -> RealSettings:
-    """Validate the block `real` of a cell file.
+    """Validate the block `real` of a cell file, which describes the real arms.
 
     Raises:
         InputError: the block is invalid; the message states the cause and the remedy.

@@ -43,7 +43,7 @@ UNGUARDED = frozenset(
 
 
 class RealDriver(Driver):
-    """Driver of mode `real` for real arms; if any arm stops, no arm moves until `resume()`.
+    """Driver of mode `real` for real arms. If any arm stops, no arm moves until `resume()` is called.
 
     Objects stay at their scene poses until a gripper carries them.
     """
@@ -119,7 +119,7 @@ class RealDriver(Driver):
         return self
 
     def _begin_guard(self, guard: MotionGuard, supervisor: Supervisor) -> None:
-        """Connect the twin guard to the real driver's round-trip measurements and event log."""
+        """Give the twin guard the real driver's measurements of network round trips, and its event log."""
         guard.check_calibration(self.calibrations())
         guard.trips = {name: arm.start_round_trips() for name, arm in self.arms.items()}
         guard.note = supervisor.record
@@ -140,7 +140,7 @@ class RealDriver(Driver):
         return {name: arm.identity.calibration for name, arm in self.arms.items()}
 
     def _connected(self) -> Supervisor:
-        """Return the safety supervisor of the real driver's connected arms.
+        """Return the supervisor that watches the safety of the real driver's connected arms.
 
         Raises:
             InputError: the driver is not connected.
@@ -153,7 +153,7 @@ class RealDriver(Driver):
         return self._supervisor
 
     def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        """Dry-run a trajectory for the real driver in the twin; return the reason to refuse it, or None."""
+        """Dry-run a trajectory for the real driver in the twin. Return the reason to refuse it, or None."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
         held = {gripper: item for gripper, (item, _) in self._held.items()}
@@ -222,7 +222,7 @@ class RealDriver(Driver):
         return JointState(self._model.joint_names, q, v, time=self.now)
 
     def _due(self) -> float:
-        """Return the monotonic time [s] at which the real driver's last `advance` ends.
+        """Return the monotonic time [s] at which the last `advance` of the real driver ends.
 
         If it is more than `stream_lead` in the past, it is reset to now.
         """
@@ -233,7 +233,7 @@ class RealDriver(Driver):
 
     @property
     def tick(self) -> float:
-        """Return the real driver's time [s] of the next command, which grows by each `advance`.
+        """Return the real driver's time [s] for the next command, to which each `advance` adds its duration.
 
         After a delay of more than `stream_lead`, it jumps to the current time.
         """
@@ -250,7 +250,7 @@ class RealDriver(Driver):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Stream a joint target to the real driver's arms that own the joints; after a stop, send none.
+        """Stream a joint target to the real driver's arms that own the joints. After a stop, nothing is sent.
 
         The target is due `stream_lead` after `tick`, on one clock for all arms.
         """
@@ -264,7 +264,8 @@ class RealDriver(Driver):
         return sent
 
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory in the real driver: one arm plays it itself, several arms receive setpoints.
+        """Start a trajectory in the real driver.
+        One arm plays it itself, while several arms receive setpoints.
 
         The setpoints of several arms follow one clock.
         """
@@ -308,28 +309,32 @@ class RealDriver(Driver):
         return arms
 
     def stop(self) -> None:
-        """Stop every arm of the real driver; each arm then holds its measured position."""
+        """Stop every arm of the real driver. Each arm then holds its measured position."""
         for arm in self.arms.values():
             arm.cancel()
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop the real driver's arms that own the given joints; ignore other joints, such as fingers."""
+        """Stop those arms of the real driver that own the given joints.
+        Other joints, such as fingers, are ignored.
+        """
         for arm in self.arms.values():
             if set(joint_names) & set(arm.joint_names):
                 arm.cancel()
 
     def fault(self) -> Fault | None:
-        """Return the fault that stopped the real driver's arms and that no resume has cleared, or None."""
+        """Return the fault that stopped the real driver's arms if no resume has cleared it yet, or None."""
         self._look()
         return self._supervisor.tripped if self._supervisor is not None else None
 
     def arm_modes(self) -> dict[str, tuple[int, int]]:
-        """Return robot and safety mode of the real driver by arm; DISCONNECTED if an arm's link is lost."""
+        """Return the robot and safety modes of the real driver's arms,
+        DISCONNECTED for an arm with a lost link.
+        """
         return {name: arm.modes for name, arm in self.arms.items()}
 
     @property
     def safety_events(self) -> list[SafetyEvent]:
-        """Return all stops and resumes of the real driver's arms so far, with time and cause."""
+        """Return all stops and resumes of the real driver's arms so far, each with its time and cause."""
         return list(self._supervisor.events) if self._supervisor is not None else []
 
     def resume(self) -> None:
@@ -375,7 +380,9 @@ class RealDriver(Driver):
 
     @property
     def speed_fraction(self) -> float:
-        """Return the speed fraction, 0 to 1, of the real driver's slowest arm, by sliders and pauses."""
+        """Return the fraction of full speed (0 to 1) that sliders and
+        pauses allow the real driver's slowest arm.
+        """
         return min((arm.scaling for arm in self.arms.values()), default=1.0)
 
     # --- gripper and objects ---
@@ -408,7 +415,7 @@ class RealDriver(Driver):
         return GripperReading(width, self._forces.get(gripper, 0.0), held[0])
 
     def wrench(self, gripper: str) -> NDArray[np.float64]:
-        """Return the real driver's external wrench on a gripper, which the arm measures.
+        """Return the external wrench on a gripper of the real driver, as measured by the arm.
 
         The measurement is zeroed whenever the hand begins to close.
 
@@ -425,7 +432,9 @@ class RealDriver(Driver):
         return np.concatenate([force, torque + np.cross(T.apply(point) - here, force)])
 
     def zero_wrench(self, gripper: str) -> None:
-        """Zero the real driver's wrench on a gripper; call only while nothing touches it."""
+        """Zero the wrench that the real driver measures on a gripper.
+        Call this only while nothing touches it.
+        """
         self._arm_of(gripper).zero_force()
 
     def _gripper_hint(self, gripper: str) -> str:
@@ -444,7 +453,9 @@ class RealDriver(Driver):
         return self.arms[group]
 
     def _carry(self, gripper: str, q: NDArray[np.float64]) -> None:
-        """Move the object that a real gripper holds along with the gripper in the driver's object poses."""
+        """Move an object that a real gripper holds along with the gripper,
+        among the object poses of the driver.
+        """
         holds = self._grippers[gripper].read()[1]
         T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)
         if not holds:

@@ -10,7 +10,7 @@ BEAT = 0.01  # [s] between beats
 
 
 class Heartbeat:
-    """Heartbeat thread that calls a keep-alive or safety function every `BEAT` seconds."""
+    """Heartbeat: a thread that calls a keep-alive or safety function every `BEAT` seconds."""
 
     def __init__(self, beat: Callable[[], None]):
         self._beat = beat

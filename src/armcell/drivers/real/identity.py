@@ -11,7 +11,7 @@ from armcell.drivers.real.settings import ArmSettings
 
 
 class RobotIdentity(Protocol):
-    """Identity of a real robot as its controller reports it; `str()` describes it for the operator."""
+    """Identity of a real robot as reported by its controller. `str()` describes it for the operator."""
 
     @property
     def serial(self) -> str: ...
@@ -22,7 +22,9 @@ class RobotIdentity(Protocol):
 
 @dataclass(frozen=True)
 class NetworkReport:
-    """Network quality beside a real robot's identity, from one measurement; times in [s]."""
+    """Network quality of the connection to a real robot,
+    from one measurement made when its identity is checked. Times are in [s].
+    """
 
     round_trip: float  # median
     worst_round_trip: float
@@ -38,7 +40,8 @@ class NetworkReport:
 
 
 def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
-    """Check a real robot's identity: serial number and calibration must match the cell file, if given.
+    """Check the identity of a real robot: its serial number and
+    calibration must match those in the cell file, if given.
 
     Raises:
         InputError: the robot is not the one in the cell file.
@@ -55,7 +58,7 @@ def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
 
 
 def check_swapped(wanted: Mapping[str, ArmSettings], found: Mapping[str, RobotIdentity]) -> None:
-    """Check the identity of real arms: none may answer with another arm's serial or calibration.
+    """Check the identities of real arms: no arm may answer with the serial number or calibration of another.
 
     Raises:
         InputError: the arms' addresses are swapped.

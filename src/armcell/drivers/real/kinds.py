@@ -23,7 +23,7 @@ I = TypeVar("I", bound=RobotIdentity)
 
 
 class RobotKind(ABC, Generic[A, I]):
-    """Robot kind: the interface that a vendor implements for mode `real`, the bring-up and the twin.
+    """Interface of a robot kind, which a vendor implements for mode `real`, the bring-up and the twin.
 
     Attributes:
         arm_settings: model of an arm's block in the cell file.
@@ -42,7 +42,7 @@ class RobotKind(ABC, Generic[A, I]):
     effort: ClassVar[tuple[str, str]] = ("current", "A")
 
     def complete(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
-        """Check all arms of one robot kind against each other and fill in default values.
+        """Check all arms of one robot kind for contradictions, and fill in default values.
 
         Raises:
             InputError: two arms contradict each other, or a value is invalid.
@@ -50,7 +50,7 @@ class RobotKind(ABC, Generic[A, I]):
         return dict(arms)
 
     def check_backend(self, backend: str) -> None:
-        """Check that the libraries of a robot kind's motion backend are installed.
+        """Check that the libraries are installed which the motion backend of a robot kind needs.
 
         Raises:
             InputError: a library is missing; the error names the extra to install.
@@ -58,13 +58,13 @@ class RobotKind(ABC, Generic[A, I]):
         return None
 
     def control(self, backend: str) -> str:
-        """Return a few words on what controls the arms of a robot kind, such as "our program"."""
+        """Describe in a few words what controls the arms of a robot kind, for example "our program"."""
         return backend
 
     # --- identity and readiness; nothing moves ---
     @abstractmethod
     def identify(self, arm: A) -> I:
-        """Query a robot's identity and state in the way of its robot kind.
+        """Query the identity and state of a robot, in the way that its robot kind requires.
 
         Raises:
             InputError: no robot answers, or the robot is not of this kind.
@@ -72,7 +72,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_identity(self, name: str, arm: A, found: I) -> None:
-        """Check that a robot is the one in the cell file, by the rules of its robot kind.
+        """Check, by the rules of its robot kind, that a robot is the one in the cell file.
 
         Raises:
             InputError: it is another robot.
@@ -80,7 +80,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_ready(self, name: str, found: I) -> None:
-        """Check that a robot can be driven now, in the way of its robot kind.
+        """Check, by the rules of its robot kind, that a robot can be driven now.
 
         Raises:
             InputError: it cannot; the message states the remedy.
@@ -88,7 +88,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def calibrated(self, model: RobotModel, group: str, found: I) -> RobotModel:
-        """Return the model with an arm's factory calibration, by its robot kind.
+        """Return the model with the factory calibration of an arm, as the robot kind reports it.
 
         Raises:
             InputError: the calibration does not fit the model, or robots of this kind report none.
@@ -99,7 +99,7 @@ class RobotKind(ABC, Generic[A, I]):
         self, name: str, joint_names: tuple[str, ...], arm: A, limits: RealSettings, found: I,
         on_state: Callable[[], None],
     ) -> RealArm:  # fmt: skip
-        """Return an unconnected arm of a robot kind.
+        """Return an arm of a robot kind that is not connected yet.
 
         Args:
             name: planning group of the arm.
@@ -110,7 +110,9 @@ class RobotKind(ABC, Generic[A, I]):
     # --- bring-up ---
     @abstractmethod
     def measure_network(self, arm: A) -> NetworkReport:
-        """Measure round trips and state intervals of a robot kind's connection; the robot does not move."""
+        """Measure round trips and state intervals on the connection to an arm of a robot kind.
+        The robot does not move.
+        """
 
     @abstractmethod
     def power_on(self, name: str, arm: A) -> str:
@@ -124,11 +126,13 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def measured_positions(self, arm: A) -> Array:
-        """Return an arm's joint positions (n,) [rad], by its robot kind, without another connection."""
+        """Return the joint positions (n,) [rad] of an arm,
+        which the robot kind measures without another connection.
+        """
 
     @abstractmethod
     def flange_position(self, found: I, q: Array) -> Array:
-        """Return the flange position (3,) [m] in the base link by the robot kind's own geometry.
+        """Return the flange position (3,) [m] in the base link, computed from the robot kind's own geometry.
 
         Args:
             q: joint positions (n,) [rad].
@@ -140,7 +144,7 @@ robot_kinds: Registry[RobotKind[Any, Any]] = Registry("kind of real robot", "arm
 
 
 def kind_of(arm: ArmSettings) -> RobotKind[Any, Any]:
-    """Return the registered robot kind of an arm.
+    """Return the registered robot kind to which an arm belongs.
 
     Raises:
         UnknownNameError: no kind with this name is installed.
@@ -149,7 +153,7 @@ def kind_of(arm: ArmSettings) -> RobotKind[Any, Any]:
 
 
 def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
-    """Identify the robots of all arms by their kinds and check that no addresses are swapped.
+    """Identify the robots of all arms by their robot kinds, and check that no addresses are swapped.
 
     Raises:
         InputError: a robot does not answer, or the arms' addresses are swapped.
@@ -160,7 +164,7 @@ def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
 
 
 def check_distinct(arms: Mapping[str, ArmSettings], what: str, key: str) -> None:
-    """Check that a setting, such as the address, differs between all arms of a robot kind.
+    """Check that all arms of a robot kind differ in a setting, such as the address.
 
     Raises:
         InputError: two arms have the same value.

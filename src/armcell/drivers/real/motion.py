@@ -13,7 +13,7 @@ from armcell.drivers.safety import Fault
 
 
 class Streamed:
-    """Motion streamed to several real arms on one clock; if one arm slows or stops, all do."""
+    """Motion that is streamed to several real arms on one clock. If one arm slows down or stops, all do."""
 
     def __init__(
         self, arms: Sequence[RealArm], trajectory: JointTrajectory, lead: float,
@@ -65,7 +65,7 @@ class Streamed:
 
 
 class Commanded:
-    """Handle of a real arm's motion that the caller commands point by point.
+    """Handle of a motion of a real arm that the caller commands point by point.
 
     Args:
         due: returns the time [s, monotonic] at which the next point is due.

@@ -13,13 +13,15 @@ DEFAULT_KIND = "ur"
 
 
 class Strict(BaseModel):
-    """Strict base class of the settings of real arms: no unknown keys; values frozen and finite."""
+    """Strict base class for the settings of real arms: unknown keys are errors,
+    values cannot change and must be finite.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
 
 
 class ArmSettings(Strict):
-    """Settings of one real arm that all robot kinds share; each kind adds its own."""
+    """Settings of one real arm that all robot kinds share. Each kind adds its own settings."""
 
     kind: str = DEFAULT_KIND  # robot kind; default: the kind of the block `real`
     host: str = Field(min_length=1)
@@ -30,7 +32,7 @@ class ArmSettings(Strict):
 
 
 class RealSettings(Strict):
-    """Settings of a cell's real arms by planning group, with their supervision limits."""
+    """Settings of a cell's real arms, by planning group, and the limits that supervise them."""
 
     kind: str = DEFAULT_KIND  # robot kind of the arms that do not name their own
     arms: dict[str, ArmSettings] = Field(min_length=1)

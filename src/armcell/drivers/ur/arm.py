@@ -47,7 +47,7 @@ _CURES = {
 
 
 class MotionLink(Protocol):
-    """Interface of the link that moves a real UR arm; implemented by `ProgramLink` and `RtdeLink`."""
+    """Interface of the link over which a real UR arm is moved. `ProgramLink` and `RtdeLink` implement it."""
 
     result: str
 
@@ -62,7 +62,7 @@ class MotionLink(Protocol):
 
 
 class UrArm(RealArm):
-    """Real UR arm: connects, forwards trajectories, streams setpoints and stops."""
+    """Real UR arm, which connects to the robot, forwards trajectories, streams setpoints and stops."""
 
     T_link_base = HALF_TURN
     identity: Identity
@@ -93,7 +93,8 @@ class UrArm(RealArm):
 
     # --- connection ---
     def connect(self) -> None:
-        """Connect to the UR arm's state (RTDE) and start the robot program; the arm does not move.
+        """Connect to the state interface (RTDE) of the UR arm, and start the robot program.
+        The arm does not move.
 
         Raises:
             InputError: the connection failed; the message states the cause and the remedy.
@@ -102,7 +103,7 @@ class UrArm(RealArm):
         self.restart()
 
     def restart(self) -> None:
-        """Start or restart the UR arm's robot program; reconnect to its state if the link is lost.
+        """Start or restart the robot program of the UR arm. If the link to its state is lost, reconnect.
 
         Raises:
             InputError: the program did not start, and the arm stays stopped; the message states the remedy.
@@ -143,7 +144,7 @@ class UrArm(RealArm):
         return self._pinger.trip
 
     def close(self) -> None:
-        """End the UR arm's robot program and close the connections to the robot."""
+        """End the robot program of the UR arm, and close the connections to the robot."""
         if self._pinger is not None:
             self._pinger.close()
         self.armed = False
@@ -170,7 +171,7 @@ class UrArm(RealArm):
 
     @property
     def age(self) -> float:
-        """Return the age of the UR arm's latest state [s]."""
+        """Return the age [s] of the latest state of the UR arm."""
         return self._rtde.age
 
     @property
@@ -183,7 +184,7 @@ class UrArm(RealArm):
 
     @property
     def scaling(self) -> float:
-        """Return the speed fraction of the UR arm, 0 to 1, that speed slider and pause allow."""
+        """Return the fraction of full speed (0 to 1) that the speed slider and pauses of the UR arm allow."""
         return 0.0 if self.paused else float(self.state.speed_scaling)
 
     def setpoint(self) -> tuple[Array, Array]:
@@ -202,18 +203,18 @@ class UrArm(RealArm):
 
     @property
     def moving(self) -> bool:
-        """Return whether the UR arm executes a motion, receives setpoints, or has joint speed."""
+        """Return whether the UR arm executes a motion, receives setpoints or still has joint speed."""
         streaming = time.monotonic() - self._streamed < 0.2
         return self._link.result == RUNNING or streaming or bool(np.abs(self.qd).max() > 0.01)
 
     @property
     def modes(self) -> tuple[int, int]:
-        """Return the UR arm's robot mode and safety mode, from its latest state."""
+        """Return the robot mode and safety mode of the UR arm from its latest state."""
         robot = RobotMode.DISCONNECTED if self._rtde.error is not None else self.state.robot_mode
         return int(robot), int(self.state.safety_mode)
 
     def fault(self) -> Fault | None:
-        """Return the UR arm's current fault for the safety supervisor, or None."""
+        """Return the current fault of the UR arm for the safety supervisor, or None."""
         if self._rtde.error is not None:
             return self._found(
                 "link lost",
@@ -255,7 +256,7 @@ class UrArm(RealArm):
         return None
 
     def _link_is_broken(self) -> bool:
-        """Return whether the UR arm's link to its program has been broken for longer than a few states.
+        """Return whether the link to the UR arm's program has been broken for longer than a few states take.
 
         A stop also ends the program, and its broken link may be noticed before the state with the cause
         arrives.
@@ -276,11 +277,13 @@ class UrArm(RealArm):
         return Forwarded(self, trajectory)
 
     def forward(self, trajectory: JointTrajectory) -> int:
-        """Forward a trajectory to the UR arm, which plays it itself; return its number."""
+        """Forward a trajectory to the UR arm, which plays it itself. Return the number of the trajectory."""
         return self._link.forward(trajectory.reindexed(self.joint_names), self.step)
 
     def clock(self, number: int) -> float:
-        """Return the UR arm's progress along a forwarded trajectory [s]; 0 before it starts."""
+        """Return the progress [s] of the UR arm along a forwarded trajectory.
+        It is 0 before the arm starts.
+        """
         state = self.state
         return float(state.output_double_register_24) if state.output_int_register_26 == number else 0.0
 
@@ -292,7 +295,7 @@ class UrArm(RealArm):
         self._link.send(commands.CANCEL)
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Stream a setpoint with joint speeds that the UR arm passes at a given time.
+        """Stream a setpoint with joint speeds which the UR arm should pass at a given time.
 
         Send a new setpoint every period. Setpoints with the same time keep several arms synchronized.
 
@@ -322,7 +325,8 @@ class UrArm(RealArm):
         return self.state.timestamp + self._rtde.clock.offset
 
     def measured_at(self, when: float) -> tuple[Array, Array]:
-        """Return the UR arm's positions and speeds, each (6,), at a time [s, this computer's clock].
+        """Return the positions and speeds of the UR arm, each (6,),
+        at a given time [s, this computer's clock].
 
         Values are interpolated between two states and clamped at the ends of the history.
         """
@@ -339,11 +343,12 @@ class UrArm(RealArm):
 
     # --- force ---
     def zero_force(self) -> None:
-        """Zero the UR arm's force: later readings are relative to the mean of the latest."""
+        """Zero the force of the UR arm: later readings are relative to the mean of the latest ones."""
         self._no_force = np.mean([s.actual_TCP_force for s in list(self._rtde.history)], axis=0)
 
     def force(self) -> tuple[Array, Array, Array]:
-        """Return the UR arm's tool force [N], torque [Nm] and their reference point [m], base frame.
+        """Return the force [N] and torque [Nm] at the UR arm's tool and
+        their reference point [m], in the base frame.
 
         A CB3 controller reports the wrench about the TCP and estimates it coarsely from motor currents; an
         e-Series reports it about the flange.
@@ -355,11 +360,11 @@ class UrArm(RealArm):
         return felt[:3], felt[3:], point
 
     def beat(self) -> None:
-        """Send a keep-alive signal to the UR arm's robot program."""
+        """Send a keep-alive signal to the robot program of the UR arm."""
         self._link.send(commands.KEEP_ALIVE)
 
     def halt(self) -> None:
-        """End the UR arm's robot program, which stops the arm; no motion continues afterwards."""
+        """End the robot program of the UR arm, which stops the arm. No motion continues afterwards."""
         self.armed = False
         self._streamed = 0.0
         self._link.send(commands.END)
@@ -368,7 +373,7 @@ class UrArm(RealArm):
         self._halting = halting  # assigned after the start, because other threads join it
 
     def _make_sure(self) -> None:
-        """Stop the UR arm's robot program over the dashboard, too.
+        """Stop the robot program of the UR arm over the dashboard as well.
 
         A paused program receives no commands from its link.
         """
@@ -384,7 +389,7 @@ class UrArm(RealArm):
             self._link.close_links()
 
     def prepare_resume(self) -> None:
-        """Check before a resume that the same UR arm answers and may be driven.
+        """Check, before the UR arm resumes, that it is still the same arm and may be driven.
 
         Raises:
             InputError: the check failed; the message states the remedy.
@@ -410,7 +415,7 @@ class UrArm(RealArm):
         check_ready(self.name, found)
 
     def set_slider(self, fraction: float) -> None:
-        """Set the UR arm's speed slider, 0 to 1; after a lost link, the next resume sets it."""
+        """Set the speed slider of the UR arm, 0 to 1. If the link is lost, the next resume sets it."""
         self._unsent_slider = value = float(np.clip(fraction, 0.0, 1.0))
         with contextlib.suppress(OSError):
             if self._rtde.error is None:
@@ -424,12 +429,14 @@ class UrArm(RealArm):
         self._link.send(commands.STANDARD_OUT, (float(on),), pin)
 
     def digital_input(self, bit: int) -> bool:
-        """Return a digital input of the UR arm: 0-7 standard, 8-15 configurable, 16-17 tool."""
+        """Return a digital input of the UR arm.
+        Bits 0-7 are standard inputs, 8-15 configurable, and 16-17 at the tool.
+        """
         return bool(self.state.actual_digital_input_bits >> bit & 1)
 
 
 class Forwarded:
-    """Handle of a trajectory that a UR arm plays itself; slider and pauses slow its clock."""
+    """Handle of a trajectory that a UR arm plays itself. The slider and pauses slow its clock."""
 
     def __init__(self, arm: UrArm, trajectory: JointTrajectory):
         self._arm = arm

@@ -32,7 +32,7 @@ LARGEST = 0.05  # [m] largest correction of a joint origin: more indicates anoth
 
 
 def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinematics) -> RobotModel:
-    """Return the robot model with the joint origins of a UR arm's factory calibration.
+    """Return the robot model in which the joint origins of a UR arm are those of its factory calibration.
 
     Args:
         group: planning group of the arm's six joints.
@@ -82,13 +82,16 @@ def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinemati
 
 
 def _behind_joint(dh: Kinematics, i: int) -> SE3:
-    """Return K_i for UR calibration, the transform from the rotated frame of joint i to the next DH frame."""
+    """Return the transform K_i, for calibrating a UR arm,
+    from the rotated frame of joint i to the next DH frame.
+    """
     turned = SE3(SO3.exp((0.0, 0.0, dh.theta[i])), np.array([0.0, 0.0, dh.d[i]]))
     return turned @ SE3(SO3.exp((dh.alpha[i], 0.0, 0.0)), np.array([dh.a[i], 0.0, 0.0]))
 
 
 def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
-    """Return C_i (6) for UR calibration: each joint frame relative to DH frame i-1, with all joints at zero.
+    """Return the transforms C_i (6) for calibrating a UR arm:
+    each joint frame relative to DH frame i-1, with all joints at zero.
 
     Raises:
         InputError: the model's joint axes do not match this type of arm.
@@ -113,7 +116,8 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
-    """Return a link's rotation and offset by UR calibration, with the next joint near nominal.
+    """Return the rotation and offset of a link by UR calibration,
+    chosen so that the next joint is close to its nominal position.
 
     Args:
         own: K_i of the robot.

@@ -12,7 +12,7 @@ PORT = 29999
 
 
 class DashboardClient:
-    """Connection to a UR robot's dashboard server; `with` connects and disconnects."""
+    """Connection to the dashboard server of a UR robot. `with` connects and disconnects."""
 
     def __init__(self, host: str, port: int = PORT, timeout: float = 3.0):
         self.host, self._port, self._timeout = host, port, timeout
@@ -56,7 +56,7 @@ class DashboardClient:
         return line.decode("utf-8", "replace").strip()
 
     def ask(self, command: str) -> str:
-        """Send a command to the UR dashboard server and return the one-line answer.
+        """Send a command to the UR dashboard server, and return its answer, which is one line.
 
         Raises:
             ArmcellError: the dashboard does not answer.
@@ -69,20 +69,22 @@ class DashboardClient:
             raise ArmcellError(f"the dashboard of {self.host} does not answer {command!r}: {error}") from None
 
     def word(self, command: str) -> str:
-        """Send a command to the UR dashboard server and return the last word of its answer.
+        """Send a command to the UR dashboard server, and return the last word of the answer.
 
         For example, `robotmode` is answered by `Robotmode: RUNNING`; the result is RUNNING.
         """
         return (self.ask(command).rsplit(maxsplit=1) or [""])[-1]
 
     def version(self) -> tuple[int, ...]:
-        """Return the UR controller's software version from the dashboard: major, minor, bugfix."""
+        """Return the software version of the UR controller from the dashboard: major, minor, bugfix."""
         found = re.search(r"(\d+)\.(\d+)\.(\d+)", self.ask("PolyscopeVersion"))
         if found is None:
             raise ArmcellError(f"the dashboard of {self.host} does not tell its version")
         return tuple(int(n) for n in found.groups())
 
     def in_remote_control(self) -> bool | None:
-        """Ask the UR dashboard whether the robot is in remote control; None for CB3, which lacks the mode."""
+        """Ask the UR dashboard whether the robot is in remote control.
+        The answer is None for CB3, which lacks this mode.
+        """
         answer = self.ask("is in remote control").lower()
         return answer == "true" if answer in ("true", "false") else None

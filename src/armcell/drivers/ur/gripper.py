@@ -18,7 +18,7 @@ LOOK = "look at its URCap and cable"
 
 
 class SocketGripper:
-    """Gripper on a UR arm with Robotiq's socket protocol; a thread polls its state."""
+    """Gripper on a UR arm that uses Robotiq's socket protocol. A thread polls its state."""
 
     hint = LOOK
 
@@ -57,7 +57,9 @@ class SocketGripper:
         return (1.0 - position / 255) * self._gripper.max_width, holds
 
     def _watch(self) -> None:
-        """Poll the state of a UR arm's socket gripper; reconnect after a lost connection, without motion."""
+        """Poll the state of a UR arm's socket gripper.
+        After a lost connection, reconnect without moving the gripper.
+        """
         while self._open:
             try:
                 self._reading = self._read_now()
@@ -91,7 +93,7 @@ class SocketGripper:
 
 
 class ToolPins(Protocol):
-    """Interface of a `ToolGripper` to the digital inputs and outputs of its UR arm."""
+    """Interface through which a `ToolGripper` uses the digital inputs and outputs of its UR arm."""
 
     def set_tool_output(self, pin: int, on: bool) -> None: ...
 
@@ -99,7 +101,9 @@ class ToolPins(Protocol):
 
 
 class ToolGripper:
-    """UR tool gripper that only opens and closes: tool output 0 closes, tool input 0 reports a grasp."""
+    """Gripper at the tool connector of a UR arm that only opens and closes.
+    Tool output 0 closes it, and tool input 0 reports a grasp.
+    """
 
     hint = LOOK
 

@@ -24,7 +24,7 @@ NEAR = 0.02  # [m] largest difference of a calibrated geometry from its model; m
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity and state of a UR robot as its controllers report them."""
+    """Identity and state of a UR robot, as its controllers report them."""
 
     host: str
     model: UrModel
@@ -41,14 +41,14 @@ class Identity:
 
     @property
     def calibration(self) -> str:
-        """Return the checksum of a UR robot's geometry, which identifies robot and calibration."""
+        """Return a checksum of a UR robot's geometry, which identifies the robot and its calibration."""
         g = self.geometry
         data = struct.pack("<24d", *g.theta, *g.a, *g.d, *g.alpha)
         return hashlib.sha256(data).hexdigest()[:12]
 
 
 def identify(host: str) -> Identity:
-    """Query a UR robot's identity and state over its dashboard and primary interface.
+    """Query the identity and state of a UR robot over its dashboard and primary interface.
 
     Raises:
         InputError: no robot answers, or its model is not supported.
@@ -72,7 +72,7 @@ def identify(host: str) -> Identity:
 
 
 def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
-    """Read from the primary interface the Denavit-Hartenberg parameters that identify a UR robot.
+    """Read the Denavit-Hartenberg parameters that identify a UR robot from its primary interface.
 
     Raises:
         InputError: the robot does not send its geometry.
@@ -99,7 +99,8 @@ def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
 
 
 def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
-    """Check a UR robot's identity: model, serial number and calibration of the cell file.
+    """Check the identity of a UR robot: its model,
+    serial number and calibration must be those in the cell file.
 
     Raises:
         InputError: the robot is not the one in the cell file.
@@ -114,7 +115,7 @@ def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
 
 
 def check_ready(arm: str, found: Identity) -> None:
-    """Check, after identification, that a UR robot is in remote control, running, and not stopped.
+    """Check, after a UR robot was identified, that it is in remote control, running and not stopped.
 
     Raises:
         InputError: the robot cannot be driven now; the message states the remedy.

@@ -29,7 +29,9 @@ POWER_TIME = 30.0  # [s] to power on and release the brakes
 
 
 class UrKind(RobotKind[UrArmSettings, Identity]):
-    """Robot kind `ur` of Universal Robots arms: state by RTDE, motion by a program or `ur_rtde`."""
+    """Robot kind `ur` for arms of Universal Robots.
+    Their state comes from RTDE, and a robot program or `ur_rtde` moves them.
+    """
 
     arm_settings = UrArmSettings
     joints = 6

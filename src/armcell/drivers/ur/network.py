@@ -13,7 +13,8 @@ from armcell.drivers.ur.rtde_client import RobotState, RtdeClient
 
 
 def measure_network(host: str, frequency: float, seconds: float = 2.0) -> NetworkReport:
-    """Measure round trips and state intervals of a UR robot's network connection, without moving the robot.
+    """Measure round trips and state intervals of the network connection to a UR robot,
+    without moving the robot.
 
     Args:
         host: the robot's address.

@@ -16,7 +16,7 @@ SHORTEST_OF = 5  # one late answer indicates a busy computer, five in a row the 
 
 
 class Pinger:
-    """Pinger that measures the network round trip to a UR robot by RTDE version requests.
+    """Pinger that measures the network round trip to a UR robot with RTDE version requests.
 
     A controller always answers these requests, and they do not move the robot.
     """
@@ -28,7 +28,7 @@ class Pinger:
         self._open = False
 
     def start(self) -> None:
-        """Connect the pinger to the UR controller and start measuring round trips in a thread.
+        """Connect the pinger to the UR controller, and start measuring round trips in a thread.
 
         Raises:
             OSError: no controller answers at this address.
@@ -40,7 +40,8 @@ class Pinger:
         self._thread.start()
 
     def trip(self) -> float:
-        """Return the pinger's shortest of the last round trips [s] to a UR robot; NaN at the start.
+        """Return the shortest of the last round trips [s] that the pinger measured to a UR robot.
+        It is NaN at the start.
 
         A pending request counts with its current age.
         """

@@ -36,7 +36,7 @@ class ProgramSettings:
 
 
 def program_text(host: str, port: int, session: int, settings: ProgramSettings) -> str:
-    """Return the URScript text of armcell's robot program with all placeholders filled in."""
+    """Return the URScript text of armcell's robot program, in which all placeholders are filled in."""
     text = (files("armcell.drivers.ur") / "armcell.script").read_text(encoding="utf-8")
     values = {
         "HOST": host, "PORT": port, "SESSION": session, "WATCHDOG": settings.watchdog,
@@ -50,7 +50,7 @@ def program_text(host: str, port: int, session: int, settings: ProgramSettings) 
 
 
 def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[bytes]:
-    """Encode a trajectory's points, except the first, as messages for armcell's UR robot program.
+    """Encode all points of a trajectory except the first as messages for armcell's robot program on a UR arm.
 
     Points are at least two steps apart; nearer points are omitted. The robot interpolates between the points
     by quintics from the trajectory's positions, velocities and accelerations.
@@ -77,7 +77,8 @@ def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[byt
 
 
 class ProgramLink:
-    """Computer side of armcell's robot program: uploads the program and sends its commands.
+    """Connection from this computer to armcell's robot program.
+    It uploads the program and sends commands to it.
 
     Args:
         arm: arm name, for messages.
@@ -110,7 +111,7 @@ class ProgramLink:
         return self._reverse is not None
 
     def start(self, timeout: float = 5.0) -> int:
-        """Upload armcell's robot program to the UR arm, wait for its connection; return the session number.
+        """Upload armcell's robot program to the UR arm and wait until it connects. Return the session number.
 
         Raises:
             InputError: the program did not connect; the message states possible causes.
@@ -162,7 +163,9 @@ class ProgramLink:
         return found
 
     def _results(self, link: socket.socket) -> None:
-        """Receive trajectory results from armcell's URScript robot program until it ends."""
+        """Receive the results of trajectories from armcell's robot
+        program (URScript) until the program ends.
+        """
         link.settimeout(None)
         try:
             while True:
@@ -174,17 +177,23 @@ class ProgramLink:
                 self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """Send armcell's URScript robot program a command with up to six values; no effect without it."""
+        """Send a command with up to six values to armcell's URScript program.
+        Without a running program, nothing is sent.
+        """
         six = [round(float(v) * SCALE) for v in values] + [0] * (6 - len(values))
         self._send(self._reverse, _COMMAND.pack(kind, *six, last))
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Send armcell's URScript robot program a setpoint (positions, speeds) for a program time [s]."""
+        """Send a setpoint (positions and speeds) to armcell's URScript program,
+        to be reached at a time [s] of the program.
+        """
         values = (round(float(x) * SCALE) for x in (*np.asarray(q), *np.asarray(v)))
         self._send(self._reverse, _SERVO.pack(SERVO, *values, round(at * STAMP)))
 
     def forward(self, trajectory: JointTrajectory, step: float) -> int:
-        """Start a trajectory in armcell's URScript program; return its number, by which `result` reports."""
+        """Start a trajectory in armcell's URScript program.
+        Return the number under which `result` reports it.
+        """
         self._number = self._number % 1000 + 1
         points = points_of(trajectory, step, self._number)
         self.result = RUNNING

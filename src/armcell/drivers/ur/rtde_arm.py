@@ -14,7 +14,7 @@ SLIDER, TOOL, STANDARD = 0, 1, 2  # indices of the input recipes
 
 
 class UrRtdeArm(UrArm):
-    """UR arm with armcell's RTDE client for its state and `ur_rtde`'s servoJ for motion.
+    """UR arm whose state comes from armcell's RTDE client and whose motion is sent with servoJ of `ur_rtde`.
 
     `ur_rtde` runs in a subprocess.
     """

@@ -33,7 +33,7 @@ LOST = 0.05  # [s] increase beyond which the offset jumps
 
 @dataclass(frozen=True)
 class RobotState:
-    """State of a UR robot from one RTDE packet: values by RTDE variable name, and arrival time."""
+    """State of a UR robot from one RTDE packet: the values by RTDE variable name, and the arrival time."""
 
     values: dict[str, Any]
     received: float  # [s]
@@ -46,7 +46,8 @@ class RobotState:
 
 
 class RobotClock:
-    """Estimate of the offset between a UR robot's clock (RTDE) and this computer's monotonic clock.
+    """Estimate of the offset between the clock of a UR robot (from
+    RTDE) and the monotonic clock of this computer.
 
     Packets arrive late by the delay of the network and both computers, never early. The smallest difference
     between arrival time and time stamp in the last second is therefore the best estimate, and the clocks of
@@ -59,7 +60,9 @@ class RobotClock:
         self._last = 0.0
 
     def seen(self, stamp: float, received: float) -> None:
-        """Update a UR robot's clock offset from an RTDE packet's time stamp and arrival time [s]."""
+        """Update the clock offset of a UR robot with the time stamp
+        and the arrival time [s] of an RTDE packet.
+        """
         first = not self._seen
         self._seen.append(received - stamp)
         least = min(self._seen)
@@ -70,7 +73,7 @@ class RobotClock:
 
 
 class RtdeClient:
-    """RTDE client: connection to a UR robot, with a receiver thread.
+    """RTDE client, which connects to a UR robot and receives its states in a thread.
 
     Args:
         host: the robot's address.
@@ -95,7 +98,8 @@ class RtdeClient:
         self._sending = threading.Lock()
 
     def connect(self, timeout: float = 3.0) -> None:
-        """Connect the RTDE client: negotiate with the UR robot, start transmission, await the first state.
+        """Connect the RTDE client: negotiate with the UR robot, start the transmission,
+        and wait for the first state.
 
         Raises:
             InputError: no RTDE server answers, or another client holds one of the inputs.
@@ -183,7 +187,7 @@ class RtdeClient:
 
     @property
     def age(self) -> float:
-        """Return the age [s] of the RTDE client's latest state at its last check for packets.
+        """Return the age [s] of the RTDE client's latest state at the time when it last checked for packets.
 
         The age uses the robot's time stamp: a packet that waited in a buffer is not new.
         """
@@ -193,7 +197,9 @@ class RtdeClient:
 
     @property
     def blind(self) -> float:
-        """Return the time [s] since the RTDE client last checked for packets; large if the process hangs."""
+        """Return the time [s] since the RTDE client last checked for packets.
+        It is large if the process hangs.
+        """
         return time.monotonic() - self._looked
 
     def send(self, recipe: int, values: Sequence[Any]) -> None:

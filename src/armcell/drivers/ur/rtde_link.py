@@ -27,7 +27,7 @@ ENDS_WITHIN = 0.5  # [s] to wait for the subprocess to end before killing it
 
 
 def require_ur_rtde() -> None:
-    """Check that the `ur_rtde` library is installed.
+    """Check that the library `ur_rtde` is installed.
 
     Raises:
         InputError: `ur_rtde` is not installed.
@@ -41,7 +41,9 @@ def require_ur_rtde() -> None:
 
 
 class RtdeLink:
-    """Motion link over `ur_rtde`, an alternative to `ProgramLink` with the same interface."""
+    """Link that moves the robot with `ur_rtde`.
+    It is an alternative to `ProgramLink` with the same interface.
+    """
 
     def __init__(
         self, arm: str, robot: str, frequency: float, settings: ProgramSettings, scaling: Callable[[], float]
@@ -61,7 +63,8 @@ class RtdeLink:
         return self._socket is not None
 
     def start(self) -> int:
-        """Start a `ur_rtde` subprocess with the library's script on the UR robot; return the session number.
+        """Start a `ur_rtde` subprocess, which runs the library's script on the UR robot.
+        Return the session number.
 
         Raises:
             InputError: ur_rtde is not installed, or cannot take control of the robot.
@@ -98,7 +101,7 @@ class RtdeLink:
         return self._session
 
     def _drain(self, words: Iterable[str] | None) -> None:
-        """Discard the `ur_rtde` subprocess's error output, so that a full pipe cannot block it."""
+        """Discard what the `ur_rtde` subprocess prints as errors, so that a full pipe cannot block it."""
         for _ in words or ():
             pass
 
@@ -136,7 +139,7 @@ class RtdeLink:
             self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """Send a command to the `ur_rtde` subprocess, except for outputs, which RTDE sends."""
+        """Send a command to the `ur_rtde` subprocess. Outputs are the exception: RTDE sends them."""
         plain = [float(v) for v in values]
         match kind:
             case program.KEEP_ALIVE:
@@ -151,7 +154,7 @@ class RtdeLink:
                 self._order("end")
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Send the `ur_rtde` subprocess a setpoint that the robot passes at a monotonic time [s].
+        """Send the `ur_rtde` subprocess a setpoint which the robot should pass at a monotonic time [s].
 
         All processes on this computer share the monotonic clock.
         """
@@ -159,7 +162,7 @@ class RtdeLink:
         self._order("point", at=at, **point)
 
     def forward(self, trajectory: JointTrajectory, step: float) -> int:
-        """Start a trajectory in the `ur_rtde` subprocess and return its number."""
+        """Start a trajectory in the `ur_rtde` subprocess, and return its number."""
         times = np.arange(0.0, trajectory.duration + step, step)
         first = float(trajectory.times[0])
         rows = [trajectory.sample(first + min(t, trajectory.duration))[0].tolist() for t in times]

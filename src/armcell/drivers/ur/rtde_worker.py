@@ -39,7 +39,9 @@ class Worker:
         self._number, self._result = 0, "done"
 
     def read(self) -> None:
-        """Receive the `ur_rtde` worker's orders from armcell until the socket closes or `end` arrives."""
+        """Receive orders from armcell in the `ur_rtde` worker,
+        until the socket closes or the order `end` arrives.
+        """
         with self._link.makefile("rb") as lines:
             for line in lines:
                 order = json.loads(line)
@@ -131,7 +133,8 @@ class Worker:
 
 
 def between(points: list[tuple[float, list[float], list[float]]], now: float) -> list[float]:
-    """Interpolate a `ur_rtde` worker's (time, position, speed) points by cubics; return the position.
+    """Interpolate the points (time, position, speed) of a `ur_rtde`
+    worker by cubic polynomials, and return the position.
 
     Before the first and after the last point, the position is the nearest point's.
     """

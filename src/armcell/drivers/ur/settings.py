@@ -13,7 +13,9 @@ FIRST_PORT = 50001
 
 
 class GripperSettings(Strict):
-    """Settings of a UR arm's gripper: a URCap's socket, or the tool's digital output 0."""
+    """Settings of the gripper on a UR arm, which uses the socket of a
+    URCap or digital output 0 of the tool.
+    """
 
     kind: Literal["socket", "tool_io"] = "socket"  # socket: Robotiq's protocol
     port: int = Field(63352, ge=1, le=65535)  # of the socket

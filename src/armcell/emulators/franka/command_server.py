@@ -18,7 +18,8 @@ MAX_CUTOFF = 1000.0  # [Hz]; disables a filter
 
 
 class CommandServer:
-    """Emulated Franka command server for one client at a time, like the robot; closes other connections.
+    """Server for the commands to an emulated Franka arm.
+    Like the robot, it serves one client at a time and closes other connections.
 
     Attributes:
         active: whether the Franka Control Interface is active (in Desk); otherwise connections are closed.
@@ -38,7 +39,9 @@ class CommandServer:
         return self._client is not None and self._client.open
 
     def set_active(self, active: bool) -> None:
-        """Activate or deactivate the emulated Franka command interface (FCI), as an operator does in Desk."""
+        """Activate or deactivate the command interface (FCI) of the emulated Franka arm,
+        as an operator does in Desk.
+        """
         self.active = active
         if not active and self._client is not None:
             self._client.close()
@@ -52,7 +55,9 @@ class CommandServer:
         self._client, self._state_to = link, None
 
     def commands(self) -> list[RobotCommand]:
-        """Return the emulated Franka arm's valid UDP motion commands since the last call."""
+        """Return the valid motion commands that the emulated Franka
+        arm has received by UDP since the last call.
+        """
         found, version = [], self._protocol.version
         for data in self.udp.receive(COMMANDS[version].size + 1):
             try:

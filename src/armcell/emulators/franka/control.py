@@ -22,19 +22,23 @@ DAMPING_RATIO = 1.0
 
 @dataclass
 class Impedance:
-    """Stiffness and damping of the emulated Franka arm's impedance control."""
+    """Stiffness and damping for the impedance control of the emulated Franka arm."""
 
     joint: Array = field(default_factory=lambda: np.array(JOINT_STIFFNESS))
     cartesian: Array = field(default_factory=lambda: np.array(CARTESIAN_STIFFNESS))
     damping: Array = field(default_factory=lambda: np.full(JOINTS, 50.0))
 
     def fit(self, inertia: Array) -> None:
-        """Set the damping of the emulated Franka joint control to match an inertia (7,) [kg m^2]."""
+        """Set the damping of the emulated Franka arm's joint control
+        so that it suits an inertia (7,) [kg m^2].
+        """
         self.damping = 2.0 * DAMPING_RATIO * np.sqrt(self.joint * inertia)
 
 
 def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedance) -> Array:
-    """Return the emulated Franka joint impedance control's torques (7,) [Nm] toward the reference."""
+    """Return the torques (7,) [Nm] with which joint impedance control
+    pulls the emulated Franka arm toward the reference.
+    """
     q, dq = plant.read()
     spring = impedance.joint * (reference.q - q) + impedance.damping * (reference.dq - dq)
     return spring + plant.inertial_torque(reference.ddq) + plant.coriolis()
@@ -43,7 +47,9 @@ def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedan
 def cartesian_impedance(
     plant: FrankaPlant, frames: Frames, reference: Reference, impedance: Impedance
 ) -> Array:
-    """Return the emulated Franka Cartesian impedance control's torques (7,) [Nm] toward the reference."""
+    """Return the torques (7,) [Nm] with which Cartesian impedance control
+    pulls the emulated Franka arm toward the reference.
+    """
     q, dq = plant.read()
     wanted = frames.pose(reference.q)
     T, J = frames.pose_and_jacobian(q)
@@ -57,7 +63,7 @@ def cartesian_impedance(
 
 
 class Brake:
-    """Brake of the emulated Franka control, which brings a moving joint reference to rest.
+    """Brake in the control of the emulated Franka arm, which brings a moving joint reference to rest.
 
     All joints stop at the same time.
     """
@@ -69,7 +75,9 @@ class Brake:
         self._left, self._duration = duration, duration
 
     def step(self) -> bool:
-        """Advance the braking of the emulated Franka control by 1 ms; return whether it is at rest."""
+        """Advance the braking of the emulated Franka arm by 1 ms,
+        and return whether the arm's reference is at rest.
+        """
         r = self._reference
         self._left = max(self._left - PERIOD, 0.0)
         if self._left == 0.0 or self._duration == 0.0:

@@ -55,20 +55,24 @@ class ControllerSettings:
 
 
 def free_arm() -> PlanningScene:
-    """Return the emulated controller's scene: a Franka arm with hand at its home position, no objects."""
+    """Return the scene for an emulated controller that has no cell:
+    a Franka arm with a hand at its home position, and no objects.
+    """
     model = load_robot("panda")
     home = {**model.named_states["arm"]["home"], **model.named_states["hand"]["open"]}
     return PlanningScene.of(model, [home[name] for name in model.joint_names])
 
 
 def torque_world(scene: PlanningScene, physics: PhysicsSettings | None = None) -> SimWorld:
-    """Return the physics world of a scene for emulated Franka controllers, torque-driven at 1 kHz."""
+    """Return the physics world of a scene for emulated Franka controllers,
+    which drive the joints by torques at 1 kHz.
+    """
     settings = replace(physics or PhysicsSettings(), timestep=PERIOD, arm_control="torque")
     return SimWorld(scene, settings)
 
 
 class FrankaController:
-    """Emulated Franka controller with its robot, hand and ports, stepped at 1 kHz."""
+    """Emulated Franka controller with its robot, hand and ports. One control cycle takes 1 ms."""
 
     def __init__(self, settings: ControllerSettings, selector: selectors.BaseSelector, plant: FrankaPlant,
                  group: str):  # fmt: skip
@@ -100,18 +104,22 @@ class FrankaController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether the emulated Franka controller has a client, or lost it by an injected fault."""
+        """Return whether a client uses the emulated Franka controller,
+        or has only been disconnected by an injected fault.
+        """
         return self.commands.connected or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
-        """Run one control cycle of the emulated Franka controller's robot, the hand and the ports."""
+        """Run one control cycle of the emulated Franka controller: the robot, the hand and the ports."""
         self.robot.step(self.commands.commands())
         self.commands.send_state()
         self._hand_server.step()
         self.network.flush()
 
     def reset(self) -> None:
-        """Reset the emulated Franka controller: arm, hand and all objects to their initial state."""
+        """Reset the arm, the hand and all objects of the emulated
+        Franka controller to their initial state.
+        """
         self.plant.reset()
         self.hand.follow_reset()
         self.robot.follow_reset()
@@ -126,7 +134,7 @@ class FrankaController:
 
 
 class Rack(rack.Rack[FrankaController]):
-    """Several emulated Franka controllers in one thread, each with its own plant.
+    """Rack of several emulated Franka controllers that run in one thread, each with its own plant.
 
     Args:
         groups: planning group of each plant's arm.

@@ -28,7 +28,8 @@ ELBOW_START = 1e-2  # [rad]
 
 
 class Reflex(Exception):
-    """Reflex: error that ends a Franka motion generator because of a command or a violated limit.
+    """Error (reflex) that ends the motion of a Franka motion generator,
+    because of a command or a violated limit.
 
     Attributes:
         error: name in `wire.errors.ERRORS`.
@@ -41,7 +42,8 @@ class Reflex(Exception):
 
 @dataclass
 class Reference:
-    """Reference of a Franka motion generator: desired joints, and end effector in base frame O.
+    """Reference that a Franka motion generator produces: the desired joint motion,
+    and the end effector in the base frame O.
 
     Attributes:
         T: T_O_EE (4, 4); twist (6,) [m/s, rad/s] and acceleration (6,) of the command.
@@ -56,20 +58,24 @@ class Reference:
     elbow: Array = field(default_factory=lambda: np.zeros(2))
 
     def rest(self, q: Array) -> None:
-        """Set a Franka motion generator's reference to positions q (7,) at rest."""
+        """Set the reference of a Franka motion generator to joint positions q (7,) at rest."""
         self.q, self.dq, self.ddq = np.array(q, dtype=float), np.zeros(JOINTS), np.zeros(JOINTS)
         self.twist, self.dtwist = np.zeros(6), np.zeros(6)
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames for Franka motion generators: arm kinematics with the configured end effector T_F_EE (4, 4)."""
+    """Frames that Franka motion generators use: the arm's kinematics
+    with the configured end effector T_F_EE (4, 4).
+    """
 
     kinematics: ArmKinematics
     T_F_EE: Array
 
     def pose(self, q: Array) -> Array:
-        """Return the Franka motion generator's end effector pose T_O_EE (4, 4) at joint positions q (7,)."""
+        """Return the end effector pose T_O_EE (4, 4) for a Franka
+        motion generator at joint positions q (7,).
+        """
         self.kinematics.at(q)
         return self.kinematics.flange() @ self.T_F_EE
 
@@ -79,7 +85,7 @@ class Frames:
 
 
 class Generator(Protocol):
-    """Interface of an emulated Franka motion generator; `step` advances the reference by 1 ms.
+    """Interface of a motion generator for the emulated Franka arm. `step` advances the reference by 1 ms.
 
     Attributes:
         cartesian: whether the commands are Cartesian, so that a client reads back a Cartesian reference.
@@ -90,7 +96,8 @@ class Generator(Protocol):
     patient: bool
 
     def step(self, command: RobotCommand | None) -> None:
-        """Advance a Franka motion generator's reference by one command; without one (None), extrapolate.
+        """Advance the reference of a Franka motion generator by one command.
+        If the command is missing (None), extrapolate.
 
         Raises:
             Reflex: the command violates a limit.
@@ -102,7 +109,7 @@ def check_joints(
     limits: FrankaLimits, reference: Reference, q: Array, dq: Array, names: tuple[str, str, str, str],
     noise: float = QUANTUM,
 ) -> None:  # fmt: skip
-    """Check a Franka motion generator's next joint reference against the limits, then set it.
+    """Check the next joint reference of a Franka motion generator against the limits, and set it.
 
     Args:
         q, dq: next positions [rad] and velocities [rad/s] (7,).
@@ -193,7 +200,8 @@ class JointVelocity:
 
 
 class Interpolation:
-    """Emulated Franka motion generator for slow joint positions, between which the robot interpolates.
+    """Motion generator of the emulated Franka arm for joint positions that arrive slowly,
+    between which the robot interpolates.
 
     This is Franka's asynchronous control.
     """
@@ -231,7 +239,7 @@ class Interpolation:
 
 
 class Cartesian:
-    """Emulated Franka motion generator for Cartesian poses or velocities of the end effector.
+    """Motion generator of the emulated Franka arm for poses or velocities of the end effector.
 
     The elbow's angle resolves the pose to joint positions.
     """
@@ -296,7 +304,7 @@ class Cartesian:
                 raise Reflex("cartesian_motion_generator_acceleration_discontinuity", f"{change:.0f}")
 
     def _elbow(self, command: RobotCommand | None) -> float | None:
-        """Return the elbow that a Franka motion generator commands: angle of joint 3 [rad], or None."""
+        """Return the elbow angle (joint 3, [rad]) in the command to a Franka motion generator, or None."""
         if command is None or not command.valid_elbow:
             return None
         r, limits = self._reference, self._limits
@@ -312,7 +320,8 @@ class Cartesian:
         return angle
 
     def _resolve(self, T: Array, elbow: float | None) -> Array:
-        """Return the Franka generator's joint positions (7,) near the reference with the end effector at T.
+        """Return joint positions (7,) near the reference of a Franka motion
+        generator at which the end effector has the pose T.
 
         The solution takes Newton steps; without an elbow angle, the joint motion has the least norm. Raises
         Reflex at a singularity.
@@ -339,7 +348,9 @@ class Cartesian:
 
 
 class Follow:
-    """Emulated Franka generator of torque-controlled motions: the reference follows the measured arm."""
+    """Generator of the emulated Franka arm for motions under torque control,
+    whose reference follows the measured arm.
+    """
 
     cartesian = False
     patient = False
@@ -350,7 +361,7 @@ class Follow:
 
 @dataclass(eq=False)
 class Motion:
-    """Running motion of the emulated Franka arm: the client's request and its generator."""
+    """Motion that the emulated Franka arm executes: the client's request and the motion generator."""
 
     request: MoveRequest
     answer: Callable[[MoveStatus], None]
@@ -362,17 +373,23 @@ class Motion:
 
     @property
     def by_torque(self) -> bool:
-        """Return whether a client's torques move the emulated Franka arm, not a generator's reference."""
+        """Return whether torques of a client move the emulated Franka arm,
+        instead of a motion generator's reference.
+        """
         return self.request.controller is MoveController.EXTERNAL
 
 
 def elbow_of(q: Array) -> Array:
-    """Return the elbow (2,) for a Franka motion generator: angle of joint 3 [rad], flip of joint 4."""
+    """Return the elbow (2,) of a Franka arm for its motion generators:
+    the angle of joint 3 [rad] and the flip of joint 4.
+    """
     return np.array([q[2], np.sign(q[3] - ELBOW_FLIP)])
 
 
 def _moved(T: Array, twist: Array) -> Array:
-    """Return a pose (4, 4) that a Franka motion generator moves for one period by a twist (6,)."""
+    """Return the pose (4, 4) that a Franka motion generator reaches if
+    it moves a pose by a twist (6,) for one period.
+    """
     moved = T.copy()
     moved[:3, 3] += twist[:3] * PERIOD
     moved[:3, :3] = rotation_exp(twist[3:] * PERIOD) @ T[:3, :3]

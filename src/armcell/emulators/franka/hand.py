@@ -21,7 +21,9 @@ TEMPERATURE = 30  # [C]
 
 @dataclass
 class _Task:
-    """Running command of the emulated Franka Hand: its goal, limits, and receiver of the result."""
+    """Command that the emulated Franka Hand executes: the goal, the limits,
+    and the function that receives the result.
+    """
 
     command: Command
     answer: Callable[[Status], None]
@@ -61,7 +63,7 @@ class Hand:
         return hand.max_width if hand is not None and self.homed else 0.0
 
     def start(self, command: Command, values: tuple, answer: Callable[[Status], None]) -> None:
-        """Start a command of the emulated Franka Hand; `answer` is called when the command ends."""
+        """Start a command of the emulated Franka Hand. `answer` is called when the command ends."""
         self._end(Status.ABORTED)
         hand = self._plant.hand
         if hand is None or (command is not Command.HOMING and not self.homed):
@@ -89,7 +91,7 @@ class Hand:
         self.is_grasped, self._grasp = False, None
 
     def stop(self) -> None:
-        """End the emulated Franka Hand's running command and release the grasp force."""
+        """End the command that the emulated Franka Hand executes, and release the grasp force."""
         self._end(Status.ABORTED)
         if self._plant.hand is not None:
             self._drive(self.width, 1.0)
@@ -105,7 +107,7 @@ class Hand:
             self._plant.world.set_gripper_target(self._plant.hand.name, max(width, 0.0), force)
 
     def step(self) -> None:
-        """Advance the emulated Franka Hand's running command by one millisecond."""
+        """Advance the command that the emulated Franka Hand executes by one millisecond."""
         width = self.width
         speed, self._width = (width - self._width) / PERIOD, width
         if self._grasp is not None:
@@ -136,7 +138,7 @@ class Hand:
 
 
 class HandServer:
-    """Server of the emulated Franka Hand; each client gets its own state stream."""
+    """Server of the emulated Franka Hand. Each client receives its own stream of states."""
 
     def __init__(self, hand: Hand, network: Network, host: str, port: int = wire.PORT):
         self._hand, self._udp = hand, network.datagrams(host, "hand state")

@@ -21,7 +21,7 @@ T_LINK7_FLANGE = SE3.from_xyz_rpy((0.0, 0.0, 0.107))  # Franka's DH parameters: 
 
 
 def arm_joints(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the seven joints of an emulated Franka arm, for its kinematics.
+    """Return the seven joints that form the kinematics of an emulated Franka arm.
 
     Raises:
         InputError: the group does not have seven revolute joints in a chain.
@@ -61,13 +61,15 @@ class ArmKinematics:
         self._jacobian = np.zeros((6, JOINTS))
 
     def at(self, q: ArrayLike) -> None:
-        """Compute the kinematics of an emulated Franka arm: all frames at joint positions q (7,) [rad]."""
+        """Compute all frames in the kinematics of an emulated Franka arm at joint positions q (7,) [rad]."""
         self._data.qpos[:] = q
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
 
     def flange(self) -> Array:
-        """Return the flange pose T_O_F (4, 4) of a Franka arm's kinematics at the last positions."""
+        """Return the flange pose T_O_F (4, 4) from the kinematics of a Franka arm,
+        at the last computed positions.
+        """
         T = np.zeros((4, 4))
         T[:3, :3] = self._data.site_xmat.reshape(3, 3)
         T[:3, 3] = self._data.site_xpos[0]
@@ -75,7 +77,8 @@ class ArmKinematics:
         return T
 
     def jacobian(self, point: Array) -> Array:
-        """Return the Jacobian (6, 7) of a Franka arm's kinematics, linear rows first, at a last link's point.
+        """Return the Jacobian (6, 7) of a Franka arm's kinematics for a point fixed to the last link.
+        The linear rows come first.
 
         The point is given in the base frame O [m].
         """
@@ -86,7 +89,9 @@ class ArmKinematics:
 
 
 def rotation_log(R: Array) -> Array:
-    """Return a small rotation (3, 3) as rotation vector (3,) [rad], for Franka kinematics; exact below pi."""
+    """Return the rotation vector (3,) [rad] of a rotation (3, 3) of less than half a turn,
+    for the kinematics of Franka arms.
+    """
     axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
@@ -95,7 +100,9 @@ def rotation_log(R: Array) -> Array:
 
 
 def rotation_exp(w: Array) -> Array:
-    """Return, for Franka kinematics, the rotation (3, 3) of a rotation vector (3,) [rad]."""
+    """Return the rotation (3, 3) that belongs to a rotation vector (3,) [rad],
+    for the kinematics of Franka arms.
+    """
     angle = float(np.linalg.norm(w))
     K = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
     if angle < 1e-9:
@@ -104,7 +111,8 @@ def rotation_exp(w: Array) -> Array:
 
 
 def urdf(model: RobotModel, group: str, limits: FrankaLimits) -> str:
-    """Return the URDF (kinematics) that the emulated Franka robot sends to clients: arm without hand.
+    """Return the URDF with the arm's kinematics, without the hand,
+    that the emulated Franka robot sends to clients.
 
     Clients compute dynamics with it and read velocity limits from it, so every joint has
     `position_based_velocity_limits`.

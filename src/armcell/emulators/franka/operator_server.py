@@ -47,7 +47,7 @@ class OperatorServer:
             link.close()
 
     def answer(self, line: str) -> str:
-        """Execute one operator command for the emulated Franka arm and return the answer line."""
+        """Execute one command of the emulated Franka arm's operator, and return a line with the answer."""
         words = line.split()
         try:
             done = self._fault(words[1:]) if words[:1] == ["fault"] else self._act(words)

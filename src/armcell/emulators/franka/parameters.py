@@ -22,7 +22,8 @@ T_F_NE = np.array(  # nominal end effector of a Franka Hand: turned by -45 degre
 
 @dataclass
 class Thresholds:
-    """Franka parameters for contact (lower) and collision (upper): torques (7,) [Nm], wrenches (6,).
+    """Thresholds in the parameters of a Franka robot for contact (lower) and collision (upper):
+    torques (7,) [Nm] and wrenches (6,).
 
     Wrenches are in [N, Nm]. The defaults are those of Franka's ROS packages.
     """
@@ -38,7 +39,9 @@ def _both(lower: Sequence[float], more: float) -> dict[str, Array]:
 
 @dataclass
 class Load:
-    """Franka load parameter: mass [kg], center (3,) [m] in the flange frame, inertia (9,) [kg m^2]."""
+    """Load in the parameters of a Franka robot: mass [kg], center (3,) [m] in the flange frame,
+    and inertia (9,) [kg m^2].
+    """
 
     mass: float = 0.0
     center: Array = field(default_factory=lambda: np.zeros(3))

@@ -17,7 +17,7 @@ FILTER = 30.0  # [Hz] cutoff of the external torques' low-pass filter
 
 
 class FrankaPlant:
-    """Plant of an emulated Franka arm in a physics world, driven by joint torques at 1 kHz.
+    """Plant of an emulated Franka arm: the arm in a physics world, which joint torques drive at 1 kHz.
 
     Args:
         world: a world with `arm_control: "torque"` whose time step divides 1 ms.
@@ -48,7 +48,7 @@ class FrankaPlant:
         self.follow_reset()
 
     def reset(self) -> None:
-        """Reset the Franka plant's arm and all objects of the world to their initial state."""
+        """Reset the arm of the Franka plant and all objects of the world to their initial state."""
         self.world.reset()
         self.follow_reset()
 
@@ -62,24 +62,29 @@ class FrankaPlant:
 
     # --- measurements ---
     def read(self) -> tuple[Array, Array]:
-        """Return the Franka plant's measured joint positions [rad] and velocities [rad/s], each (7,)."""
+        """Return the joint positions [rad] and velocities [rad/s] measured on the Franka plant, each (7,)."""
         data = self.world._data
         return data.qpos[self._qpos] + self._offset, data.qvel[self._dofs]
 
     def torques(self) -> Array:
-        """Return the Franka plant's measured joint torques (7,) [Nm], including the weight of the links."""
+        """Return the joint torques (7,) [Nm] measured on the Franka plant,
+        which include the weight of the links.
+        """
         data = self.world._data
         return data.qfrc_actuator[self._dofs] + data.qfrc_gravcomp[self._dofs]
 
     def external(self) -> Array:
-        """Return the Franka plant's external torques (7,) [Nm]: measured minus the robot's own dynamics.
+        """Return the external torques (7,) [Nm] on the Franka plant:
+        the measured torques minus the robot's own dynamics.
 
         Forces of the robot on its environment are positive. The configured load is not subtracted.
         """
         return self._filtered
 
     def inertial_torque(self, acceleration: Array) -> Array:
-        """Return the Franka plant's joint torques (7,) [Nm] for accelerations [rad/s^2] of arm and hand."""
+        """Return the joint torques (7,) [Nm] that accelerate arm and hand
+        of the Franka plant by given values [rad/s^2].
+        """
         model, data = self.world.mj_model, self.world._data
         wanted, torque = np.zeros(model.nv), np.zeros(model.nv)
         wanted[self._dofs] = acceleration
@@ -87,30 +92,35 @@ class FrankaPlant:
         return torque[self._dofs]
 
     def coriolis(self) -> Array:
-        """Return the Franka plant's Coriolis and centrifugal torques (7,) [Nm] at the current state."""
+        """Return the Coriolis and centrifugal torques (7,) [Nm] of the Franka plant in the current state."""
         data, dofs = self.world._data, self._dofs
         return data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs] - self._weight()
 
     def friction(self) -> Array:
-        """Return the Franka plant's torques (7,) [Nm] that compensate the joints' viscous friction."""
+        """Return the torques (7,) [Nm] that compensate the viscous
+        friction in the joints of the Franka plant.
+        """
         data, dofs = self.world._data, self._dofs
         return data.qfrc_gravcomp[dofs] - data.qfrc_passive[dofs]  # MuJoCo's passive forces have both
 
     def inertia(self) -> Array:
-        """Return the diagonal of the Franka plant's joint-space inertia matrix (7,) [kg m^2]."""
+        """Return the diagonal (7,) [kg m^2] of the inertia matrix of the Franka plant in joint space."""
         model, data = self.world.mj_model, self.world.mj_data
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
         return np.diag(full)[self._dofs].copy()
 
     def _weight(self) -> Array:
-        """Return the Franka plant's torques (7,) [Nm] that carry the unknown payload."""
+        """Return the torques (7,) [Nm] with which the Franka plant
+        carries a payload that its controller does not know.
+        """
         if not self._payload:
             return np.zeros(JOINTS)
         return self._tip_torque(-self._payload * np.asarray(self.world.settings.gravity))
 
     def _tip_torque(self, force: Array) -> Array:
-        """Return the Franka plant's joint torques (7,) [Nm] of a force (3,) [N] at the last link's center.
+        """Return the joint torques (7,) [Nm] that a force (3,) [N] at the
+        center of the Franka plant's last link produces.
 
         The force is in the world frame.
         """
@@ -120,7 +130,8 @@ class FrankaPlant:
         return jacobian[:, self._dofs].T @ force
 
     def load_torque(self, mass: float, center: Array) -> Array:
-        """Return the Franka plant's joint torques (7,) [Nm] that carry a mass [kg] at a point (3,) [m].
+        """Return the joint torques (7,) [Nm] with which the Franka
+        plant carries a mass [kg] at a point (3,) [m].
 
         The point is in the flange frame.
         """
@@ -131,7 +142,7 @@ class FrankaPlant:
         return self.kinematics.jacobian(at[:3, :3] @ center + at[:3, 3])[:3].T @ up
 
     def touched(self) -> list[tuple[str, str]]:
-        """Return the Franka plant's unexpected contacts (body pairs) since the last call.
+        """Return the unexpected contacts (pairs of bodies) of the Franka plant since the last call.
 
         The first body of each pair is a link of the arm.
         """
@@ -141,7 +152,7 @@ class FrankaPlant:
         return [p for p in pairs if p[0] in self.links]
 
     def contact(self) -> str:
-        """Return the strongest contact of the Franka plant's arm, such as "panda_hand on wall"."""
+        """Describe the strongest contact of the arm in the Franka plant, such as "panda_hand on wall"."""
         mine = [c for c in self.world.contacts() if self.links & {c.body_a, c.body_b}]
         if not mine:
             return "no contact"
@@ -150,11 +161,11 @@ class FrankaPlant:
 
     # --- commands ---
     def apply(self, torque: Array) -> None:
-        """Apply to the Franka plant joint torques (7,) [Nm] in addition to gravity compensation."""
+        """Apply joint torques (7,) [Nm] to the Franka plant, in addition to gravity compensation."""
         self.world.set_arm_torque(self.names, torque)
 
     def step(self) -> None:
-        """Advance the Franka plant's physics world by 1 ms."""
+        """Advance the physics world of the Franka plant by 1 ms."""
         body = self.world.built.body[self._tip]
         self.world._data.xfrc_applied[body, :3] = self.push
         self.world.step(self._steps)
@@ -167,20 +178,24 @@ class FrankaPlant:
 
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:
-        """Displace the Franka plant's joints to positions (7,) [rad], as a person guiding the arm would."""
+        """Move the joints of the Franka plant to positions (7,) [rad] at once,
+        as a person who guides the arm would.
+        """
         positions = np.array(self.world.joint_state().positions)
         positions[self.world.robot.columns(self.names)] = q
         self.world.set_positions(np.clip(positions, self.world.robot.lower, self.world.robot.upper))
 
     def payload(self, mass: float) -> None:
-        """Attach a mass [kg] to the Franka plant's last link without the controller's knowledge."""
+        """Attach a mass [kg] to the last link of the Franka plant without informing the controller."""
         self.world.add_load(self._tip, mass)
         self._payload += mass
 
     def block(self, joint: int) -> None:
-        """Block a joint (0 to 6) of the Franka plant at its position against any torque."""
+        """Block a joint (0 to 6) of the Franka plant at its present position, so that no torque moves it."""
         self.world.block(self.names[joint])
 
     def offset(self, joint: int, angle: float) -> None:
-        """Add an error [rad] to a Franka plant joint's measured position, like a wrong encoder zero."""
+        """Add an error [rad] to the measured position of a joint of the Franka plant,
+        as a wrong zero of the encoder would.
+        """
         self._offset[joint] = angle

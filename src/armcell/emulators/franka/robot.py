@@ -94,7 +94,7 @@ class Robot:
         self.frames = Frames(self.plant.kinematics, self.F_T_EE)
 
     def measure(self) -> None:
-        """Update the emulated Franka robot's measured state from physics."""
+        """Update the measured state of the emulated Franka robot from physics."""
         self.q, self.dq = (x.copy() for x in self.plant.read())
         self.O_T_EE_d = self.frames.pose(self.reference.q)
         self.O_T_EE, J = self.frames.pose_and_jacobian(self.q)
@@ -109,7 +109,9 @@ class Robot:
         self.K_F_K = np.concatenate([R @ self.O_F_K[:3], R @ self.O_F_K[3:]])
 
     def load_torque(self) -> Array:
-        """Return the emulated Franka robot's joint torques (7,) [Nm] that carry the configured load."""
+        """Return the joint torques (7,) [Nm] with which the emulated
+        Franka robot carries the configured load.
+        """
         if self.load.mass == 0.0:
             return np.zeros(JOINTS)
         torque = self.plant.load_torque(self.load.mass, self.load.center)
@@ -188,7 +190,7 @@ class Robot:
         self._commanded_torque = torque
 
     def _finish_command(self, motion: Motion) -> None:
-        """End a motion of the emulated Franka robot because the client declared it finished.
+        """End a motion of the emulated Franka robot, because the client has declared it finished.
 
         Position and velocity commands must be at rest by then.
         """
@@ -210,7 +212,7 @@ class Robot:
             self._finish(MoveStatus.SUCCESS)
 
     def _control(self) -> Array:
-        """Return the emulated Franka robot's desired torques (7,) [Nm] beyond gravity and friction."""
+        """Return the desired torques (7,) [Nm] of the emulated Franka robot, beyond gravity and friction."""
         if self.motion is not None and self.motion.by_torque and self._brake is None:
             return self._commanded_torque
         if self.mode is RobotMode.GUIDING:
@@ -223,7 +225,9 @@ class Robot:
         return joint_impedance(self.plant, self.reference, self.impedance)
 
     def _supervise(self) -> None:
-        """Check the emulated Franka robot's state against the limits; raise Reflex at a violation."""
+        """Check the state of the emulated Franka robot against the limits.
+        Raise Reflex if one is violated.
+        """
         accelerating = bool(np.any(np.abs(self.reference.ddq) > MOVING))
         kind = "_acceleration" if accelerating else ""
         torque, force = np.abs(self.tau_ext), np.abs(self.K_F_K)
@@ -266,7 +270,7 @@ class Robot:
 
     # --- motions ---
     def move(self, request: MoveRequest, answer: Callable[[MoveStatus], None]) -> None:
-        """Start a motion of the emulated Franka robot; `answer` is called at its start and at its end."""
+        """Start a motion of the emulated Franka robot. `answer` is called when it starts and when it ends."""
         if self.mode is not RobotMode.IDLE or self.motion is not None:
             answer(MoveStatus.NOT_POSSIBLE)
             return
@@ -310,7 +314,7 @@ class Robot:
             motion.answer(status)
 
     def stop(self) -> StopStatus:
-        """Stop the emulated Franka robot's motion by the client's Stop command."""
+        """Stop the motion of the emulated Franka robot, as the client's command Stop requests."""
         if self.motion is not None:
             if self.motion.by_torque:
                 self._follow()
@@ -322,7 +326,7 @@ class Robot:
         self._brake = Brake(self.reference, np.full(JOINTS, STOP_DECELERATION))
 
     def abort(self, reflex: Reflex, status: MoveStatus = MoveStatus.REFLEX_ABORTED) -> None:
-        """End the emulated Franka robot's motion with an error and bring the arm to rest."""
+        """End the motion of the emulated Franka robot with an error, and bring the arm to rest."""
         if self.mode in (RobotMode.REFLEX, RobotMode.USER_STOPPED, RobotMode.OTHER):
             return
         self.announce(f"reflex: {reflex}")
@@ -335,7 +339,7 @@ class Robot:
         self._finish(status)
 
     def recover(self, answer: Callable[[RecoveryStatus], None]) -> None:
-        """Clear the emulated Franka robot's errors by the client's command, unless a person must clear them.
+        """Clear errors of the emulated Franka robot at the client's request, unless a person must do it.
 
         The recovery takes `RECOVERY` ms.
         """
@@ -383,7 +387,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def brakes(self, locked: bool) -> None:
-        """Lock or unlock the emulated Franka robot's brakes, as an operator does in Desk."""
+        """Lock or unlock the brakes of the emulated Franka robot, as an operator does in Desk."""
         if locked:
             self._slow_down()
             self._finish(MoveStatus.ABORTED)
@@ -401,7 +405,7 @@ class Robot:
             self.mode = RobotMode.IDLE
 
     def displace(self, q: ArrayLike) -> None:
-        """Put the emulated Franka robot at joint positions (7,) [rad] at once."""
+        """Move the emulated Franka robot to joint positions (7,) [rad] at once."""
         self.plant.displace(q)
         self.follow_reset()
 
@@ -424,11 +428,11 @@ class Robot:
     # --- parameters ---
     @property
     def may_set(self) -> SetterStatus:
-        """Return whether clients may set the emulated Franka robot's parameters now: not during a motion."""
+        """Return whether clients may set the emulated Franka robot's parameters now, outside a motion."""
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 
     def set_load(self, mass: float, center: ArrayLike, inertia: ArrayLike) -> SetterStatus:
-        """Set the emulated Franka robot's load [kg], center (3,) [m] at the flange, inertia (9,) [kg m^2]."""
+        """Set the load [kg] of the emulated Franka robot, its center (3,) [m] and inertia (9,) [kg m^2]."""
         center, inertia = np.asarray(center, dtype=float), np.asarray(inertia, dtype=float)
         tensor = inertia.reshape(3, 3)
         heavy = mass + (wire_limits.HAND_MASS if self.plant.hand else 0.0) > wire_limits.MAX_LOAD
@@ -440,7 +444,7 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_frame(self, name: str, values: Sequence[float]) -> SetterStatus:
-        """Set the emulated Franka robot's frame NE_T_EE or EE_T_K from 16 column-major numbers."""
+        """Set the frame NE_T_EE or EE_T_K of the emulated Franka robot from 16 column-major numbers."""
         T = np.array(values).reshape(4, 4).T
         valid = np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-4) and np.linalg.det(T[:3, :3]) > 0
         if not valid or not np.allclose(T[3], (0, 0, 0, 1)):
@@ -450,7 +454,7 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_stiffness(self, joint: bool, values: Sequence[float]) -> SetterStatus:
-        """Set the emulated Franka robot's joint (7) or Cartesian (6) stiffness, within Franka's limits.
+        """Set the joint (7) or Cartesian (6) stiffness of the emulated Franka robot, if Franka allows it.
 
         Units are [Nm/rad] for joints and rotations, and [N/m] for translations.
         """
@@ -466,7 +470,7 @@ class Robot:
         return SetterStatus.SUCCESS
 
     def set_thresholds(self, values: Sequence[float]) -> SetterStatus:
-        """Set the emulated Franka robot's 52 contact and collision thresholds (SetCollisionBehavior)."""
+        """Set the 52 contact and collision thresholds of the emulated Franka robot (SetCollisionBehavior)."""
         numbers = np.array(values)
         names = ("lower_acceleration", "upper_acceleration", "lower", "upper")
         if np.any(numbers < 0.0):

@@ -12,7 +12,7 @@ from armcell.emulators.franka.robot import Robot
 
 
 class StateWriter:
-    """Writer that fills one message buffer with an emulated Franka robot's state."""
+    """Writer of an emulated Franka robot's state, which fills the same message buffer in every cycle."""
 
     def __init__(self, robot: Robot, version: int = 10):
         self._robot, self._message = robot, StateMessage(version)
@@ -24,7 +24,7 @@ class StateWriter:
             m["I_ee"] = np.diag(wire_limits.HAND_INERTIA).ravel()
 
     def write(self) -> bytes:
-        """Write the emulated Franka arm's state: return the message of the current millisecond."""
+        """Write the state of the emulated Franka arm, and return the message for the current millisecond."""
         r, m = self._robot, self._message
         reference, motion = r.reference, r.motion
         cartesian = motion is not None and motion.generator.cartesian

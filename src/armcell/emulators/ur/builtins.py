@@ -35,7 +35,9 @@ Functions = dict[str, Callable[..., Any]]
 
 
 def motion_functions(robot: Robot) -> Functions:
-    """Return the built-in URScript functions that take time, as generators per control step."""
+    """Return those built-in functions of URScript that take time,
+    as generators which yield once per control step.
+    """
     s = robot.setpoint
 
     def _joints(target: Any) -> Any:
@@ -59,7 +61,8 @@ def motion_functions(robot: Robot) -> Functions:
         yield
 
     def _along(make: Callable[[Setpoint], MoveJ | MoveL], goal: Any, radius: float) -> Wait:
-        """Run an emulated UR's built-in motion to a pose (4, 4), blended with one that is near its goal.
+        """Run a built-in motion of an emulated UR arm to a pose (4, 4),
+        blended with a previous motion that is near its goal.
 
         Blend radii [m] are limited to half the path length, so that two blends do not overlap.
         """
@@ -96,14 +99,16 @@ def motion_functions(robot: Robot) -> Functions:
         yield from _along(lambda at: MoveC(at, via, goal, a, v, fixed), goal, r)
 
     def optimovej(q: Any, a: float = 0.3, v: float = 0.3, t: float = 0.0, r: float = 0.0) -> Wait:
-        """URScript built-in optimovej: move to joints; `a` and `v` are fractions (0..1) of limits."""
+        """Built-in URScript function optimovej, which moves to joint
+        positions. `a` and `v` are fractions (0..1) of the limits.
+        """
         yield from movej(q, max(a, 0.01) * FULL_ACCELERATION, max(v, 0.01) * float(s.v_max.min()), t, r)
 
     def optimovel(pose: Any, a: float = 0.3, v: float = 0.3, t: float = 0.0, r: float = 0.0) -> Wait:
         yield from movel(pose, max(a, 0.01) * FULL_TOOL_ACCELERATION, max(v, 0.01) * FULL_TOOL_SPEED, t, r)
 
     def _for(seconds: float) -> Wait:
-        """URScript built-in: wait for a duration in program time [s], which the speed slider slows.
+        """Built-in URScript wait, for a duration [s] of program time, which the speed slider slows.
 
         If a wait takes too long, the next wait is shortened.
         """
@@ -160,7 +165,7 @@ FULL_TOOL_ACCELERATION, FULL_TOOL_SPEED = 5.0, 1.5  # [m/s^2], [m/s] of optimove
 
 
 def value_functions(robot: Robot) -> Functions:
-    """Return the built-in URScript functions that return a value immediately, by name."""
+    """Return those built-in functions of URScript that return a value immediately, by name."""
     return _state_functions(robot) | io_functions(robot) | force_functions(robot) | math_functions()
 
 
@@ -177,7 +182,9 @@ def _state_functions(robot: Robot) -> Functions:
         return Vec(float(x) for x in s.q)
 
     def history(steps: int = 0) -> Vec:
-        """URScript built-in: return the joint positions from a given number of control steps ago."""
+        """Built-in URScript function that returns the joint positions
+        from a given number of control steps ago.
+        """
         back = int(steps)
         if not robot.history or back < 1:
             return actual_q()
@@ -278,5 +285,5 @@ def _state_functions(robot: Robot) -> Functions:
 
 
 def rows(matrix: Any) -> Vec:
-    """Return a matrix in the built-in representation of URScript: a list of rows."""
+    """Return a matrix as built-in URScript functions represent it: as a list of rows."""
     return Vec(Vec(float(x) for x in row) for row in matrix)

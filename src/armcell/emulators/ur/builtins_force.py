@@ -107,7 +107,8 @@ def _six(name: str, values: Any) -> Any:
 
 
 def contact_steps(robot: Robot, direction: Any) -> int:
-    """URScript force built-in: number of control steps since a tool contact began; 0 without contact.
+    """Built-in URScript force function that returns the number of
+    control steps since a contact of the tool began, or 0.
 
     Args:
         direction: tool motion direction (3,), base frame; a zero vector detects forces from every direction.

@@ -16,7 +16,7 @@ def io_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
 
 
 class DigitalOutputs(list):
-    """URScript I/O built-in `digital_out[n]` (legacy): assigning an item sets the digital output."""
+    """Legacy list `digital_out[n]` for URScript I/O. Assigning an item sets the digital output."""
 
     def __init__(self, robot: Robot):
         super().__init__([False] * 18)

@@ -92,7 +92,7 @@ def _poses() -> dict[str, Callable[..., Any]]:
 
 
 def _sum(a: Any, b: Any) -> Any:
-    """Return URScript's built-in math `pose_add` of poses a and b.
+    """Return the sum of poses a and b, as URScript's built-in math function `pose_add` defines it.
 
     Translations are added, and a's rotation is multiplied by b's.
     """
@@ -103,7 +103,7 @@ def _sum(a: Any, b: Any) -> Any:
 
 
 def _difference(a: Any, b: Any) -> Any:
-    """Return URScript's built-in math `pose_sub` of poses a and b.
+    """Return the difference of poses a and b, as URScript's built-in math function `pose_sub` defines it.
 
     Translations are subtracted, and the rotation leads from b to a.
     """
@@ -123,7 +123,9 @@ def _from_rpy(first: Any, *more: float) -> SO3:
 
 
 def _rpy(R: Any) -> tuple[float, float, float]:
-    """URScript built-in math: roll, pitch and yaw [rad] of a rotation about the fixed axes x, y, z."""
+    """Return roll, pitch and yaw [rad] of a rotation about the fixed axes x, y and z,
+    for URScript's built-in math functions.
+    """
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     if abs(math.cos(pitch)) < 1e-9:
         return math.atan2(math.copysign(1.0, pitch) * R[0, 1], R[1, 1]), pitch, 0.0
@@ -131,7 +133,9 @@ def _rpy(R: Any) -> tuple[float, float, float]:
 
 
 def _wrench_trans(T_from_to: Any, w_from: Any) -> Vec:
-    """URScript built-in math: transform a wrench (force, torque) to another frame's axes and origin."""
+    """Transform a wrench (force, torque) to the axes and origin of another frame,
+    as a built-in math function of URScript.
+    """
     T = matrix_of(T_from_to)
     force, torque = np.asarray(w_from[:3]), np.asarray(w_from[3:])
     moved = torque + np.cross(-T[:3, 3], force)

@@ -49,7 +49,9 @@ class ClientState:
         return struct.pack(">i", 4 + 8 * self._doubles) + values[: self._doubles].tobytes()
 
     def primary(self) -> bytes:
-        """Return the emulated UR's primary state message with every package that its model sends."""
+        """Return the state message for the primary clients of the emulated UR robot,
+        with every package that its model sends.
+        """
         r = self._robot
         rows = zip(
             *(self._six(name) for name in ("actual_q", "target_q", "actual_qd", "actual_current")),

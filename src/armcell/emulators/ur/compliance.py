@@ -24,7 +24,7 @@ RISE = 0.05  # [s] time constant of the speed's response to the force
 
 @dataclass
 class Compliance:
-    """Compliance mode of an emulated UR arm: task frame, compliant axes and their parameters.
+    """Compliance mode of an emulated UR arm: the task frame, the compliant axes and their parameters.
 
     Attributes:
         T_base_task: (4, 4); None: the tool's frame.
@@ -44,11 +44,13 @@ class Compliance:
     _speed: Array = field(default_factory=lambda: np.zeros(6))
 
     def keep_speed(self, before: Compliance) -> None:
-        """Continue compliance with a previous force mode's speed, so that new parameters cause no jump."""
+        """Take over the speed of a previous force mode,
+        so that the compliance does not jump when its parameters change.
+        """
         self._speed = before._speed
 
     def apply(self, s: Setpoint, q: Array, felt: Array, dt: float) -> tuple[Array, Array]:
-        """Return the emulated UR's joint targets (6,) and speeds (6,) of one step with compliance.
+        """Return the joint targets (6,) and speeds (6,) of the emulated UR arm for one step with compliance.
 
         The program targets q without compliance.
 
@@ -77,7 +79,7 @@ def freedrive(axes: Array, T_base_task: Array | None) -> Compliance:
 def force_mode(
     s: Setpoint, task_frame: list[float], axes: Array, wrench: Array, kind: int, limits: Array, gain: float
 ) -> Compliance:
-    """Return the compliance of URScript's `force_mode` for a task frame and a type.
+    """Return the compliance that URScript's `force_mode` defines for a task frame and a type.
 
     Type 1 rotates the task frame so that its y axis points from the frame's origin to the TCP. Type 2 keeps
     the frame. Type 3 rotates it so that its x axis follows the tool's motion in the frame's x-y plane.
@@ -95,7 +97,8 @@ def force_mode(
 
 
 def _turned(frame: Array, direction: Array, axis: int) -> Array:
-    """Return a compliance frame rotated minimally so that an axis points along a direction.
+    """Return the frame of a compliance, rotated as little as possible
+    so that one axis points along a direction.
 
     A zero direction leaves the frame unchanged.
     """

@@ -51,7 +51,7 @@ class ControllerSettings:
 
 
 def factory_calibration(model: UrModel, seed: int | None, serial: str = "") -> Kinematics:
-    """Return an emulated UR controller's robot geometry: nominal, or with manufacturing errors.
+    """Return the geometry of an emulated UR controller's robot, either nominal or with manufacturing errors.
 
     The tolerances are about 1 mm and 1 mrad.
 
@@ -71,7 +71,7 @@ def factory_calibration(model: UrModel, seed: int | None, serial: str = "") -> K
 
 
 class UrController:
-    """Emulated UR controller with its robot and ports, stepped at its model's frequency."""
+    """Emulated UR controller with its robot and ports, which runs at the control frequency of its model."""
 
     def __init__(
         self, settings: ControllerSettings, selector: selectors.BaseSelector, plant: Plant | None = None
@@ -102,11 +102,15 @@ class UrController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether the emulated UR controller has an RTDE client, or lost it by an injected fault."""
+        """Return whether an RTDE client uses the emulated UR controller,
+        or has only been disconnected by an injected fault.
+        """
         return self._rtde.clients > 0 or self.network.faults.refusing or self.network.faults.frozen
 
     def step(self) -> None:
-        """Run one control step of the emulated UR controller: URScript program, plant and ports."""
+        """Run one control step of the emulated UR controller:
+        the URScript program, the plant and the ports.
+        """
         self._external.step()
         self.robot.before_step()
         self.robot.plant.step(self.robot.period)
@@ -127,7 +131,7 @@ class UrController:
 
 
 class Rack(emulators.Rack[UrController]):
-    """Rack of several emulated UR controllers in one thread; those with physics share one world.
+    """Rack of several emulated UR controllers that run in one thread. Those with physics share one world.
 
     Args:
         trace: file for records in the format `TRACE`.

@@ -25,14 +25,16 @@ SILENCE = 0.3  # [s] without another byte before the text counts as complete
 
 @dataclass(frozen=True)
 class RemoteHost:
-    """Address of External Control's script sender, as entered on the installation page of the URCap."""
+    """Address of the program that sends scripts to External Control,
+    as entered on the installation page of the URCap.
+    """
 
     address: str
     port: int = SCRIPT_SENDER
 
     @staticmethod
     def parse(text: str) -> RemoteHost:
-        """Parse the address of the URCap External Control's script sender: ADDRESS or ADDRESS:PORT.
+        """Parse the address from which the URCap External Control gets scripts: ADDRESS or ADDRESS:PORT.
 
         Raises:
             InputError: the text has neither form.
@@ -53,9 +55,8 @@ class ExternalControl:
         self._size, self._since = 0, 0.0
 
     def load(self, name: str) -> bool:
-        """Load the External Control program; return False if there is no remote host.
-
-        Other program names also return False.
+        """Load the External Control program, if `name` is that program.
+        Return False if not, or if there is no remote host.
         """
         if self._remote is None or name.rsplit("/", 1)[-1] != NAME:
             return False
@@ -64,7 +65,7 @@ class ExternalControl:
         return True
 
     def play(self) -> bool:
-        """Request External Control's program text from the remote host; return False if that fails.
+        """Request the program text for External Control from the remote host. Return False if that fails.
 
         The program starts when its text has arrived.
         """
@@ -87,13 +88,13 @@ class ExternalControl:
         return True
 
     def stop(self) -> None:
-        """Stop External Control's wait for the program text that was requested from the remote host."""
+        """Stop waiting for the program text that External Control has requested from the remote host."""
         if self._link is not None:
             self._link.close()
             self._link = None
 
     def step(self) -> None:
-        """Receive External Control's program text and start the program when the text is complete.
+        """Receive the program text for External Control, and start the program once the text is complete.
 
         Call this method once per control step.
         """

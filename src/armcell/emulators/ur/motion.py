@@ -21,11 +21,13 @@ Array = NDArray[np.float64]
 
 
 class MotionFault(ArmcellError):
-    """Error for a motion that the emulated UR arm cannot execute; it causes a protective stop."""
+    """Error for a motion that the emulated UR arm cannot execute. It causes a protective stop."""
 
 
 class Setpoint:
-    """Setpoint of an emulated UR motion: joint positions and speeds, with the arm's limits and TCP."""
+    """Setpoint for motions of an emulated UR arm: joint positions and speeds,
+    together with the arm's limits and TCP.
+    """
 
     def __init__(self, model: UrModel, dh: Kinematics, q: ArrayLike):
         self.model, self.dh = model, dh
@@ -35,13 +37,16 @@ class Setpoint:
         self.v_max = np.array(model.velocity)
 
     def resting_at(self, q: ArrayLike) -> Setpoint:
-        """Return an emulated UR motion's setpoint at rest at other joint positions (6,) [rad]."""
+        """Return a setpoint for motions of the emulated UR arm that is
+        at rest at other joint positions (6,) [rad].
+        """
         other = Setpoint(self.model, self.dh, q)
         other.tcp, other.v_max = self.tcp, self.v_max
         return other
 
     def towards(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
-        """Return an emulated UR motion's joint target after one step toward a velocity within limits.
+        """Return the joint target of an emulated UR arm's motion after
+        one step toward a velocity, within the limits.
 
         Args:
             v_wanted: joint velocities (6,) [rad/s].
@@ -55,7 +60,9 @@ class Setpoint:
 
 
 class StopJ:
-    """URScript's stopj motion: proportional stop; the fastest joint decelerates at `a` [rad/s^2]."""
+    """URScript motion stopj, which slows down all joints in proportion.
+    The fastest joint decelerates at `a` [rad/s^2].
+    """
 
     def __init__(self, a: float):
         self.a, self.done = max(float(a), 0.1), False
@@ -69,7 +76,9 @@ class StopJ:
 
 
 class StopL(StopJ):
-    """URScript's stopl motion: stop with a tool deceleration of `a` [m/s^2], joints in proportion."""
+    """URScript motion stopl, which slows down all joints in
+    proportion so that the tool decelerates at `a` [m/s^2].
+    """
 
     def __init__(self, a: float, s: Setpoint):
         tool = float(np.linalg.norm((jacobian(s.dh, s.q) @ s.v)[:3]))
@@ -78,7 +87,8 @@ class StopL(StopJ):
 
 
 class _Along:
-    """Emulated UR motion along a path with a trapezoidal speed profile; a moving arm first comes to rest.
+    """Motion of an emulated UR arm along a path with a trapezoidal speed profile.
+    A moving arm first comes to rest.
 
     Attributes:
         near: True once the tool is within the blend radius of the goal; the next motion may take over.
@@ -98,7 +108,9 @@ class _Along:
         self._stop: StopJ | None = StopJ(8.0)
 
     def advance(self, s: Setpoint, dt: float) -> tuple[Array, Array] | float:
-        """Return the emulated UR motion's path fraction (0..1), or a braking step of a still moving arm."""
+        """Return the path fraction (0..1) that the emulated UR motion has reached,
+        or a braking step if the arm still moves.
+        """
         if self._stop is not None:
             if np.abs(s.v).max() > 1e-6 and not s.compliant:
                 return self._stop.step(s, dt)
@@ -117,7 +129,7 @@ class _Along:
         return 1.0 - 0.5 * peak * (total - t) ** 2 / rise
 
     def begin(self, s: Setpoint) -> None:
-        """Start the emulated UR motion's path at the arm's setpoint, once the arm is at rest."""
+        """Start the path of the emulated UR motion at the arm's setpoint, once the arm is at rest."""
 
 
 class MoveJ(_Along):
@@ -134,7 +146,7 @@ class MoveJ(_Along):
         self._start = s.q.copy()
 
     def end(self, s: Setpoint) -> Array:
-        """Return movej's joint positions (6,) [rad] at the goal of the motion."""
+        """Return the joint positions (6,) [rad] at the goal of a movej motion."""
         return self.goal
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -146,7 +158,7 @@ class MoveJ(_Along):
 
 
 class MoveL(_Along):
-    """URScript's movel: motion of the emulated tool along a straight line."""
+    """URScript motion movel, in which the tool of the emulated arm moves along a straight line."""
 
     name = "straight line"
 
@@ -157,7 +169,7 @@ class MoveL(_Along):
         super().__init__(self.measure(), v, a, seconds)
 
     def measure(self) -> float:
-        """Return the length of movel's motion [m]; a rotation of 1 rad counts as 0.3 m."""
+        """Return the length [m] of a movel motion. A rotation of 1 rad counts as 0.3 m."""
         distance, angle = self._from.distance_to(self._goal)
         return max(distance, 0.3 * angle)
 
@@ -166,14 +178,16 @@ class MoveL(_Along):
         self._last = s.q
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal of a movel motion, nearest to the last ones."""
+        """Return the joint positions (6,) [rad] at the goal of a movel
+        motion that are nearest to the last ones.
+        """
         q = inverse(s.dh, self._goal.matrix, self._last, s.tcp, iterations=100)
         if q is None:
             raise MotionFault(f"the {self.name} leaves the arm's reach")
         return q
 
     def pose(self, reached: float) -> SE3:
-        """Return T_base_tcp at a fraction (0..1) of a movel motion's straight path."""
+        """Return T_base_tcp at a fraction (0..1) of the straight path of a movel motion."""
         return self._from.interpolate(self._goal, reached)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -192,7 +206,7 @@ class MoveL(_Along):
 
 
 class MoveC(MoveL):
-    """URScript's movec: tool motion along a circular arc through a via point.
+    """URScript motion movec, in which the tool moves along a circular arc through a via point.
 
     The orientation is interpolated between start and goal, or stays fixed relative to the arc.
     """
@@ -206,7 +220,7 @@ class MoveC(MoveL):
         super().__init__(s, goal, a, v)
 
     def measure(self) -> float:
-        """Compute the arc of a movec motion and return its length [m].
+        """Compute the arc of a movec motion, and return its length [m].
 
         Raises:
             MotionFault: start, via point and end are collinear.
@@ -235,13 +249,16 @@ class MoveC(MoveL):
 
 
 def _turn(a: Array, b: Array, axis: Array) -> float:
-    """Return the angle (0..2 pi) [rad] from vector a to b about an axis, for a movec motion's arc."""
+    """Return the angle (0..2 pi) [rad] from vector a to vector b about an axis,
+    for the arc of a movec motion.
+    """
     angle = float(np.arctan2(np.cross(a, b) @ axis, a @ b))
     return angle if angle > 0 else angle + 2.0 * np.pi
 
 
 class Blended:
-    """Blend (superposition) of two emulated UR motions: the first ends while the second has already begun.
+    """Blend (superposition) of two motions of an emulated UR arm.
+    The second motion begins before the first one ends.
 
     The offset of the first motion from its goal decays as that motion ends, so speeds stay continuous and
     the tool passes the goal within about the blend radius.
@@ -260,7 +277,7 @@ class Blended:
         self.near, self.done = False, False
 
     def end(self, s: Setpoint) -> Array:
-        """Return a blended UR motion's joint positions (6,) [rad] at the second motion's goal."""
+        """Return the joint positions (6,) [rad] at the goal of the second of two blended UR motions."""
         return self._next.end(s)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -273,7 +290,8 @@ class Blended:
 
 
 class TrackL:
-    """Emulated UR tool motion to a pose at constant speed, without slowing before it (movep, servoc).
+    """Motion of an emulated UR arm's tool to a pose at constant speed,
+    without slowing down before it (movep, servoc).
 
     Attributes:
         near: True within the blend radius of the pose, where the next motion may take over.
@@ -286,7 +304,7 @@ class TrackL:
         self.done, self.near = False, False
 
     def settle(self) -> None:
-        """Stop movep's or servoc's tracking at the pose with zero speed, because no motion follows."""
+        """Let the tool stop at the pose that movep or servoc tracks, because no further motion follows."""
         self._blend = 0.0
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
@@ -311,7 +329,7 @@ class TrackL:
 
 
 class Torque:
-    """Emulated UR motion driven by joint torques in addition to gravity compensation.
+    """Motion of an emulated UR arm driven by joint torques, in addition to gravity compensation.
 
     The arm's dynamics determine the acceleration.
     """
@@ -336,7 +354,7 @@ class Torque:
 
 
 class ServoJ:
-    """URScript's servoj motion: track a joint target, smoothed over lookahead * 300 / gain seconds.
+    """URScript motion servoj, which tracks a joint target smoothed over lookahead * 300 / gain seconds.
 
     The arm's limits apply.
     """
@@ -359,7 +377,9 @@ class ServoJ:
 
 
 class SpeedJ:
-    """URScript's speedj: joint motion at constant velocities [rad/s] with acceleration `a` [rad/s^2]."""
+    """URScript motion speedj at constant joint velocities [rad/s],
+    reached with the acceleration `a` [rad/s^2].
+    """
 
     done = False
 
@@ -373,7 +393,9 @@ class SpeedJ:
 
 
 class SpeedL(SpeedJ):
-    """URScript's speedl: constant tool velocity [m/s, rad/s, base frame], reached with `a` [m/s^2]."""
+    """URScript motion speedl at a constant tool velocity [m/s, rad/s, base frame],
+    reached with `a` [m/s^2].
+    """
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
         J = jacobian(s.dh, s.q, forward(s.dh, s.q, s.tcp)[:3, 3])

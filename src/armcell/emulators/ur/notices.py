@@ -30,7 +30,7 @@ class ProgramState:
 
 @dataclass(frozen=True)
 class ScriptFault:
-    """Notice that a URScript program failed to compile or was ended by an error.
+    """Notice that a URScript program did not compile, or that an error ended it.
 
     Attributes:
         line, column: position in the script's text, from 1.
@@ -61,7 +61,7 @@ class Popup:
 
 @dataclass(frozen=True)
 class SafetyChange:
-    """Notice of a change of the emulated UR controller's safety mode."""
+    """Notice that the safety mode of the emulated UR controller has changed."""
 
     mode: SafetyMode
 

@@ -20,7 +20,7 @@ SERVO_LAG = 0.008  # [s] approximate lag of a UR's joints behind their target
 
 
 class Plant(Protocol):
-    """Plant interface: one emulated UR arm's simulated joints and gripper.
+    """Interface of a plant for one emulated UR arm: its simulated joints and gripper.
 
     Attributes:
         resets: number of resets to the start.
@@ -29,30 +29,38 @@ class Plant(Protocol):
     resets: int
 
     def reset(self) -> None:
-        """Reset a UR plant's joints to their initial state, or the whole world if arms share it."""
+        """Reset the joints of a UR plant to their initial state,
+        or the whole world if several arms share it.
+        """
         ...
 
     def read(self) -> tuple[Array, Array, Array]:
-        """Return the UR plant's joint positions [rad], velocities [rad/s] and efforts [Nm], each (6,)."""
+        """Return the joint positions [rad], velocities [rad/s] and
+        efforts [Nm] of the UR plant, each (6,).
+        """
         ...
 
     def command(self, q: Array, v: Array, period: float) -> None:
-        """Set the UR plant's joint targets for one control period [s]: positions and velocities (6,)."""
+        """Set the joint targets (positions and velocities, each (6,))
+        of the UR plant for one control period [s].
+        """
         ...
 
     def step(self, dt: float) -> None:
-        """Advance the UR plant's simulation by a control period [s]; arms in one world share the time.
+        """Advance the simulation of the UR plant by a control period [s]. Arms in one world share the time.
 
         Each of n arms advances the world by 1/n of the period.
         """
         ...
 
     def displace(self, q: ArrayLike) -> None:
-        """Displace the UR plant's joints to other positions, as a person moving the arm by hand would."""
+        """Move the joints of the UR plant to other positions at once,
+        as a person who moves the arm by hand would.
+        """
         ...
 
     def contact(self, hand: bool = True) -> str | None:
-        """Return the UR plant's unexpected contact of the arm since the last call as text, or None.
+        """Describe an unexpected contact of the arm in the UR plant since the last call, or return None.
 
         Args:
             hand: whether contacts of the hand count.
@@ -60,14 +68,15 @@ class Plant(Protocol):
         ...
 
     def wrench(self) -> tuple[Array, Array, Array]:
-        """Return the UR plant's contact force [N] and torque [Nm] on the hand, and the reference point [m].
+        """Return the contact force [N] and torque [Nm] on the hand of the UR plant,
+        and their reference point [m].
 
         All three are (3,) vectors in the base frame.
         """
         ...
 
     def drive_gripper(self, opening: float, force: float) -> None:
-        """Move the UR plant's gripper to an opening with a limited force.
+        """Move the gripper of the UR plant to an opening with limited force.
 
         Args:
             opening: 0..1 of the largest opening; 0 grasps.
@@ -76,11 +85,13 @@ class Plant(Protocol):
         ...
 
     def gripper(self) -> tuple[float, bool]:
-        """Return the UR plant's gripper opening (0..1 of the largest) and whether it holds an object."""
+        """Return the opening of the UR plant's gripper (0..1 of the largest),
+        and whether the gripper holds an object.
+        """
         ...
 
     def object_pose(self, name: str) -> list[float]:
-        """Return from the UR plant an object's world pose: x, y, z [m] and rotation vector [rad].
+        """Return the world pose of an object in the UR plant: x, y, z [m] and rotation vector [rad].
 
         Raises:
             ValueError: no object has this name.
@@ -89,7 +100,9 @@ class Plant(Protocol):
 
 
 class KinematicPlant:
-    """UR plant without physics: joints that follow their targets with a UR's servo lag."""
+    """Plant of a UR arm without physics, whose joints follow their
+    targets with the servo lag of a real UR.
+    """
 
     def __init__(self, q: ArrayLike):
         self._start = np.array(q, dtype=float)
@@ -134,7 +147,8 @@ class KinematicPlant:
 
 
 class SharedWorld:
-    """Physics world of UR plants with one or several arms, each driven by its own emulated controller.
+    """Physics world that the plants of one or several UR arms share.
+    Each arm is driven by its own emulated controller.
 
     Between two commands of a controller, joint targets are interpolated linearly, as in a real drive.
     """
@@ -145,13 +159,15 @@ class SharedWorld:
         self._owed = 0.0  # [s]
 
     def reset(self) -> None:
-        """Reset all arms and objects of the UR plants' shared world to their initial state."""
+        """Reset all arms and objects in the world that the UR plants share to their initial state."""
         self.world.reset()
         for plant in self.plants:
             plant.follow_reset()
 
     def advance(self, dt: float) -> None:
-        """Advance the UR plants' shared world by `dt` [s]; carry over a remainder below one time step."""
+        """Advance the world that the UR plants share by `dt` [s].
+        A remainder of less than one time step is kept for later.
+        """
         self._owed += dt
         step = self.world.timestep
         while self._owed >= step - 1e-9:
@@ -162,7 +178,7 @@ class SharedWorld:
 
 
 class WorldPlant:
-    """UR plant: an arm of a physics world, with its gripper, for an emulated UR controller."""
+    """Plant of an emulated UR controller: an arm with its gripper in a physics world."""
 
     def __init__(self, shared: SharedWorld, group: str):
         self._shared, self.world = shared, shared.world
@@ -183,7 +199,7 @@ class WorldPlant:
         self._shared.reset()
 
     def follow_reset(self) -> None:
-        """Let the UR plant resume from the initial state after the shared world was reset."""
+        """Let the UR plant continue from the initial state after the shared world was reset."""
         self.resets += 1
         self._seen, self._force = 0, 0.0
         self._rest()
@@ -212,7 +228,9 @@ class WorldPlant:
         return self._from + share * (self._to - self._from)
 
     def aim(self, time: float) -> None:
-        """Set a UR plant's joint targets in the physics world, interpolated for a world time [s]."""
+        """Set the joint targets of a UR plant in the physics world,
+        interpolated for a time [s] of that world.
+        """
         over = time > self._begun + 1.5 * self._span  # no new command: hold the target
         self.world.set_arm_target(self._names, self._aimed(time), np.zeros(6) if over else self._speed)
 

@@ -15,7 +15,7 @@ WORDS = "armcell fault payload <kg> | offset <0-5> <rad> | block <0-5> | arm non
 
 
 class FaultyPlant:
-    """Wrapper of an emulated UR plant that injects faults; without a fault, it forwards every call."""
+    """Plant that injects faults into another emulated UR plant. Without a fault, it forwards every call."""
 
     def __init__(self, plant: Plant):
         self._plant = plant
@@ -33,18 +33,21 @@ class FaultyPlant:
         self._plant.command(q, v, *more)
 
     def offset(self, joint: int, angle: float) -> None:
-        """Add a constant error [rad] to an emulated UR joint's commanded position, as a fault."""
+        """Inject a fault into the UR plant: a constant error [rad] in the commanded position of one joint."""
         self._offset[joint] = angle
 
     def block(self, joint: int) -> None:
-        """Inject a UR plant fault: block a joint at its current position, whatever its motor does."""
+        """Inject a fault into the UR plant: a joint is blocked at its
+        present position, whatever its motor does.
+        """
         self._blocked[joint] = float(self._plant.read()[0][joint])
         if hasattr(self._plant, "world"):
             world: Any = self._plant
             world.world.block(world.world.robot.joint_names[world._columns[joint]])
 
     def payload(self, mass: float) -> None:
-        """Inject a UR plant fault: attach a mass [kg] to the last link without informing the controller.
+        """Inject a fault into the UR plant: a mass [kg] is attached to
+        the last link without informing the controller.
 
         Raises:
             ValueError: the arm has no physics, so the mass would have no effect.
@@ -56,7 +59,7 @@ class FaultyPlant:
 
 
 def set_fault(plant: Any, words: list[str]) -> Any:
-    """Return the emulated UR plant with one more fault; "arm none" returns the original plant.
+    """Return the emulated UR plant with one more fault. The words "arm none" return the original plant.
 
     Raises:
         ValueError: the words name no fault.

@@ -13,7 +13,8 @@ from armcell.emulators.ur.urscript import Machine, ScriptError
 
 
 def run_command(robot: Robot, text: str) -> bool:
-    """Execute a client's text command to the emulated UR robot that is not URScript, such as `stop program`.
+    """Execute a text command that a client has sent to the emulated UR
+    robot and that is not URScript, such as `stop program`.
 
     Returns:
         False if the text is not a command.
@@ -38,7 +39,8 @@ def run_command(robot: Robot, text: str) -> bool:
 
 
 def run_script(robot: Robot, network: Network, text: str, name: str = "") -> bool:
-    """Compile a client's URScript program and start it on the emulated UR robot instead of the running one.
+    """Compile a URScript program from a client, and start it on the
+    emulated UR robot in place of the running program.
 
     A secondary program runs beside the running program. If the text does not compile, the robot reports the
     error as a pendant does, and the running program ends as well.

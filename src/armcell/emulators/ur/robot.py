@@ -37,7 +37,7 @@ MIN_UPTIME = 60.0  # [s] controller time at start: UR's client library requires 
 
 
 class Robot:
-    """Emulated UR robot: state and behavior of one arm and its controller, without network access."""
+    """Emulated UR robot: the state and behavior of one arm with its controller, without network access."""
 
     def __init__(self, model: UrModel, plant: Plant, serial: str, kinematics: Kinematics | None = None):
         self.model, self.plant, self.serial = model, plant, serial
@@ -82,7 +82,9 @@ class Robot:
 
     # --- time ---
     def before_step(self) -> None:
-        """Run the emulated UR robot's program and the motion for one control step, and command the plant."""
+        """Run the program and the motion of the emulated UR robot for
+        one control step, and command the plant.
+        """
         self.time += self.period
         if self.plant.resets != self._resets:
             self._follow_reset()
@@ -140,7 +142,9 @@ class Robot:
         self._let_go(motion)
 
     def _choose_motion(self) -> float:
-        """Replace the emulated UR robot's motion by a stop if necessary; return its time in this step [s]."""
+        """Replace the motion of the emulated UR robot by a stop if necessary.
+        Return how much time [s] the motion gets in this step.
+        """
         dt, s = self.period * self.scaling, self.setpoint
         if self.safety not in MAY_MOVE:
             self.comply(None)
@@ -151,7 +155,7 @@ class Robot:
         return self.period if isinstance(self.motion, StopJ) else dt  # the slider does not slow a stop
 
     def _targets(self, dt: float) -> tuple[Array, Array]:
-        """Return the emulated UR robot's joint targets (positions, speeds, each (6,)) after a step."""
+        """Return the joint targets of the emulated UR robot after a step: positions and speeds, each (6,)."""
         s = self.setpoint
         q, v = (s.q, np.zeros(6)) if self.motion is None else self.motion.step(s, dt)
         if self.compliance is None:
@@ -160,7 +164,9 @@ class Robot:
         return self.compliance.apply(s, q, self.felt(), self.period if by_hand else max(dt, 1e-9))
 
     def _let_go(self, motion: Motion | None) -> None:
-        """End an emulated UR robot's motion, such as servoj or speedj, that the program no longer renews."""
+        """End a motion of the emulated UR robot, such as servoj or speedj,
+        that the program no longer renews.
+        """
         if self.runtime in (RuntimeState.PLAYING, RuntimeState.PAUSING) or self.machine is None:
             self._unused_for = 0 if self._motion_used else self._unused_for + 1
         unused = not self._motion_used and self.scaling > 0
@@ -171,7 +177,7 @@ class Robot:
             self.motion = StopJ(8.0)
 
     def after_step(self) -> None:
-        """Update the emulated UR robot's state from the plant after the plant's step."""
+        """Update the state of the emulated UR robot from the plant, after the plant has made its step."""
         speeds = self.plant.read()[1]
         self.actual_qdd, self._speeds = (speeds - self._speeds) / self.period, np.array(speeds)
         detecting = self.time < self.detecting
@@ -184,7 +190,7 @@ class Robot:
         self.digital_in = (self.digital_in & ~(1 << TOOL_INPUT_HOLDS)) | (int(holds) << TOOL_INPUT_HOLDS)
 
     def _follow_reset(self) -> None:
-        """Restart the emulated UR robot at the plant's state after the plant was reset."""
+        """Restart the emulated UR robot in the state of the plant after the plant was reset."""
         self._resets = self.plant.resets
         self.end_program()
         self.unlock()
@@ -194,17 +200,18 @@ class Robot:
         self.popup("the arm and its world are back at their start")
 
     def start(self, motion: Motion) -> None:
-        """Start a motion that the emulated UR robot's program requests."""
+        """Start a motion that a program on the emulated UR robot requests."""
         if self.mode is not RobotMode.RUNNING:
             raise ProgramError("the robot is not running (power on, brake release)")
         self.motion, self._motion_used = motion, True
 
     def keep(self) -> None:
-        """Mark the emulated UR robot's motion as in use, because the program still waits for its end."""
+        """Mark the motion of the emulated UR robot as in use, because the program still waits for its end."""
         self._motion_used = True
 
     def comply(self, compliance: Compliance | None) -> None:
-        """Start the emulated UR robot's compliant mode, in which forces move the tool, or end it (None).
+        """Start the compliant mode of the emulated UR robot, in which forces move the tool.
+        None ends the mode.
 
         Raises:
             ProgramError: the robot is not running.
@@ -216,11 +223,13 @@ class Robot:
     # --- program ---
     @property
     def may_run(self) -> bool:
-        """Return whether a program may start on the emulated UR robot: it runs, and safety permits motion."""
+        """Return whether a program may start on the emulated UR robot: it must be running,
+        and safety must permit motion.
+        """
         return self.mode is RobotMode.RUNNING and self.safety in MAY_MOVE
 
     def run(self, machine: Machine) -> None:
-        """Start a URScript program on the emulated UR robot, after ending the running program."""
+        """End the program that runs on the emulated UR robot, and start another URScript program."""
         self.end_program()
         if not self.may_run:
             self.popup(f"program not started: {self.mode.name}, {self.safety.name}")
@@ -230,7 +239,9 @@ class Robot:
         self.announce(ProgramState(True, machine.name))
 
     def run_secondary(self, machine: Machine) -> None:
-        """Run an emulated UR robot's secondary program to its end while the main program keeps running."""
+        """Run a secondary program on the emulated UR robot to its end,
+        while the main program keeps running.
+        """
         try:
             machine.step()
         except (ProgramError, MotionFault) as error:
@@ -258,14 +269,16 @@ class Robot:
         return True
 
     def play(self) -> bool:
-        """Resume the emulated UR robot's paused program; return False without one or if forbidden."""
+        """Resume the paused program of the emulated UR robot.
+        Return False if no program is paused or safety forbids it.
+        """
         if self.runtime not in (RuntimeState.PAUSED, RuntimeState.PAUSING) or self.safety not in MAY_MOVE:
             return False
         self.runtime = RuntimeState.RESUMING
         return True
 
     def announce(self, notice: Notice) -> None:
-        """Write a notice to the log and send it to all listeners of the emulated UR robot."""
+        """Write a notice to the log, and send it to everyone who listens to the emulated UR robot."""
         log.info("%s: %s", self.serial, notice)
         if not isinstance(notice, ProgramState | SafetyChange):
             self.messages.append(str(notice))
@@ -279,7 +292,7 @@ class Robot:
         self.announce(Text(text))
 
     def fault(self, error: ArmcellError) -> None:
-        """Report the reason why an emulated UR robot's program ends or does not start."""
+        """Report why a program on the emulated UR robot ends or does not start."""
         line, column = getattr(error, "line", 0), getattr(error, "column", 0)
         code = getattr(error, "code", "") or str(error)
         self.announce(ScriptFault(f"script error: {error}", max(line, 1), max(column, 1), code))
@@ -320,7 +333,7 @@ class Robot:
             self.safety = SafetyMode.NORMAL
 
     def unlock(self) -> None:
-        """Unlock the emulated UR robot's protective stop; the robot program stays paused."""
+        """Clear the protective stop of the emulated UR robot. The robot program stays paused."""
         if self.safety is SafetyMode.PROTECTIVE_STOP:
             self.safety, self.motion = SafetyMode.NORMAL, None
 
@@ -346,7 +359,7 @@ class Robot:
         self._later.append((self.time + seconds, change))
 
     def displace(self, q: ArrayLike) -> None:
-        """Displace the emulated UR robot to other joint positions, as a person moving it would."""
+        """Move the emulated UR robot to other joint positions at once, as a person who moves it would."""
         self.plant.displace(q)
         self.setpoint.q, self.setpoint.v = np.array(q, dtype=float), np.zeros(6)
         self.motion = None
@@ -375,7 +388,9 @@ class Robot:
         self.analog_volts = (self.analog_volts & ~(1 << i)) | (int(volts) << i)
 
     def analog_output(self, i: int) -> float:
-        """Return an analog output of the emulated UR robot: 0 to 10 V or 4 to 20 mA, by its domain."""
+        """Return an analog output of the emulated UR robot,
+        0 to 10 V or 4 to 20 mA, depending on its domain.
+        """
         ratio = float(np.clip(self.analog_out[i], 0.0, 1.0))
         return 10.0 * ratio if self.analog_volts >> i & 1 else 4.0 + 16.0 * ratio
 
@@ -402,11 +417,13 @@ class Robot:
         return jacobian(self.dh, q, forward(self.dh, q, self.setpoint.tcp)[:3, 3]) @ v
 
     def force(self) -> Array:
-        """Return the emulated UR robot's external force on the tool (3,) [N] in the base frame."""
+        """Return the external force (3,) [N] on the tool of the emulated UR robot, in the base frame."""
         return self.plant.wrench()[0] + self.hand
 
     def felt(self) -> Array:
-        """Return the emulated UR robot's external force [N] and torque [Nm] on the tool (6,), base frame."""
+        """Return the external force [N] and torque [Nm] (6,) on the tool
+        of the emulated UR robot, in the base frame.
+        """
         return self._wrench_about(self.setpoint.tcp)
 
     def _wrench_about(self, tcp: list[float]) -> Array:
@@ -417,7 +434,8 @@ class Robot:
         return np.concatenate([force + self.hand, torque])
 
     def tcp_force(self) -> Array:
-        """Return the force [N] and torque [Nm] (6,) that the emulated UR robot reports, in base axes.
+        """Return the force [N] and torque [Nm] (6,) that the emulated UR robot reports,
+        along the axes of the base.
 
         The torque is about the TCP (CB3) or the flange (e-Series). The values contain the sensor's offset.
         If a program has enabled an external sensor, the values come from that sensor, rotated from flange to
@@ -432,7 +450,7 @@ class Robot:
         )
 
     def zero_force(self) -> None:
-        """Zero an emulated e-Series robot's force sensor at its current reading; a CB3 has no sensor."""
+        """Zero the force sensor of an emulated e-Series robot at its current reading. A CB3 has no sensor."""
         if self.model.e_series:
             self._force_offset = self._force_offset - self.tcp_force()
 
@@ -445,7 +463,9 @@ class Robot:
         return self.remote or not self.model.e_series
 
     def control_line(self) -> int:
-        """Return the line number of the program statement that moves the emulated UR robot, or 0."""
+        """Return the line number of the program statement that moves
+        the emulated UR robot, or 0 if none does.
+        """
         return self.machine.line if self.machine is not None and self.motion is not None else 0
 
     def status_bits(self) -> int:

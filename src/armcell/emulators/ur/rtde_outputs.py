@@ -24,7 +24,7 @@ WORD = 0xFFFFFFFF
 
 
 def outputs_of(robot: Robot) -> dict[str, Getter]:
-    """Return a reading function of the emulated UR controller for each RTDE output variable.
+    """Return, for each RTDE output variable, a function that reads its value from the emulated UR controller.
 
     Variables that are not emulated read zero.
     """
@@ -95,7 +95,7 @@ MAX_DEVIATION = 0.1  # [rad] between target and measured position: deviation rat
 
 
 def _tcp_acceleration(r: Robot, q: Array, v: Array, a: Array) -> Array:
-    """Return the tool acceleration (6,) [m/s^2, rad/s^2] for RTDE output, by finite differences."""
+    """Return the acceleration (6,) [m/s^2, rad/s^2] of the tool for an RTDE output, by finite differences."""
     dt = r.period
     return (r.tcp_speed(q, v) - r.tcp_speed(q - v * dt, v - a * dt)) / dt
 
@@ -106,7 +106,9 @@ def _elbow_velocity(r: Robot, q: Array, v: Array) -> Array:
 
 
 def _raw_wrench(r: Robot) -> Array:
-    """Return the flange wrench (6,) [N, Nm] for RTDE output, with the payload's weight."""
+    """Return the wrench (6,) [N, Nm] on the flange,
+    including the weight of the payload, for an RTDE output.
+    """
     if not r.model.e_series:
         return np.zeros(6)
     R = forward(r.dh, r.plant.read()[0], [0.0] * 6)[:3, :3]

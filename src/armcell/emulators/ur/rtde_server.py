@@ -38,7 +38,7 @@ class RtdeServer:
 
     @property
     def clients(self) -> int:
-        """Return the number of RTDE clients of the emulated UR controller."""
+        """Return the number of RTDE clients that are connected to the emulated UR controller."""
         return sum(link.open for link in self._clients)
 
     def _begin(self, link: Link) -> None:
@@ -88,7 +88,7 @@ class RtdeServer:
         link.send(rtde.frame(kind, answer))
 
     def _setup_outputs(self, client: _Client, payload: bytes) -> bytes:
-        """Set up a client's RTDE output recipe in the emulated UR server.
+        """Set up the recipe of output variables that an RTDE client requests from the emulated UR controller.
 
         Protocol version 1 has neither a frequency nor a recipe ID.
         """
@@ -118,7 +118,9 @@ class RtdeServer:
         return bytes([number]) + ",".join(kinds).encode()
 
     def send_outputs(self) -> None:
-        """Send the emulated UR's RTDE output variables to clients that are due, once per control step."""
+        """Send RTDE output variables of the emulated UR controller to all clients that are due.
+        Call this once per control step.
+        """
         for link, client in list(self._clients.items()):
             if not link.open:
                 del self._clients[link]

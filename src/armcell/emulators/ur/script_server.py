@@ -84,7 +84,7 @@ class ScriptServer:
             link.send(robot_messages.error_code(self._state.now_us, READ_ONLY_CODE, 0, level, why))
 
     def _announce(self, notice: Notice) -> None:
-        """Send an emulated UR event to the clients of the script server's primary port."""
+        """Send a notice of the emulated UR robot to all clients on the primary port of the script server."""
         message = self._message(notice)
         for link, client in self._clients.items():
             if client.kind == PRIMARY:
@@ -106,8 +106,8 @@ class ScriptServer:
                 return robot_messages.safety_mode(now, int(mode))
 
     def send_state(self) -> None:
-        """Send emulated UR states from the script server: primary, secondary at 10 Hz, real-time at each
-        step.
+        """Send states of the emulated UR robot to the script server's clients:
+        primary and secondary at 10 Hz, real-time in each step.
 
         A client that does not read its data, such as ur_rtde's script client, is skipped while it is behind.
         """

@@ -16,7 +16,7 @@ Wait = Generator[None, None, Any]
 def socket_functions(
     robot: Robot, network: Network
 ) -> tuple[dict[str, Callable[..., Wait]], dict[str, Callable[..., Any]], Callable[[], None]]:
-    """Return the URScript socket functions for one program.
+    """Return the URScript functions with which one program uses sockets.
 
     Returns:
         Functions that take time (generators), functions that return immediately, and a function that closes
@@ -44,7 +44,9 @@ def socket_functions(
         return True
 
     def _receive(name: str, count: int, timeout: float) -> Wait:
-        """Receive `count` bytes from a URScript socket; None after a timeout [s], where 0 means no limit."""
+        """Receive `count` bytes from a URScript socket, or return None after a timeout [s].
+        A timeout of 0 means no limit.
+        """
         end = robot.time + timeout
         while True:
             link = links.get(name)
@@ -103,7 +105,9 @@ def socket_functions(
         name: str = "socket_0", prefix: str = "", suffix: str = "", interpret_escape: bool = False,
         timeout: float = 2.0,
     ) -> Wait:  # fmt: skip
-        """Return text received from a URScript socket, optionally only between a prefix and a suffix."""
+        """Return text received from a URScript socket,
+        optionally only the text between a prefix and a suffix.
+        """
         begin, stop, end = str(prefix).encode(), str(suffix).encode(), robot.time + timeout
         while True:
             link = links.get(name)
@@ -117,7 +121,9 @@ def socket_functions(
                 return ""
 
     def socket_read_ascii_float(number: int, name: str = "socket_0", timeout: float = 2.0) -> Wait:
-        """Return the count and numbers of a text from a URScript socket, such as `(1.5, 2, 3)`."""
+        """Return the count and the values of numbers received as text,
+        such as `(1.5, 2, 3)`, from a URScript socket.
+        """
         text = yield from socket_read_string(name, "(", ")", False, timeout)
         try:
             values = [float(part) for part in text.split(",")] if text else []
@@ -149,7 +155,8 @@ def socket_functions(
 
 
 def _between(received: bytearray, begin: bytes, stop: bytes) -> bytes | None:
-    """Remove the text between two marks from a URScript socket's buffer and return it; None if incomplete.
+    """Remove the text between two marks from the buffer of a URScript socket, and return it.
+    Return None if it is incomplete.
 
     Without marks, all received data is returned.
     """

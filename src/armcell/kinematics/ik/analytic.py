@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 
 @ik_solvers.register("analytic")
 class AnalyticIK(IKSolver):
-    """Analytic IK solver for UR arms: up to eight solutions, nearest to the reference first.
+    """Analytic IK solver for UR arms, which returns up to eight solutions, the one nearest to the reference
+    first.
 
     Raises:
         InputError: the kinematic structure of the chain is not that of a UR arm.
@@ -57,7 +58,8 @@ class AnalyticIK(IKSolver):
 
 
 def is_analytic(model: RobotModel, group: str, tip_link: str | None = None) -> bool:
-    """Return whether analytic IK fits: the group's chain has the structure of a UR arm.
+    """Return whether analytic IK can be used: the kinematic chain of the planning group must have the
+    structure of a UR arm.
 
     The result is True only if it does not depend on the positions of the robot's other joints.
     """

@@ -25,7 +25,7 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # without nnan: a NaN stays a NaN
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """IK chain: the joints that move a tip link, as arrays for compiled functions.
+    """Kinematic chain for IK: the joints that move a tip link, stored as arrays for compiled functions.
 
     Attributes:
         table: (m, 16) a row per moving joint, base first: `link` after the joint (12), multiplier and offset
@@ -44,12 +44,14 @@ class Chain:
 
     @property
     def scale(self) -> float:
-        """IK chain's weight of a position error against a rotation error [1/m]: the reach counts as 1 rad."""
+        """Weight [1/m] that IK gives a position error of the tip relative to a rotation error; an error as
+        long as the reach counts as 1 rad.
+        """
         return 1.0 / self.reach if 0.0 < self.reach < np.inf else 1.0
 
 
 def chain_of(tree: KinematicTree, joint_names: tuple[str, ...], tip_link: str, positions: Array) -> Chain:
-    """Build the IK chain (joint table) from the root to a link.
+    """Build the kinematic chain for IK, a table of the joints between the root and a link.
 
     Joints outside the group stay at `positions` (dof,).
 
@@ -114,7 +116,9 @@ def _reach(table: Array, bounds: Array) -> float:
 
 @njit(cache=True, error_model="numpy")
 def goal_in_base(inverse_base, T, goal):
-    """Compute T_base_tip of an IK chain into `goal` (12,) from T_root_tip (4, 4); return if it is finite."""
+    """Convert the desired tip pose of an IK chain from the root frame to the chain's base frame, and write it
+    to `goal` (12,). Return whether it is finite.
+    """
     total = 0.0
     for i in range(3):
         for j in range(4):
@@ -128,7 +132,8 @@ def goal_in_base(inverse_base, T, goal):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def tip_pose(table, q, axes, T):
-    """Compute an IK chain's tip pose at q (n,) into T (12,), and the joint axes into `axes` (m, 6).
+    """Compute the tip pose and the joint axes of an IK chain at joint positions q (n,), and write them to T
+    (12,) and `axes` (m, 6).
 
     A row of `axes` contains a joint's direction and origin.
     """
@@ -170,7 +175,8 @@ def tip_pose(table, q, axes, T):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def pose_error(T, goal, e):
-    """Compute an IK chain's pose error from T to goal into e (6,); return the norms of its two halves.
+    """Compute the error between the tip pose T of an IK chain and the goal, and write it to e (6,). Return
+    the position error and the rotation error.
 
     e contains the position error [m] and the rotation vector [rad].
     """
@@ -199,7 +205,9 @@ def pose_error(T, goal, e):
 
 @njit(cache=True)
 def errors_at(table, q, goal):
-    """Return the position error [m] and the rotation error [rad] of an IK chain's tip at q (n,)."""
+    """Return the position error [m] and the rotation error [rad] that the tip of an IK chain has at joint
+    positions q (n,).
+    """
     T = np.empty(12)
     tip_pose(table, q, np.empty((len(table), 6)), T)
     return pose_error(T, goal, np.empty(6))

@@ -21,7 +21,8 @@ RELEASES = 3  # solves per iteration: the first with all joints, more without jo
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def damped_step(J, n, e, damping, A):
-    """Write the damped least-squares step `J^T (J J^T + damping)^-1 e` of an IK descent to J[:, 6].
+    """Compute one step of damped least squares, `J^T (J J^T + damping)^-1 e`, for an IK descent, and write it
+    to J[:, 6].
 
     J (n, 7) has a row per joint, A (6, 6) is scratch.
     """
@@ -59,7 +60,7 @@ def damped_step(J, n, e, damping, A):
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def jacobian(table, axes, T, scale, J):
-    """Fill J[:, :6] with the tip's Jacobian for numeric IK's descent, one row per joint.
+    """Compute the Jacobian of the tip for a numeric IK descent and write it to J[:, :6], one row per joint.
 
     A row contains the tip's velocity times `scale`, then its angular velocity.
 
@@ -88,7 +89,8 @@ def jacobian(table, axes, T, scale, J):
 def descend(
     table, bounds, goal, scale, iterations, patience, position_tolerance, rotation_tolerance, q, axes, J
 ):  # fmt: skip
-    """IK descent: reduce the pose error of q (n,) by damped least squares, in place, within bounds.
+    """Reduce the pose error of an IK solution q (n,) in place by damped least squares (descent), within the
+    joint bounds.
 
     Args:
         scale: weight of a meter against a radian [1/m].

@@ -24,7 +24,8 @@ BARREN = 32  # if a solution exists, the search ends after this many seeds witho
 
 @ik_solvers.register("numeric")
 class NumericIK(IKSolver):
-    """Numeric inverse kinematics solver that runs damped least squares from many seeds.
+    """Numeric solver for inverse kinematics, which runs damped least squares from many start configurations
+    (seeds).
 
     The seeds are the reference, then the precomputed poses nearest to the goal, then random positions.
     """
@@ -75,7 +76,8 @@ class NumericIK(IKSolver):
         return nearer
 
     def _seeds(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None):
-        """Yield batches of seeds (k, n) for numeric IK with scores (lowest first) and the number to try.
+        """Yield start configurations (seeds) for numeric IK in batches (k, n), with a score for each seed
+        (low is good) and the number of seeds to try.
 
         All batches together contain at most `settings.seeds` tries.
         """

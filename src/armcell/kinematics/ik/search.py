@@ -17,7 +17,8 @@ def search(
     table, bounds, turning, goal, scale, reference, seeds, scores, tries, iterations,
     position_tolerance, rotation_tolerance, found, count, want,
 ):  # fmt: skip
-    """Search from many seeds: fill `found` from row `count` on with up to `want` distinct IK solutions.
+    """Search for distinct IK solutions from many start configurations (seeds), and append up to `want` of
+    them to `found` at row `count`.
 
     Args:
         reference: positions (n,) near which the solutions' full turns are chosen.
@@ -59,7 +60,9 @@ def any_solution(
     table, bounds, turning, goal, scale, reference, seeds, poses, tries, iterations,
     position_tolerance, rotation_tolerance, found,
 ):  # fmt: skip
-    """Search one IK solution from the tabled seeds and write it to `found` (1, n); return success."""
+    """Search for one IK solution from tabulated start configurations (seeds), and write it to `found` (1, n).
+    Return whether one was found.
+    """
     scores = np.empty(len(seeds), np.float32)
     rank(poses, goal, scale, scores)
     return search(

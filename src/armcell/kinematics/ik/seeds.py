@@ -24,7 +24,8 @@ _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53)
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """IK seeds: configurations (COUNT, n) spread over the joint limits, and their tip poses (7, COUNT).
+    """Start configurations (seeds) for IK: COUNT joint positions (n,) spread over the joint limits, with the
+    tip pose at each of them.
 
     A pose is a position and a quaternion.
     """
@@ -42,7 +43,7 @@ def seeds_of(chain: Chain) -> Seeds:
 
 
 def sampling_range(chain: Chain) -> tuple[Array, Array]:
-    """Return the lower and upper bounds (n,) of IK seeds.
+    """Return the lower and upper bounds (n,) within which start configurations (seeds) for IK are sampled.
 
     The bounds are the joint limits, but no more than one full turn of each joint.
     """
@@ -55,11 +56,10 @@ def sampling_range(chain: Chain) -> tuple[Array, Array]:
 
 
 def halton(count: int, dimensions: int) -> Array:
-    """Return Halton's low-discrepancy sequence (count, dimensions) in [0, 1), for IK seeds.
+    """Return `count` points of Halton's low-discrepancy sequence in [0, 1) for the given number of
+    dimensions, to place IK seeds.
 
     The sequence's first point is omitted. Dimensions from the 17th on are random.
-
-    Dimensions from the 17th on are random.
     """
     points = np.random.default_rng(0).random((count, dimensions))
     for d, base in enumerate(_PRIMES[:dimensions]):
@@ -73,7 +73,8 @@ def halton(count: int, dimensions: int) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def pose_numbers(T, out):
-    """Write a pose's (12,) position and quaternion (w, x, y, z) to `out` (7,), for the IK seed table.
+    """Write the position and the quaternion (w, x, y, z) of a pose (12,) to `out` (7,), for the table of IK
+    seeds.
 
     Shepperd's method.
     """
@@ -104,7 +105,8 @@ def fill_poses(table, positions, poses):
 
 @njit(cache=True, fastmath=True)
 def rank(poses, goal, scale, scores):
-    """Rank IK seeds: compute the distance of each tabled pose from the goal (12,) into `scores` (COUNT,).
+    """Rank IK seeds by the distance between their tabulated tip poses and the goal pose (12,); write the
+    distances to `scores` (COUNT,).
 
     The unit is about radians squared.
     """
@@ -120,7 +122,9 @@ def rank(poses, goal, scale, scores):
 
 @njit(cache=True)
 def take_nearest(scores):
-    """Return the index of the IK seed with the lowest score and set this score to infinity."""
+    """Return the index of the IK seed with the lowest score, and set its score to infinity so that it is not
+    taken again.
+    """
     best = 0
     for i in range(1, len(scores)):
         if scores[i] < scores[best]:

@@ -37,7 +37,7 @@ AT_LIMIT = 1e-3  # [rad or m] joints nearer to a limit count as being at the lim
 @dataclass(frozen=True)
 @checked()
 class IKSettings:
-    """Settings of IK solvers; the analytic solver needs no search settings."""
+    """Settings of the IK solvers. Only the numeric solver needs the settings of the search."""
 
     position_tolerance: float = 1e-6  # [m]
     rotation_tolerance: float = 1e-6  # [rad]
@@ -54,7 +54,9 @@ class IKSettings:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Prepared data of an IK solver's chain for fixed positions of the robot's other joints."""
+    """Data that an IK solver precomputes for its kinematic chain, valid for fixed positions of the robot's
+    other joints.
+    """
 
     chain: Chain
     seeds: Seeds
@@ -62,7 +64,8 @@ class Prepared:
 
 
 class IKSolver(ABC):
-    """Base class of inverse kinematics solvers for one planning group and tip link of a robot.
+    """Base class of inverse kinematics solvers. An instance solves for one planning group and tip link of a
+    robot.
 
     Apart from a cache, a solver has no state, so calls do not influence each other.
 
@@ -97,12 +100,12 @@ class IKSolver(ABC):
 
     @classmethod
     def solves(cls, model: RobotModel, group: str, tip_link: str | None = None) -> bool:
-        """Return whether an IK solver supports a planning group and tip link."""
+        """Return whether a class of IK solvers supports the given planning group and tip link."""
         return True
 
     @property
     def prepared(self) -> Prepared:
-        """Precomputed data for an IK solver's compiled functions, from the latest query.
+        """Data that an IK solver precomputed for its compiled functions in the latest query.
 
         The data depends on the positions of the robot's other joints in that query.
         """
@@ -111,13 +114,14 @@ class IKSolver(ABC):
     @abstractmethod
     def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
-        """Search an IK solver's distinct solutions (n,) for a goal (12,), the tip pose in the base frame.
+        """Search for distinct IK solutions (n,) that reach a goal (12,), the desired tip pose in the base
+        frame of the chain.
 
         The method also counts, in `outside` per joint, the solutions that only this joint's limits forbid.
         """
 
     def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
-        """Return an equivalent of an IK solver's solution `q` (n,) that is nearer to the reference.
+        """Return an IK solution for the same pose as `q` (n,) that is closer to the reference.
 
         The default implementation returns `q` itself.
         """
@@ -127,7 +131,7 @@ class IKSolver(ABC):
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None,
         equivalents: bool = False,
     ) -> Iterator[Array]:  # fmt: skip
-        """Yield an IK solver's distinct solutions (n,) within the joint limits.
+        """Yield the distinct solutions (n,) of inverse kinematics that are within the joint limits.
 
         Each solution is turned by full turns to be as near as possible to the reference.
 
@@ -146,7 +150,8 @@ class IKSolver(ABC):
     def nearest(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
     ) -> list[Array]:
-        """Return up to `among` distinct solutions (n,) of an IK solver, nearest to the reference first.
+        """Return up to `among` distinct IK solutions (n,), sorted so that the one nearest to the reference
+        comes first.
 
         See `solutions` for the arguments.
         """
@@ -161,7 +166,7 @@ class IKSolver(ABC):
         is_valid: Validity | None = None,
         rng: np.random.Generator | None = None,
     ) -> IKResult:
-        """Solve inverse kinematics: return the valid solution nearest to the reference.
+        """Solve inverse kinematics: return the valid solution that is nearest to the reference.
 
         Args:
             T_world_tip: desired pose of the tip link.
@@ -215,7 +220,8 @@ class IKSolver(ABC):
         self, q: Array, T_world_tip: SE3, iterations: int = 60, *, wish: Array | None = None,
         bounds: Array | None = None,
     ) -> tuple[float, float, bool]:  # fmt: skip
-        """Run an IK solver's numeric descent from `q` (dof,), which is changed in place.
+        """Improve joint positions `q` (dof,) in place by the numeric descent of an IK solver, so that the tip
+        approaches the desired pose.
 
         Args:
             q: initial positions of all joints; receives the result.
@@ -242,7 +248,9 @@ class IKSolver(ABC):
         return position, angle, ok
 
     def _descend(self, chain: Chain, goal: Array, at: Array, iterations: int) -> tuple[float, float, bool]:
-        """Run an IK solver's descent from `at` (n,), changed in place, as long as it makes progress."""
+        """Improve joint positions `at` (n,) in place by an IK descent, as long as the descent makes
+        progress.
+        """
         n = len(at)
         return descend(
             chain.table, chain.bounds, goal, chain.scale, iterations, iterations,
@@ -251,7 +259,8 @@ class IKSolver(ABC):
         )[:3]  # fmt: skip
 
     def _question(self, T_world_tip: SE3, reference: ArrayLike) -> tuple[Prepared, Array, Array]:
-        """Check an IK solver's query; return precomputed data, the goal (12,) and the group's reference (n,).
+        """Check a query to an IK solver. Return the precomputed data, the goal pose (12,) and the reference
+        positions (n,) of the group.
 
         The goal is the pose of the tip in the chain's base frame.
 
@@ -279,7 +288,9 @@ class IKSolver(ABC):
     def _closest(
         self, prepared: Prepared, goal: Array, at: Array, reference: Array, outside: dict[str, int]
     ) -> IKResult:
-        """Return an IK solver's failure result for an unreachable pose, with the nearest reachable pose."""
+        """Return the failed result of an IK solver for a pose that is out of reach, with the nearest pose
+        that can be reached.
+        """
         chain, seeds = prepared.chain, prepared.seeds
         scores = np.empty(len(seeds.positions), np.float32)
         rank(seeds.poses, goal, chain.scale, scores)
@@ -329,7 +340,9 @@ class IKSolver(ABC):
         )
 
     def at_limit(self, q: Array) -> list[str]:
-        """Return the names of an IK solver's joints that are at a limit (within 1e-3) in `q` (n,)."""
+        """Return the names of the joints of an IK solver that are within 1e-3 of a joint limit at `q`
+        (n,).
+        """
         near = np.minimum(q - self.lower, self.upper - q) < AT_LIMIT
         return [name for name, yes in zip(self.joint_names, near, strict=True) if yes]
 
@@ -343,7 +356,8 @@ def _counts(outside: dict[str, int]) -> str:
 
 
 def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
-    """Return the link that an IK solver moves to the pose: `tip_link`, or by default the group's tip link.
+    """Return the link that an IK solver moves to the desired pose: `tip_link` if given, otherwise the tip
+    link of the planning group.
 
     Raises:
         UnknownNameError: the group or link does not exist.
@@ -357,7 +371,9 @@ def tip_of(model: RobotModel, group: str, tip_link: str | None) -> str:
 
 
 def other_columns(model: RobotModel, joint_names: tuple[str, ...], tip_link: str) -> NDArray[np.int64]:
-    """Return the indices of the joints that move the tip link but are not in an IK solver's group."""
+    """Return the indices of joints that move the tip link of an IK solver but do not belong to its planning
+    group.
+    """
     tree = kinematic_tree(model)
     moving = {int(tree.column[j]) for j in tree.path_to(tip_link) if tree.kind[j] != FIXED}
     return np.array(sorted(moving - set(model.columns(joint_names))), dtype=np.int64)

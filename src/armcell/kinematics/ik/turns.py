@@ -17,7 +17,8 @@ SLACK = 1e-9  # [rad or m] beyond a limit that counts as rounding
 
 @njit(cache=True, error_model="numpy")
 def nearest_turns(q, reference, bounds, turning):
-    """Change IK solution q (n,) by full turns of its joints to be nearest to the reference, in place.
+    """Rotate the joints of an IK solution q (n,) by full turns, in place, so that the solution is as near as
+    possible to the reference.
 
     All joints end within their bounds.
 
@@ -43,7 +44,8 @@ def nearest_turns(q, reference, bounds, turning):
 
 @njit(cache=True, error_model="numpy")
 def keep_within(found, count, reference, bounds, turning, outside):
-    """Turn IK solutions (k, n) by full turns into the joint bounds, and sort them by distance.
+    """Rotate the joints of IK solutions (k, n) by full turns into their bounds, and sort the solutions by
+    distance from the reference.
 
     Solutions that do not fit into the bounds are dropped. The nearest to the reference (n,) comes first.
 
@@ -81,7 +83,8 @@ def keep_within(found, count, reference, bounds, turning, outside):
 
 
 def whole_turns(q: Array, reference: Array, chain: Chain) -> list[Array]:
-    """Return equivalent IK solutions that differ by full turns, nearest to the reference first.
+    """Return equivalent IK solutions, which differ from `q` by full turns of joints; the one nearest to the
+    reference comes first.
 
     The result contains at most the three nearest positions of each joint within limits, and only the nearest
     position of a joint without limits.

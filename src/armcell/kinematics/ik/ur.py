@@ -32,7 +32,7 @@ BRANCHES = 8
 
 
 def ur_geometry(chain: Chain) -> Array | None:
-    """Return a UR arm's geometry for `ur_branches`, or None for an arm of another structure."""
+    """Return the geometry of a UR arm as `ur_branches` needs it, or None if the arm has another structure."""
     table = chain.table
     order = table[:, 15].astype(int)
     plain = np.all(table[:, 12] == 1.0) and np.all(table[:, 13] == 0.0) and not np.any(table[:, SLIDE])
@@ -77,7 +77,7 @@ def ur_geometry(chain: Chain) -> Array | None:
 
 
 def _flat(x: Array, z: Array, v: Array) -> Array:
-    """Return the coordinates (2,) of a vector v in a UR arm's plane, with joint 1 at zero.
+    """Return the coordinates (2,) of a vector v in the plane of a UR arm, for joint 1 at zero.
 
     The arctan2 of the coordinates is the angle from z, positive about y.
     """
@@ -85,7 +85,7 @@ def _flat(x: Array, z: Array, v: Array) -> Array:
 
 
 def _solves(geometry: Array, chain: Chain) -> bool:
-    """Return whether UR's closed-form IK solutions are correct and complete for some test poses.
+    """Return whether the closed-form IK for UR arms finds correct and complete solutions for some test poses.
 
     Each solution must reach its pose, and the positions that define the pose must be among the solutions.
     """
@@ -118,7 +118,9 @@ def _wrapped(angle):
 
 @njit(cache=True, error_model="numpy")
 def _turned(goal, at, geometry):
-    """Rotate a UR arm's tip direction (`geometry[at:at + 3]`) to the arm's frame, for closed-form IK."""
+    """Rotate a direction at the tip of a UR arm (`geometry[at:at + 3]`) into the frame of the arm, for
+    closed-form IK.
+    """
     a, b, c = geometry[at], geometry[at + 1], geometry[at + 2]
     vx = goal[0] * a + goal[1] * b + goal[2] * c
     vy = goal[4] * a + goal[5] * b + goal[6] * c
@@ -133,7 +135,9 @@ def _turned(goal, at, geometry):
 
 @njit(cache=True, error_model="numpy")
 def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
-    """Append a UR arm's IK solutions for one direction of axis 5 (up to two); return the new count."""
+    """Append the IK solutions of a UR arm for one direction of axis 5 (at most two). Return the new number of
+    solutions.
+    """
     v = (-s1, c1, 0.0)
     x, z = c1 * (C[0] - g[22] * axis5[0]) + s1 * (C[1] - g[22] * axis5[1]), C[2] - g[22] * axis5[2]
     upper, fore = g[23], g[24]
@@ -172,7 +176,8 @@ def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
 
 @njit(cache=True, error_model="numpy")
 def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
-    """Append a UR arm's IK solutions for parallel axes 4 and 6, where joint 6 is free.
+    """Append the IK solutions of a UR arm whose axes 4 and 6 are parallel, so that joint 6 is free. Return
+    the new number of solutions.
 
     Joint 6 takes the reference's position, or else the first of 16 positions that reaches the goal.
     """
@@ -204,7 +209,8 @@ def _free_wrist(g, c1, s1, q1, C, axis6, tip5, reference, out, count):
 
 @njit(cache=True, error_model="numpy")
 def ur_branches(geometry, goal, reference, out):
-    """Fill `out` (8, 6) with the IK solutions in (-pi, pi] of a UR arm; return their number.
+    """Fill `out` (8, 6) with the IK solutions of a UR arm, with joints in (-pi, pi]. Return the number of
+    solutions.
 
     Args:
         geometry: from `ur_geometry`.

@@ -524,7 +524,7 @@ class _Reader:
     def controller(self, entry: Data, file: Path, name: str, model: RobotModel) -> None:
         self.word(entry.get("type"), file, f"{name}/type")
         for joint in self.sequence(entry.get("joints") or [], file, f"{name}/joints"):
-            if joint not in model.joints:
+            if self.word(joint, file, f"{name}/joints") not in model.joints:
                 raise UnknownNameError("joint", joint, model.joints, file=file, element=f"{name}/joints")
 
     def check_sensors_3d(self, data: Data, file: Path, model: RobotModel) -> None:

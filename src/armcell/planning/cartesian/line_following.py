@@ -43,7 +43,7 @@ TURNING, SLIDING, RELATIVE = "jump_threshold", "prismatic_jump_threshold", "rela
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """First infeasible step when following the line of a Cartesian path.
+    """First step on the line of a Cartesian path at which the robot cannot continue.
 
     Attributes:
         explain: computes the reason with its evidence; called only for the best of all attempts.
@@ -54,7 +54,7 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class StopReason:
-    """Reason why following the line of a Cartesian path stops: cause, text, error code and evidence.
+    """Reason why a Cartesian path stops before the end of its line: cause, text, error code and evidence.
 
     The cause is one of the constants above.
     """
@@ -66,13 +66,13 @@ class StopReason:
 
 
 def collision_stop(contacts: list[Contact]) -> StopReason:
-    """Describe the stop of a Cartesian line because of contacts."""
+    """Describe why a Cartesian line stops because bodies touch."""
     text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
     return StopReason(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
 
 
 def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) -> StopReason:
-    """Describe the stop of a Cartesian line because a joint would jump.
+    """Describe why a Cartesian line stops because a joint would jump.
 
     Args:
         threshold: jump threshold of the request, in `unit` or as a factor.
@@ -84,12 +84,14 @@ def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) 
 
 
 def at_violation(manifold: ConstraintManifold, q: Array) -> list[Violation]:
-    """List constraints that q (n,) on a Cartesian line violates, or keeps with too small a margin."""
+    """List the constraints that positions q (n,) on a Cartesian line violate, or satisfy with too small a
+    margin.
+    """
     return manifold.violations(q, inside=manifold.allowance == 0.0)
 
 
 def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
-    """Describe the stop of a Cartesian line because of path constraints."""
+    """Describe why a Cartesian line stops because of path constraints."""
     found = at_violation(manifold, q)
     words = [
         v.text
@@ -105,7 +107,7 @@ def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
 def ik_stop(
     ik: IKSolver, pose: SE3, before: Array, closest: Array, short: tuple[float, float], limits: list[str]
 ) -> StopReason:
-    """Describe the stop of a Cartesian line because inverse kinematics fails.
+    """Describe why a Cartesian line stops because inverse kinematics has no suitable solution.
 
     The cause is a joint limit, an unreachable pose, a singularity or a change to another branch.
 
@@ -147,7 +149,8 @@ FASTEST = 0.05  # [rad or m] largest null-space motion in one step
 
 @dataclass(frozen=True, eq=False)
 class FollowedLine:
-    """Joint positions (n,) of the feasible steps along a Cartesian line, and the stop.
+    """Joint positions (n,) at the steps of a Cartesian line that the robot can follow, and the reason why it
+    stops.
 
     The stop is None if the line is complete.
     """
@@ -157,7 +160,8 @@ class FollowedLine:
 
 
 def _near(checker: KernelChecker, q: Array) -> list[Contact]:
-    """List contacts at q (n,) on a Cartesian line, or pairs of bodies within the padding.
+    """List the contacts at positions q (n,) on a Cartesian line, or the pairs of bodies that are closer than
+    the padding.
 
     The list has only the nearest pair if just the kernel checker finds one.
     """
@@ -168,7 +172,9 @@ def _near(checker: KernelChecker, q: Array) -> list[Contact]:
 
 
 class RestingStart:
-    """Collision rule for a Cartesian line whose start is in resting contact, until the arm leaves it."""
+    """Collision rule for a Cartesian line whose start is in resting contact; the rule applies until the arm
+    has left this contact.
+    """
 
     def __init__(self, checker: KernelChecker, start: Array):
         near = resting_pairs(checker.exact, start)
@@ -177,14 +183,17 @@ class RestingStart:
         self._others.relax_margins(start)
 
     def refuses(self, q: Array) -> list[Contact] | None:
-        """Return the contacts that forbid q (n,) on a Cartesian line from a resting start, or None."""
+        """Return the contacts that forbid positions q (n,) on a Cartesian line from a start in resting
+        contact, or None if q is allowed.
+        """
         if (contact := self._leaving.refuses(q)) is not None:
             return [contact]
         return None if self._others.is_free(q) else _near(self._others, q)
 
 
 class LineFollower:
-    """Follower of Cartesian lines by step-by-step IK of one group; other joints stay at `rest` (dof,).
+    """Follower of Cartesian lines, which solves inverse kinematics step by step for one group; all other
+    joints stay at `rest` (dof,).
 
     Args:
         bounds: (n, 2) lower and upper limits that the group's joints keep.
@@ -207,7 +216,9 @@ class LineFollower:
         self.zone = np.where(np.isfinite(span), np.minimum(ZONE, ZONE_SHARE * span), 0.0)
 
     def follow(self, poses: list[SE3], start: Array) -> FollowedLine:
-        """Follow a Cartesian line's tip poses from positions (n,); return the attempt that gets farthest."""
+        """Follow the tip poses of a Cartesian line from joint positions (n,), and return the attempt that
+        gets farthest.
+        """
         best = None
         for wish in self._wishes(poses, start):
             tried = self._walk(poses, start, wish)
@@ -266,7 +277,9 @@ class LineFollower:
         return FollowedLine(path, None)
 
     def _refused(self, q: Array) -> Stop | None:
-        """Return why the arm must not be at q (n,) on a Cartesian line, or None if q is allowed."""
+        """Return the reason why the arm must not be at positions q (n,) on a Cartesian line, or None if q is
+        allowed.
+        """
         checker, manifold = self.checker, self.manifold
         if checker is not None and not checker.is_free(q):
             if self.resting is None:
@@ -286,7 +299,8 @@ class LineFollower:
 def relative_jump(
     path: Array, names: tuple[str, ...], slides: NDArray[np.bool_], factor: float
 ) -> tuple[int, Stop] | None:
-    """Find a Cartesian line's first joint step longer than `factor` times the mean step (as MoveIt does).
+    """Find the first step on a Cartesian line at which the joints move more than `factor` times as far as in
+    the mean step (as MoveIt does).
 
     The length of a step is the sum of all joints' motions.
 

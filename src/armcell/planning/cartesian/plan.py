@@ -47,7 +47,9 @@ FEWEST = 10  # smallest number of steps for the relative jump test, as in MoveIt
 
 
 def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
-    """Interpolate the tip poses of a Cartesian plan's segments, first pose excluded."""
+    """Interpolate the tip poses along the straight segments of a Cartesian plan. The first pose is not
+    included.
+    """
     legs, at = [], start
     least = FEWEST if request.relative_jump_threshold > 0 else 1
     for waypoint in request.waypoints:
@@ -66,7 +68,8 @@ def poses_between(start: SE3, request: CartesianRequest) -> list[list[SE3]]:
 def waypoints_by_offsets(
     scene: PlanningScene, group: str, offsets: Sequence[SE3], link: str | None = None, frame: str = "link"
 ) -> tuple[SE3, ...]:
-    """Compute a Cartesian plan's waypoints from a link's current pose by successive offsets.
+    """Compute the waypoints of a Cartesian plan: start at the current pose of a link and add the given
+    offsets one after the other.
 
     Args:
         offsets: motions in the link's own axes (`frame="link"`), or about the link's origin in the axes of
@@ -98,7 +101,7 @@ CORRIDOR_SHARE, CORRIDOR_ROOM = 0.1, 5e-3  # share of a joint's corridor, and [r
 def plan_cartesian(
     scene: PlanningScene, request: CartesianRequest, cancel: threading.Event | None = None
 ) -> PlanResult:
-    """Plan a Cartesian path: a straight-line motion of a link through the waypoints of the request.
+    """Plan a Cartesian path, on which a link moves on straight lines through the waypoints of the request.
 
     Args:
         cancel: set this event from another thread to stop; the result is then PREEMPTED.
@@ -163,7 +166,9 @@ def _refused(code: ErrorCode, text: str, evidence: dict[str, Any]) -> PlanResult
 
 
 class _CartesianProblem:
-    """A Cartesian plan's problem: one request together with its solver, checker and constraints."""
+    """Data for planning one Cartesian path: the request with its IK solver, collision checker and
+    constraints.
+    """
 
     def __init__(
         self, scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: KernelChecker,
@@ -176,7 +181,7 @@ class _CartesianProblem:
         self.total = sum(len(leg) for leg in self.legs)
 
     def follow(self, start: Array) -> tuple[Array, StopReason | None]:
-        """Plan a Cartesian path: follow all its line segments.
+        """Follow all straight segments of a Cartesian path by inverse kinematics.
 
         Return joint positions (k, n) of the feasible steps and the reason for a stop.
         """
@@ -206,7 +211,9 @@ class _CartesianProblem:
         return points, None if stop is None else stop.explain()
 
     def proven_part(self, path: Array, reason: StopReason | None) -> tuple[Array, StopReason | None]:
-        """Return a Cartesian plan's part before the first unproven step, and why the rest is not proven."""
+        """Return the part of a Cartesian plan before its first unproven step, and the reason why the rest is
+        not proven.
+        """
         if self.request.avoid_collisions and len(path) > 1:
             certificate = self.certify(path)
             while not certificate.free and len(path) > 1:
@@ -252,7 +259,7 @@ class _CartesianProblem:
         return None
 
     def stop_evidence(self, path: Array) -> dict[str, Any]:
-        """Collect evidence about the pose and joint positions at which a Cartesian plan stops."""
+        """Collect evidence about the pose and the joint positions at which a Cartesian plan stops."""
         full = self.scene.positions.copy()
         full[self.ik.columns] = path[-1]
         ends = np.cumsum([len(leg) for leg in self.legs])
@@ -296,7 +303,7 @@ def _along(line: _CartesianProblem, start: Array) -> PlanResult:
 
 
 class _AcceptAll:
-    """Certifier for Cartesian plans without collision checks: it accepts every motion.
+    """Certifier for Cartesian plans that accepts every motion without a collision check.
 
     It is for paths that need no collision check or are proven after timing.
     """

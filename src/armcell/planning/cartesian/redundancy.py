@@ -44,7 +44,8 @@ def plan_redundancy(
     zone: Array,
     allowed: Callable[[Array], bool],
 ) -> Array | None:
-    """Resolve an arm's redundancy along a line: guiding joint positions (len(poses), n), or None.
+    """Choose how a redundant arm moves along a line: return joint positions (len(poses), n) that guide it, or
+    None if there are none.
 
     Args:
         start: (n,). rest: (dof,) of all joints. bounds: (n, 2) joint limits. zone: (n,) distance from the
@@ -82,7 +83,9 @@ def plan_redundancy(
 
 
 def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
-    """Compute a redundant arm's null-space direction (n,), largest component 1, sign as in `like`."""
+    """Compute the direction (n,) in which a redundant arm can move its joints without moving the tip. Its
+    largest component is 1, its sign fits `like`.
+    """
     J = ik.tree.jacobian(full, ik.tip_link, ik.joint_names)
     along = np.linalg.svd(J)[2][-1]
     along = along / np.max(np.abs(along))
@@ -90,7 +93,9 @@ def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
 
 
 def _between(last: _Node, cuts: list[int], count: int) -> Array:
-    """Interpolate a redundant arm's joint positions linearly between the cuts of a line."""
+    """Interpolate the joint positions of a redundant arm linearly between the support points (cuts) on a
+    line.
+    """
     nodes: list[Array] = []
     node: _Node | None = last
     while node is not None:

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def check_constraints(scene: PlanningScene, group: str, constraints: Constraints) -> None:
-    """Validate constraints: raise an error if constraints are invalid in every scene.
+    """Check constraints for errors that make them invalid in every scene, and raise an error if there is one.
 
     Raises:
         UnknownNameError: no such joint, link, frame or parameterization.
@@ -72,7 +72,7 @@ def _tolerances(what: str, values: tuple[float, ...]) -> None:
 
 
 def contradiction(scene: PlanningScene, group: str, constraints: Constraints) -> str:
-    """Explain why no state can satisfy all constraints of a request (contradictory constraints).
+    """Explain why the constraints of a request contradict each other, so that no state satisfies all of them.
 
     Return "" if the checks find no contradiction.
     """
@@ -92,7 +92,8 @@ def contradiction(scene: PlanningScene, group: str, constraints: Constraints) ->
 def joint_ranges(
     scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]
 ) -> tuple[Array, Array]:
-    """Intersect the group's joint limits with joint constraints, to find contradictory constraints.
+    """Intersect the joint limits of a group with its joint constraints, which shows whether the constraints
+    contradict each other.
 
     Return the lower and upper bounds (n,), (n,).
     """
@@ -107,7 +108,7 @@ def joint_ranges(
 
 
 def empty_range(scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]) -> str:
-    """Name a joint for which contradictory joint constraints leave no allowed position.
+    """Name a joint for which the joint constraints contradict each other and leave no allowed position.
 
     Return "" if every joint has an allowed position.
     """
@@ -143,7 +144,7 @@ def _out_of_reach(scene: PlanningScene, group: str, c: PositionConstraint) -> st
 
 
 def _apart(scene: PlanningScene, name: str, a: OrientationConstraint, b: OrientationConstraint) -> str:
-    """Explain why two orientation constraints of one link contradict each other.
+    """Explain why two orientation constraints on the same link contradict each other.
 
     Return "" if a rotation can satisfy both.
     """

@@ -38,7 +38,8 @@ NEAR_HALF_TURN = 1e-9
 
 
 def scratch_size(dof: int, places: int) -> int:
-    """Compute the size of the scratch memory of the constraint error kernels in doubles.
+    """Compute the size of the scratch memory for evaluating constraint errors in compiled kernels, in
+    doubles.
 
     Layout: [link poses and axes], [errors], [Jacobian rows], [residuals], [system].
     """
@@ -47,7 +48,9 @@ def scratch_size(dof: int, places: int) -> int:
 
 @njit(cache=True, forceinline=True)
 def manifold_pointers(handle) -> Any:
-    """Convert the error kernels' addresses (3,) of constraint arrays to the pointers n, c, x."""
+    """Convert the addresses (3,) of the constraint arrays to the pointers n, c and x that the error kernels
+    take.
+    """
     return (
         at_address(np.int64, handle[0]),
         at_address(np.float64, handle[1]),
@@ -57,7 +60,8 @@ def manifold_pointers(handle) -> Any:
 
 @njit(cache=True)
 def place_links(n, c, x, q, at):
-    """Compute the pose and joint axes of every constrained link into the error kernels' scratch memory x.
+    """Compute the pose and the joint axes of every constrained link, and write them to the scratch memory x
+    of the error kernels.
 
     A pose has 12 numbers, an axis 6: its direction and origin.
     """
@@ -104,7 +108,8 @@ def place_links(n, c, x, q, at):
 
 @njit(cache=True)
 def orientation_error(n, c, x, turn):
-    """Compute an orientation constraint's error (3) and its derivative (9) into x[work:] and x[work + 3:].
+    """Compute the error (3,) of an orientation constraint and its derivative (9 values), and write them to
+    x[work:] and x[work + 3:].
 
     The matrix maps the link's angular velocity in the world to the rate of the error. Call `place_links`
     first. A rotation vector e changes by the inverse left Jacobian of SO(3), 1 - [e]/2 + k [e]^2. Euler
@@ -161,7 +166,8 @@ def orientation_error(n, c, x, turn):
 
 @njit(cache=True)
 def point_at(n, c, x, point):
-    """Compute the world position of a constrained point in a compiled error kernel.
+    """Compute the world position of a point with a position constraint, in a compiled kernel for constraint
+    errors.
 
     Call `place_links` first.
     """
@@ -177,7 +183,8 @@ def point_at(n, c, x, point):
 
 @njit(cache=True)
 def signed_distance(n, c, shape, sizes, px, py, pz):
-    """Compute the error kernel's signed distance [m] from a world point to a region's convex shape.
+    """Compute in a kernel for constraint errors the signed distance [m] from a point in the world to a convex
+    shape of a region.
 
     `sizes` is the offset of the shape's sizes: SIZE or INNER_SIZE.
     """
@@ -207,7 +214,9 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find, in an error kernel, a region's shape nearest to a point and the signed distance [m]."""
+    """Find in a kernel for constraint errors which shape of a region is nearest to a point, and the signed
+    distance [m] to it.
+    """
     t = n[AT_POINTS] + point * POINT_WIDTH
     best, least = n[t + FIRST_SHAPE], 1e300
     for shape in range(n[t + FIRST_SHAPE], n[t + FIRST_SHAPE] + n[t + SHAPES]):
@@ -219,7 +228,8 @@ def nearest_region_shape(n, c, point, sizes, px, py, pz):
 
 @njit(cache=True)
 def within_tolerances(n, c, x, q, at, inner):
-    """Return whether a configuration keeps all constraint tolerances, in a compiled kernel.
+    """Return whether joint positions satisfy all constraints within their tolerances, evaluated by a compiled
+    error kernel.
 
     `inner` selects the planning tolerances instead of the full tolerances.
     """
@@ -239,7 +249,7 @@ def within_tolerances(n, c, x, q, at, inner):
 
 @njit(cache=True, nogil=True)
 def evaluate_errors(handle, q, out):
-    """Evaluate all constraint errors of a configuration (dof,) into `out`.
+    """Evaluate the errors of all constraints at joint positions (dof,), and write them to `out`.
 
     Orientation errors come first, per axis [rad]; then each point's signed distance [m] to its region,
     negative inside. Takes arrays instead of pointers.

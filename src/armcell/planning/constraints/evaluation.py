@@ -40,7 +40,7 @@ EDGE_ON = 1e-6  # [m] distance from the disc's plane at which the sensor does no
 
 
 def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Array, str]:
-    """Evaluate a visibility constraint: how far the scene's state is from satisfying it.
+    """Evaluate how far the state of a scene is from satisfying a visibility constraint.
 
     The rule is MoveIt's (kinematic_constraints::VisibilityConstraint::decide).
 
@@ -75,7 +75,9 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
 
 
 def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, float, float]:
-    """Evaluate a visibility constraint: world poses of sensor and target, view and range angle [rad]."""
+    """Return the world poses of the sensor and the target of a visibility constraint, with the view angle and
+    the range angle [rad].
+    """
     sensor = scene.frame_pose(c.sensor) @ c.T_link_sensor
     target = scene.frame_pose(c.frame) @ c.T_frame_target
     looks = sensor.rotation.matrix[:, AXES[c.view_axis]]
@@ -84,12 +86,14 @@ def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, fl
 
 
 def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
-    """Return the links of a visibility constraint's sensor and target, which may be in the view cone."""
+    """Return the links that carry the sensor and the target of a visibility constraint; they may be inside
+    the view cone.
+    """
     return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 
 
 def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
-    """Evaluate whether a visibility constraint is valid: raise an error if no state can satisfy it.
+    """Check that some state can satisfy a visibility constraint, and raise an error if none can.
 
     Raises:
         UnknownNameError: no such frame or axis.
@@ -109,7 +113,9 @@ def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
 
 
 def _angle(a: Array, b: Array) -> float:
-    """Compute the angle [rad] between two vectors to evaluate a constraint, accurate if small."""
+    """Compute the angle [rad] between two vectors, accurately also for small angles, to evaluate
+    constraints.
+    """
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
@@ -119,7 +125,7 @@ PARAMETERIZATIONS = ("rotation_vector", "xyz_euler")
 
 @dataclass(frozen=True, eq=False)
 class ConstraintError:
-    """Evaluated error of joint positions with respect to one constraint.
+    """Error of given joint positions with respect to one constraint.
 
     `error` is, for a joint, the difference from the constraint's position (1,) [rad or m]; for a point, the
     distance from its region (1,) [m], 0 inside; for an orientation, the rotation error (3,) [rad]; for a view
@@ -133,14 +139,14 @@ class ConstraintError:
 
     @property
     def ok(self) -> bool:
-        """Whether an evaluated constraint is satisfied up to rounding."""
+        """Whether the evaluated joint positions satisfy the constraint, apart from rounding errors."""
         return bool(np.all(self.excess <= ROUNDING))
 
 
 def constraint_errors(
     scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike
 ) -> tuple[ConstraintError, ...]:
-    """Evaluate the error of every constraint at joint positions q; return one error per constraint.
+    """Evaluate every constraint at joint positions q, and return one error for each constraint.
 
     Order: joints, positions, orientations, visibilities.
 
@@ -160,7 +166,7 @@ def constraint_errors(
 
 
 def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> bool:
-    """Return whether positions q (n,) of the group satisfy all constraints, by evaluating their errors.
+    """Return whether joint positions q (n,) of the group satisfy all constraints.
 
     See `constraint_errors`.
     """
@@ -168,7 +174,9 @@ def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: Arr
 
 
 def violations(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> str:
-    """Evaluate constraints at q (n,): text of the violated ones with amounts; "" if all are satisfied."""
+    """Describe which constraints joint positions q (n,) violate and by how much; return "" if they satisfy
+    all constraints.
+    """
     return "; ".join(e.words for e in constraint_errors(scene, group, constraints, q) if not e.ok)
 
 
@@ -192,7 +200,9 @@ def _position(scene: PlanningScene, group: str, c: PositionConstraint) -> Constr
 
 
 def region_distance(scene: PlanningScene, c: PositionConstraint, point: ArrayLike) -> float:
-    """Evaluate a position constraint: distance [m] of a world point (3,) from its region; 0 inside."""
+    """Return the distance [m] between a point in the world (3,) and the region of a position constraint; 0
+    inside the region.
+    """
     at = scene.frame_pose(c.frame).inv().apply(point)
     return min(distance_to_shape(shape, T.inv().apply(at)) for shape, T in c.region)
 
@@ -214,7 +224,9 @@ def _pose(scene: PlanningScene, group: str, name: str | None) -> tuple[SE3, str]
 
 
 def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
-    """Evaluate an orientation constraint: error (3,) [rad] from desired to current rotation."""
+    """Return the error (3,) [rad] of an orientation constraint, the rotation from the desired to the current
+    orientation.
+    """
     turn = wanted.inv() @ present
     if parameterization == "rotation_vector":
         return turn.log()
@@ -225,7 +237,9 @@ def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
 
 
 def rotation_of(error: ArrayLike, parameterization: str) -> SO3:
-    """Convert an evaluated orientation error (3,) back to a rotation; inverse of `rotation_error`."""
+    """Convert the error (3,) of an orientation constraint back to a rotation; this is the inverse of
+    `rotation_error`.
+    """
     if parameterization == "rotation_vector":
         return SO3.exp(error)
     return SO3.from_rpy(-np.asarray(error, dtype=float)).inv()
@@ -261,7 +275,8 @@ _DISTANCES: dict[type, Callable[..., float]] = {
 
 
 def distance_to_shape(shape: Shape, point: ArrayLike) -> float:
-    """Evaluate a constraint's distance [m] of a point (3,) from a shape, in its frame; 0 inside.
+    """Return the distance [m] between a point (3,) and a shape of a constraint region, in the frame of the
+    shape; 0 inside the shape.
 
     Raises:
         InputError: the shape is a mesh, cloud or octree: these are surfaces, not regions.

@@ -46,7 +46,7 @@ proven to stay exactly on a boundary."""
 
 @dataclass(frozen=True)
 class Violation:
-    """A violated constraint of a manifold: its kind and name, the amount, and a description."""
+    """Violation of a constraint: the kind and name of the constraint, the amount, and a description."""
 
     kind: str  # "joint", "orientation" or "position"
     name: str  # name of the joint or of the constrained link
@@ -55,7 +55,8 @@ class Violation:
 
 
 class ConstraintManifold:
-    """Constraint manifold: the set of configurations of a planning group that satisfy path constraints.
+    """Constraint manifold: the set of all configurations of a planning group that satisfy its path
+    constraints.
 
     Not thread-safe: it owns scratch memory.
 
@@ -122,7 +123,9 @@ class ConstraintManifold:
         return at
 
     def _resolve(self, name: str | None) -> tuple[str, SE3]:
-        """Resolve a manifold constraint's link, tip or attached object to the carrying link and pose."""
+        """Find the link that carries a frame constrained by the manifold (a link, a tip or an attached
+        object), and the pose of the frame in this link.
+        """
         scene = self._scene
         if name is None:
             name = scene.model.group(self._group).tip_link
@@ -139,7 +142,7 @@ class ConstraintManifold:
         return name, SE3.identity()
 
     def _link(self, name: str) -> int:
-        """Return the number of a constrained link in the constraint manifold.
+        """Return the number that a constrained link has in the constraint manifold.
 
         The link's chain is computed at the first use.
         """
@@ -161,7 +164,7 @@ class ConstraintManifold:
         return self._links[name]
 
     def _frame(self, name: str) -> SE3:
-        """Return the pose T_world_frame of the reference frame of a constraint in the manifold.
+        """Return the pose T_world_frame of the reference frame of a constraint in the constraint manifold.
 
         The frame must not move with the group.
         """
@@ -204,7 +207,9 @@ class ConstraintManifold:
         return number, int(euler), self._keep(np.concatenate([wanted.matrix.T.ravel(), full, inner]))
 
     def _carried(self, link: str, T: SE3) -> int:
-        """Register a frame fixed to a link as an additional constrained link of the manifold."""
+        """Add a frame that is fixed to a link to the constraint manifold, as if it were another constrained
+        link.
+        """
         rows, _, base, _ = self._link_rows[self._link(link)]
         numbers = self._tables[self._links[link]].copy()
         at_base = base
@@ -243,12 +248,15 @@ class ConstraintManifold:
 
     # --- asking ---
     def values(self, q: Array) -> Array:
-        """Evaluate a constraint manifold: orientation errors (3 each) [rad] and distances to regions [m]."""
+        """Evaluate a constraint manifold: return its orientation errors (3 values each) [rad] and the
+        distances of points from their regions [m].
+        """
         evaluate_errors(self.handle, np.ascontiguousarray(q, dtype=float), self._out)
         return self._out[:-1].copy()
 
     def violations(self, q: Array, inside: bool = False) -> list[Violation]:
-        """List a manifold's constraints that q (dof,) violates by more than the boundary margin.
+        """List the constraints of a manifold that joint positions q (dof,) violate by more than the margin at
+        the boundary.
 
         Args:
             inside: also list constraints that q satisfies by less than the margin.
@@ -282,12 +290,13 @@ class ConstraintManifold:
         return found
 
     def projected(self, q: Array, lower: Array, upper: Array) -> Array | None:
-        """Project a configuration q (dof,) onto the constraint manifold; None if this fails."""
+        """Project joint positions q (dof,) onto the constraint manifold; return None if this fails."""
         moved = np.clip(q, lower, upper)
         return moved if projected(self.handle, moved, lower, upper) else None
 
     def first_unproven_edge(self, points: Array, room: Array | None = None) -> int:
-        """Find the first edge of a motion (k, dof) that is not proven to stay on the constraint manifold.
+        """Return the first edge of a motion (k, dof) that cannot be proven to stay on the constraint
+        manifold.
 
         Return -1 if all edges are proven.
 
@@ -302,7 +311,9 @@ class ConstraintManifold:
         return int(first_unproven_edge(self.handle, np.ascontiguousarray(points), slack, self.allowance))
 
     def relax_boundary(self, ends: list[Array]) -> None:
-        """Widen a constraint manifold's tolerances slightly if a start or goal (dof,) is at a boundary."""
+        """Widen the tolerances of a constraint manifold slightly if a start or goal (dof,) is on its
+        boundary.
+        """
         self.allowance = self.boundary_margin if any(self.violations(q, inside=True) for q in ends) else 0.0
 
 
@@ -329,7 +340,9 @@ def _corridors(names: tuple[str, ...], constraints: Constraints, scene: Planning
 
 
 def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
-    """Return kind and sizes [m] of a constraint region's shape for the manifold's compiled kernels."""
+    """Return the kind and the sizes [m] of the shape of a constraint region, as compiled kernels of the
+    manifold need them.
+    """
     match shape:
         case Box():
             return layout.BOX, shape.half_extents
@@ -348,7 +361,8 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Bound a manifold's constrained point: distance (dof,) [m] from each joint's axis.
+    """Return an upper bound (dof,) [m] on the distance of a constrained point of the manifold from the axis
+    of each joint.
 
     The bounds hold in all configurations.
     """

@@ -57,7 +57,9 @@ def time_on_manifold(
     checker: KernelChecker, manifold: ConstraintManifold, waypoints: Array, request: PlanRequest,
     torque: TorqueModel | None = None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Time a constrained plan's path (k, n) on the manifold; None if the timed motion is not proven."""
+    """Compute the timing of a path (k, n) on the constraint manifold; return None if the timed motion cannot
+    be proven to satisfy the constraints.
+    """
     names, model = checker.joint_names, checker.model
     velocity = model.limits(names, "velocity") * request.velocity_scaling
     acceleration = model.limits(names, "acceleration") * request.acceleration_scaling
@@ -84,7 +86,8 @@ def time_on_manifold(
 
 
 def chords(trajectory: JointTrajectory) -> tuple[Array, Array]:
-    """Approximate a constrained plan by chords (m, n); bound its deviation (n,) [rad] from them.
+    """Approximate a constrained motion by chords (m, n), and bound the deviation (n,) [rad] of the motion
+    from them.
 
     A curve deviates from its chord over a time h by at most h^2 / 8 times its largest acceleration. The
     acceleration of a quintic is a cubic, bounded by the hull of its Bernstein coefficients.
@@ -116,7 +119,9 @@ PLANNER = "RRTConnect"
 
 
 def check_planner(validated: ValidatedRequest) -> None:
-    """Check the planner of a constrained plan: raise InputError if it cannot respect path constraints."""
+    """Raise an InputError if the planner that a request with path constraints selects does not support
+    them.
+    """
     pipeline_id = validated.request.pipeline_id or "native"
     if pipeline_id != "native" or validated.planner_id != PLANNER:
         raise InputError(
@@ -128,7 +133,7 @@ def check_planner(validated: ValidatedRequest) -> None:
 def plan_constrained(
     validated: ValidatedRequest, checker: KernelChecker, start: Array, goals: tuple[Array, ...]
 ) -> PlanResult:
-    """Plan a certified, timed motion that is proven to satisfy path constraints everywhere.
+    """Plan a certified motion with timing that is proven to satisfy its path constraints everywhere.
 
     Args:
         start: (n,), collision-free. goals: (n,) collision-free goals found so far.
@@ -164,7 +169,7 @@ def plan_constrained(
 
 
 def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlanResult:
-    """Attempt a constrained plan: search paths on the manifold until one can be proven and timed."""
+    """Search for paths that satisfy the path constraints until one of them can be certified and timed."""
     request, checker = validated.request, problem.checker
     torque = torque_model(validated.scene, checker.joint_names) if request.torque_limits else None
     answer, why = None, "found paths, but none whose timed motion could be proven to keep to the constraints"
@@ -206,7 +211,7 @@ def _attempt(validated: ValidatedRequest, manifold: ConstraintManifold, problem:
 
 
 def _searched(validated: ValidatedRequest, manifold: ConstraintManifold, problem: Problem) -> PlannerResult:
-    """Search for a constrained plan's path to the goals, or report why none was found."""
+    """Search for a path to the goals that satisfies the path constraints, or report why none was found."""
     if isinstance(manifold, VisibilityManifold):  # visibility has no projection: OMPL rejects invalid samples
         return find_planner("ompl", PLANNER)(replace(problem, forbids=manifold.forbids))
     planner = constrained_planner(problem.checker, manifold)
@@ -249,7 +254,7 @@ def _violated(code: ErrorCode, what: str, violations: list[Violation]) -> Outcom
 
 
 def _direct(problem: Problem, manifold: ConstraintManifold) -> Array | None:
-    """Return a constrained plan's straight line to a goal if it is free and satisfies the constraints."""
+    """Return the straight line to a goal if it is collision-free and satisfies the path constraints."""
     for goal in problem.goals:
         if np.max(np.abs(goal - problem.start)) < 1e-9:
             return np.vstack([problem.start])
@@ -266,7 +271,7 @@ def _goals(
     manifold: ConstraintManifold,
     found: tuple[Array, ...],
 ) -> tuple[tuple[Array, ...], list[Violation]]:
-    """Select the goals of a constrained plan that satisfy its path constraints.
+    """Select the goals that satisfy the path constraints of the request.
 
     If there are none, project further goal samples onto the constraints; if this fails, return the
     violations.
@@ -283,7 +288,7 @@ def _goals(
 def _moved(
     validated: ValidatedRequest, checker: KernelChecker, manifold: ConstraintManifold
 ) -> Iterator[Array]:
-    """Yield free goal configurations of a constrained plan that satisfy the path constraints."""
+    """Yield collision-free goals, projected so that they satisfy the path constraints."""
     scene, request = validated.scene, validated.request
     rng = np.random.default_rng([request.seed, 2])
     low = np.maximum(scene.model.lower[checker.columns], manifold.lower)
@@ -306,6 +311,6 @@ def _more(
     known: tuple[Array, ...],
     seed: int,
 ) -> Iterator[Array] | None:
-    """Yield further goals of a constrained plan that satisfy the path constraints during a search."""
+    """Yield further goals that satisfy the path constraints, while the search for a path is running."""
     more = stream_goals(validated, checker, known, seed)
     return None if more is None else (q for q in more if not manifold.violations(q))

@@ -28,7 +28,8 @@ SETTINGS = NativeSettings(max_waypoints=4096)
 
 
 class ConstrainedPlanner(NativePlanner):
-    """Constrained planner: a `NativePlanner` whose trees and shortcuts stay on a constraint manifold.
+    """Planner for path constraints: a `NativePlanner` whose search trees and shortcuts stay on the constraint
+    manifold.
 
     The planner reuses the trees of the current thread's planner.
 
@@ -73,7 +74,7 @@ class ConstrainedPlanner(NativePlanner):
         )  # fmt: skip
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Shorten path[:count] in place with the constrained planner, on the constraint manifold.
+        """Shorten a path on the constraint manifold, path[:count], in place.
 
         Return the new count, or 0 if a proof fails.
         """
@@ -91,7 +92,7 @@ class ConstrainedPlanner(NativePlanner):
 
 
 def constrained_planner(checker: KernelChecker, manifold: ConstraintManifold) -> ConstrainedPlanner:
-    """Create a constrained planner that uses the current thread's trees."""
+    """Create a planner for path constraints that uses the search trees of the current thread."""
     return ConstrainedPlanner(planner_of(checker), manifold)
 
 
@@ -100,7 +101,9 @@ logger = logging.getLogger(__name__)
 
 @lru_cache(maxsize=1)
 def warm_up_constraints() -> float:
-    """Warm up the constrained planner: compile all its kernels; return the duration [s]."""
+    """Compile all kernels for planning with path constraints before their first use, and return the duration
+    [s].
+    """
     began = time.monotonic()
     announce_compilation("RRTConnect with path constraints", constrained_rrt_connect)
     model = load_robot("parallel_gripper")

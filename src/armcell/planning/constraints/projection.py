@@ -55,7 +55,8 @@ PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over
 
 @njit(cache=True)
 def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
-    """Write one Jacobian row for a constraint projection: the rate of g . angular or point velocity.
+    """Write one row of the Jacobian for projection onto constraints: how fast the joints rotate a link, or
+    move a point, along the direction g.
 
     `turns` selects the angular velocity.
     """
@@ -80,7 +81,9 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """Write a constraint projection's Jacobian row and residual of a point along a shape's direction."""
+    """Write the Jacobian row and the residual with which a constrained point is projected along a direction
+    of a shape.
+    """
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]
     _row(
@@ -94,7 +97,8 @@ def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
 
 @njit(cache=True)
 def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
-    """Add a projection row that reduces a constrained point's coordinate |value| in a shape to `inner`.
+    """Add a row to the projection that moves a constrained point along one axis of a shape until its
+    coordinate |value| is at most `inner`.
 
     Return the row count.
     """
@@ -111,7 +115,8 @@ def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
 
 @njit(cache=True)
 def rows(n, c, x):
-    """Write the projection's Jacobian rows and residuals of all violated constraint tolerances.
+    """Write the Jacobian rows and residuals with which joint positions are projected onto all violated
+    constraints.
 
     Return the row count.
     """
@@ -164,7 +169,8 @@ def rows(n, c, x):
 
 @njit(cache=True)
 def _step(n, x, count, damping):
-    """Compute a constraint projection's step `J^T (J J^T + damping)^-1 r` by L D L^T decomposition.
+    """Compute one step of the projection onto the constraints, `J^T (J J^T + damping)^-1 r`, by L D L^T
+    decomposition.
 
     Return the offset of the result in x; it follows the system.
     """
@@ -208,7 +214,8 @@ def _step(n, x, count, damping):
 
 @njit(cache=True)
 def project(n, c, x, q, at, lower, upper):
-    """Project q[at:] onto its constraints: move it within joint bounds to the planning tolerances.
+    """Project joint positions q[at:] onto the constraints: move them within their bounds until all planning
+    tolerances are met.
 
     Returns:
         Whether the projection succeeded.
@@ -250,6 +257,8 @@ def project(n, c, x, q, at, lower, upper):
 
 @njit(cache=True, nogil=True)
 def projected(handle, q, lower, upper):
-    """Project a configuration q (dof,) onto its constraints; runs the kernel `project` on arrays."""
+    """Project joint positions q (dof,) onto the constraints. This function takes arrays and calls the kernel
+    `project`.
+    """
     n, c, x = manifold_pointers(handle)
     return project(n, c, x, pointer(q), 0, pointer(lower), pointer(upper))

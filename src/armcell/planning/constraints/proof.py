@@ -64,11 +64,10 @@ KEEPS, UNKNOWN, LEAVES = 1, 0, -1
 
 @njit(cache=True)
 def _bends(angle):
-    """Bound orientation changes for a constraint proof: g and c for rotation vectors up to `angle` [rad].
+    """Return bounds g and c on the change of orientation for rotation vectors up to `angle` [rad], to prove
+    orientation constraints.
 
     Both bounds increase with the angle.
-
-    Both are increasing.
     """
     half = 0.5 * max(angle, 1e-2)
     g = half / np.sin(half)
@@ -79,7 +78,9 @@ def _bends(angle):
 
 @njit(cache=True)
 def _turns(n, c, x, d, h, room, allowance):
-    """Prove orientation constraints on one interval of a joint motion: KEEPS, UNKNOWN or LEAVES."""
+    """Try to prove that a joint motion satisfies all orientation constraints during one interval. The result
+    is KEEPS, UNKNOWN or LEAVES.
+    """
     answer = KEEPS
     for turn in range(n[TURNS]):
         t = n[AT_TURNS] + turn * TURN_WIDTH
@@ -126,7 +127,9 @@ def _turns(n, c, x, d, h, room, allowance):
 
 @njit(cache=True)
 def _points(n, c, x, d, h, room, allowance):
-    """Prove position constraints on one interval of a joint motion: KEEPS, UNKNOWN or LEAVES."""
+    """Try to prove that a joint motion satisfies all position constraints during one interval. The result is
+    KEEPS, UNKNOWN or LEAVES.
+    """
     dof, answer = n[DOF], KEEPS
     for point in range(n[POINTS]):
         t = n[AT_POINTS] + point * POINT_WIDTH
@@ -171,7 +174,8 @@ def _points(n, c, x, d, h, room, allowance):
 
 @njit(cache=True)
 def edge_keeps_tolerances(n, c, x, p, a, b, room, allowance):
-    """Return whether a constraint proof holds for the straight motion from p[a:] to p[b:].
+    """Return whether the straight joint motion from p[a:] to p[b:] is proven to stay within all constraint
+    tolerances.
 
     Args:
         room: (dof,) deviation of each joint from the line. allowance: [rad and m] added to the tolerances.
@@ -208,7 +212,7 @@ def edge_keeps_tolerances(n, c, x, p, a, b, room, allowance):
 
 @njit(cache=True, nogil=True)
 def first_unproven_edge(handle, points, room, allowance):
-    """Find a motion's (k, dof) first edge for which the constraint proof fails.
+    """Return the first edge of a motion (k, dof) that is not proven to stay within all constraint tolerances.
 
     Args:
         room: (dof,), allowance: see `edge_keeps_tolerances`.

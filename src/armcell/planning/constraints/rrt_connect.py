@@ -42,7 +42,7 @@ STALL = 0.1  # smallest progress of a step, as a share of its length
 
 
 def space_size(dof: int) -> int:
-    """Compute the size of constrained RRT-Connect's scratch memory in doubles.
+    """Compute the size of the scratch memory that RRT-Connect with constraints needs, in doubles.
 
     Layout: [two ends and steps], [sample steps], [sample], [closest approach], [zeros].
     """
@@ -50,7 +50,8 @@ def space_size(dof: int) -> int:
 
 
 def closest_at(dof: int) -> int:
-    """Return the scratch offset of the closest approach of constrained RRT-Connect's two trees.
+    """Return the position in scratch memory at which RRT-Connect with constraints stores the closest approach
+    of its two trees.
 
     The closest approach is a length [rad], then its two ends.
     """
@@ -67,7 +68,9 @@ def _apart(p, a, b, dof):
 
 @njit(cache=True)
 def _sampled(n, c, x, p, a, b, step):
-    """Return whether samples of a constrained RRT-Connect edge p[a:] to p[b:] keep the tolerances."""
+    """Return whether samples along an edge of RRT-Connect, from p[a:] to p[b:], stay within the constraint
+    tolerances.
+    """
     dof = n[DOF]
     count = max(int(np.ceil(_apart(p, a, b, dof) / step)), 1)
     at = n[WORK] + 32 + MAX_ROWS * (dof + 2) + MAX_ROWS * MAX_ROWS
@@ -81,7 +84,8 @@ def _sampled(n, c, x, p, a, b, step):
 
 @njit(cache=True)
 def _clear(k, p, a, out, first, end, step):
-    """Count the rows from `first` to `end` that a constrained RRT-Connect edge reaches without contact.
+    """Count how many configurations, from row `first` to row `end`, an edge of RRT-Connect with constraints
+    reaches without contact.
 
     Row -1 is p[a:]. Short steps share one block of samples.
     """
@@ -107,7 +111,8 @@ def _clear(k, p, a, out, first, end, step):
 
 @njit(cache=True)
 def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allowance, projecting, stop):
-    """Walk a constrained RRT-Connect tree from p[a:] toward p[to:] in projected steps, while free.
+    """Walk in RRT-Connect from p[a:] toward p[to:] in steps that are projected onto the constraints, as long
+    as the steps are collision-free.
 
     Args:
         most: maximal number of rows, at least one less than the buffer holds. delta: length of a step
@@ -169,7 +174,7 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
 def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, delta, step, allowance,
             projecting, nodes, parents, leaves, leaf_ints, capacity, room, stop, max_iterations,
             found):  # fmt: skip
-    """Run constrained RRT-Connect on pointers; its trees are stored as in `native.rrt_connect`."""
+    """Run RRT-Connect with constraints on bare pointers. Its trees are stored as in `native.rrt_connect`."""
     dof = n[DOF]
     q, out = dof, 2 * dof
     n0, n1, tree = found[NODES_0], found[NODES_1], found[TURN]
@@ -254,7 +259,8 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
 def constrained_rrt_connect(handle, constraints, start, goals, lower, upper, shift, reach, delta, step,
                             allowance, projecting, nodes, parents, leaves, leaf_ints, room, space, found,
                             stop, max_iterations, path):  # fmt: skip
-    """Constrained RRT-Connect: find waypoints (m, dof) from the start to one of the goals, into `path`.
+    """Search by RRT-Connect for a path under constraints from the start to one of the goals, and write its
+    waypoints (m, dof) to `path`.
 
     See `rrt_connect`.
 

@@ -37,7 +37,8 @@ def _length(p, dof, first, last):
 
 @njit(cache=True)
 def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta, step, allowance, stop):
-    """Simplify a constrained path: replace its rows by projected walks over ever shorter gaps.
+    """Simplify a path under constraints: replace first long, then ever shorter parts of it by shortcuts that
+    are projected onto the constraints.
 
     p[tried:] is the walk's buffer.
     """
@@ -85,7 +86,8 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
 
 @njit(cache=True)
 def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance):
-    """Simplify a constrained path: move rows toward their neighbors' middle if the proofs allow.
+    """Smooth a path under constraints: move each row toward the middle of its neighbors if the new edges can
+    be proven.
 
     Return the number of moved rows.
     """
@@ -127,7 +129,7 @@ def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance)
 
 @njit(cache=True, nogil=True)
 def shorten(handle, constraints, path, count, space, index, room, lower, upper, delta, step, allowance, stop):
-    """Simplify (shorten, smooth) path[:count] on the constraint manifold in place.
+    """Shorten and smooth a path (path[:count]) on the constraint manifold, in place.
 
     Args:
         path: (m, dof). space: float64 scratch of 2 m + 8 rows and m numbers. index: int64 scratch of 2 m.

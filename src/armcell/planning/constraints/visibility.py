@@ -35,7 +35,7 @@ STEP = 0.05  # [rad or m] between configurations of an edge while searching
 
 
 class VisibilityManifold(ConstraintManifold):
-    """A constraint manifold that also handles visibility constraints.
+    """Constraint manifold that also supports visibility constraints.
 
     `ConstraintManifold` handles the other constraints.
     """
@@ -73,7 +73,9 @@ class VisibilityManifold(ConstraintManifold):
             self._back = (0.0, 0.0)
 
     def forbids(self, q: Array) -> bool:
-        """Return whether q (dof,) violates visibility constraints, with a small margin if possible."""
+        """Return whether joint positions q (dof,) violate a visibility constraint; a small margin is kept if
+        possible.
+        """
         return bool(super().violations(q)) or any(
             self._room(view, q, np.zeros(self.dof), *self._back) < 0.0 for view in self._views
         )
@@ -92,7 +94,8 @@ class VisibilityManifold(ConstraintManifold):
         return True
 
     def _room(self, view: _View, q: Array, moves: Array, back_angle: float = 0.0, back: float = 0.0) -> float:
-        """Compute the smallest visibility margin [rad or m] left if joints deviate from q (dof,) by `moves`.
+        """Return the smallest margin [rad or m] that a visibility constraint still has if each joint deviates
+        from q (dof,) by at most `moves`.
 
         Minus infinity means that q itself violates the constraint.
         """
@@ -127,7 +130,7 @@ class VisibilityManifold(ConstraintManifold):
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A visibility constraint with bounds on the motion of sensor and target by joints (dof,)."""
+    """Visibility constraint with bounds on how far each joint (dof,) can move its sensor and its target."""
 
     constraint: VisibilityConstraint
     own: frozenset[str]  # links that are allowed in the cone
@@ -165,7 +168,9 @@ class _View:
 
 
 def _farthest(scene: PlanningScene, link: str) -> float:
-    """Return a sensor link's largest distance [m] to its bodies' boxes, for visibility bounds."""
+    """Return how far [m] the bodies of a sensor link in a visibility constraint extend from the origin of the
+    link.
+    """
     far, scale = 0.0, scene.link_scale.get(link, 1.0)
     for part in scene.model.links[link].collisions:
         center, half = local_bounds(part.shape)
@@ -176,7 +181,9 @@ def _farthest(scene: PlanningScene, link: str) -> float:
 
 
 def _moving(scene: PlanningScene, names: tuple[str, ...], link: str) -> list[tuple[int, float]]:
-    """List the joints that move a visibility constraint's link, with their mimic multipliers."""
+    """List the joints that move a link of a visibility constraint, with the multipliers of their mimic
+    joints.
+    """
     tree, columns = kinematic_tree(scene.model), {c: k for k, c in enumerate(scene.model.columns(names))}
     found = [j for j in tree.path_to(link) if tree.kind[j] != FIXED and int(tree.column[j]) in columns]
     return [(columns[int(tree.column[j])], abs(float(tree.multiplier[j]))) for j in found]
@@ -187,7 +194,9 @@ def _carriers(scene: PlanningScene, names: tuple[str, ...], link: str) -> set[in
 
 
 def _multipliers(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
-    """Bound a sensor or target link's rotation per rad of each joint (dof,), for visibility."""
+    """Return for each joint (dof,) how far one radian of it can rotate the sensor or target link of a
+    visibility constraint.
+    """
     total = np.zeros(len(names))
     for k, multiplier in _moving(scene, names, link):
         total[k] += multiplier
@@ -201,7 +210,8 @@ def _table(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
 
 
 def make_manifold(scene: PlanningScene, group: str, constraints: Constraints) -> ConstraintManifold:
-    """Create the constraint manifold, as `VisibilityManifold` if there are visibility constraints.
+    """Create the constraint manifold for a set of constraints; it is a `VisibilityManifold` if they contain
+    visibility constraints.
 
     Raises:
         InputError: the constraints are invalid, or no planner supports them.

@@ -33,7 +33,7 @@ SHARE = 0.4  # share of the remaining time for the search of another last waypoi
 
 
 def explain_cartesian_stop(diagnosis: Diagnosis) -> None:
-    """Explain where and why a Cartesian path stops, and find changes that complete it."""
+    """Explain where and why a Cartesian path stops, and find changes with which it can be completed."""
     request, result = diagnosis.request, diagnosis.result
     assert isinstance(request, CartesianRequest)
     report_limit_margins(diagnosis)
@@ -78,7 +78,9 @@ def _report_place(diagnosis: Diagnosis, request: CartesianRequest, number: int, 
 
 
 def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Report whether a Cartesian path's last waypoint is out of reach, or only the straight line to it."""
+    """Report whether the last waypoint of a Cartesian path is out of reach, or only the straight line to it
+    is not feasible.
+    """
     path = diagnosis.result.path
     q = diagnosis.start if path is None else path.waypoints[-1]
     found = explain_pose(diagnosis.start_scene, request.group, request.waypoints[-1], request.link)
@@ -104,7 +106,7 @@ def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver)
 
 
 def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> None:
-    """Suggest smaller steps or a larger jump threshold for a Cartesian path with a joint jump."""
+    """Suggest smaller steps or a larger jump threshold if a joint jumps on a Cartesian path."""
     for k in range(1, 6):
         step = request.max_step / 2**k
         changed = replace(request, max_step=step)
@@ -123,7 +125,8 @@ def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> None:
 
 
 def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, here: SE3) -> None:
-    """Suggest another joint solution of a Cartesian path's start pose from which its line is feasible.
+    """Suggest starting a Cartesian path from another joint solution of the same start pose, from which the
+    line is feasible.
 
     The solution is on another branch, or has another elbow position of a redundant arm.
     """
@@ -152,7 +155,9 @@ def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, 
 
 
 def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) -> None:
-    """Find the largest part of the last rotation with which the Cartesian path is completed."""
+    """Find the largest part of the last rotation that the tip can make so that the Cartesian path is still
+    completed.
+    """
     before = [here, *request.waypoints][-2]
     goal = request.waypoints[-1]
     total = before.distance_to(goal)[1]
@@ -179,7 +184,7 @@ def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) ->
 
 
 def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> None:
-    """Suggest to shift, then to rotate, a Cartesian path's last waypoint in one of 26 directions."""
+    """Suggest moving the last waypoint of a Cartesian path in one of 26 directions, or else rotating it."""
     goal, rest = request.waypoints[-1], request.waypoints[:-1]
 
     def shifted(step: np.ndarray) -> SE3:
@@ -204,7 +209,9 @@ def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> Non
 
 
 def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, ik):
-    """Find the smallest change (3,) of a Cartesian goal with which the line is completed, or None."""
+    """Find the smallest change (3,) of the goal of a Cartesian path with which the line is completed, or
+    None.
+    """
     until = time.monotonic() + SHARE * max(diagnosis.time_left, 0.0)
     for size in sizes:
         for direction in DIRECTIONS:
@@ -222,7 +229,9 @@ def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, i
 
 
 def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarray, pose) -> np.ndarray:
-    """Reduce a change (3,) of a Cartesian goal to the smallest part that completes the line."""
+    """Reduce a change (3,) of the goal of a Cartesian path to the smallest part of it with which the line is
+    still completed.
+    """
     low, high = 0.5, 1.0
     for _ in range(4):
         middle = (low + high) / 2
@@ -232,7 +241,7 @@ def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarr
 
 
 def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, number: int, stop: SE3) -> None:
-    """Suggest one more waypoint beside the pose at which a Cartesian line stops."""
+    """Suggest an additional waypoint for a Cartesian path beside the pose at which the path stops."""
     if not _can_stand(diagnosis, request, request.waypoints[-1], ik):
         return
     until = time.monotonic() + SHARE * max(diagnosis.time_left, 0.0)
@@ -251,20 +260,24 @@ def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, numbe
 
 
 def _full(diagnosis: Diagnosis, q: np.ndarray) -> np.ndarray:
-    """Return all joint positions (dof,) with the group's at q (n,), to diagnose a Cartesian stop."""
+    """Return all joint positions (dof,) for the diagnosis of a Cartesian path, with the joints of the group
+    at q (n,).
+    """
     full = diagnosis.start_scene.positions.copy()
     full[diagnosis.columns] = q
     return full
 
 
 def _can_stand(diagnosis: Diagnosis, request: CartesianRequest, pose: SE3, ik: IKSolver) -> bool:
-    """Return whether a free configuration reaches a Cartesian pose, a faster test than the whole line."""
+    """Return whether the arm can reach a pose of a Cartesian path without collision, which is faster to test
+    than the whole line.
+    """
     some = islice(ik.solutions(pose, diagnosis.start_scene.positions, diagnosis.rng), 8)
     return any(not request.avoid_collisions or diagnosis.checker.is_free(q) for q in some)
 
 
 def _shorter(diagnosis: Diagnosis, request: CartesianRequest, number: int, pose: SE3) -> None:
-    """Suggest a Cartesian request that ends where the requested line stops."""
+    """Suggest a shorter Cartesian path that ends where the requested line stops."""
     if diagnosis.result.path is None or diagnosis.result.fraction <= 0:
         return
     waypoints = (*request.waypoints[:number], pose)

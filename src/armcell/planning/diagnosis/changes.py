@@ -20,18 +20,20 @@ SceneAndRequest = tuple[PlanningScene, Request]
 
 
 def change_request(scene: PlanningScene, request: Request, **fields: Any) -> SceneAndRequest:
-    """Suggested change that replaces fields of a planning request."""
+    """Apply a suggested change that replaces fields of a planning request."""
     return scene, replace(request, **fields)
 
 
 def change_start(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Suggested change of the position of some joints in a request's start state."""
+    """Apply a suggested change that moves some joints in the start state of a request to other positions."""
     start = scene.state.updated(request.start) if request.start is not None else scene.state
     return scene, replace(request, start=start.updated(state))
 
 
 def change_goal(scene: PlanningScene, request: PlanRequest, number: int, goal: Goal) -> SceneAndRequest:
-    """Suggested change that replaces goal `number` of a request, or appends a goal."""
+    """Apply a suggested change that replaces the goal with the given number in a planning request, or appends
+    a goal.
+    """
     goals = list(request.goals)
     goals[number : number + 1] = [goal]
     return scene, replace(request, goals=tuple(goals))
@@ -40,12 +42,14 @@ def change_goal(scene: PlanningScene, request: PlanRequest, number: int, goal: G
 def change_waypoints(
     scene: PlanningScene, request: CartesianRequest, waypoints: Sequence[SE3]
 ) -> SceneAndRequest:
-    """Suggested change that replaces the waypoints of a Cartesian request."""
+    """Apply a suggested change that replaces the waypoints of a Cartesian request."""
     return scene, replace(request, waypoints=tuple(waypoints))
 
 
 def replace_by_free_motion(scene: PlanningScene, request: CartesianRequest) -> SceneAndRequest:
-    """Suggested change from a straight-line request to a free motion to its last waypoint."""
+    """Apply a suggested change that replaces a motion on straight lines by a free motion to its last
+    waypoint.
+    """
     goal = PoseGoal(request.waypoints[-1], request.link)
     return scene, PlanRequest(
         request.group, (goal,), start=request.start, velocity_scaling=request.velocity_scaling,
@@ -54,51 +58,55 @@ def replace_by_free_motion(scene: PlanningScene, request: CartesianRequest) -> S
 
 
 def remove_objects(scene: PlanningScene, request: Request, names: Sequence[str]) -> SceneAndRequest:
-    """Suggested change that removes objects from the planning scene."""
+    """Apply a suggested change that removes objects from the planning scene."""
     return without(scene, names), request
 
 
 def move_object(scene: PlanningScene, request: Request, name: str, offset: ArrayLike) -> SceneAndRequest:
-    """Suggested change that moves an object of the planning scene by an offset (3,) [m]."""
+    """Apply a suggested change that moves an object in the planning scene by an offset (3,) [m]."""
     return moved(scene, name, np.asarray(offset, dtype=float)), request
 
 
 def change_padding(scene: PlanningScene, request: Request, padding: float) -> SceneAndRequest:
-    """Suggested change that limits every link's padding to `padding` [m]."""
+    """Apply a suggested change that reduces the padding of every link to at most `padding` [m]."""
     return padded(scene, padding), request
 
 
 def allow_contact(scene: PlanningScene, request: Request, a: str, b: str) -> SceneAndRequest:
-    """Suggested change that allows contact between two bodies."""
+    """Apply a suggested change that allows two bodies to touch each other."""
     return scene.with_allowed(a, b), request
 
 
 def change_mass(scene: PlanningScene, request: Request, name: str, mass: float) -> SceneAndRequest:
-    """Suggested change of the mass [kg] of an attached object."""
+    """Apply a suggested change that sets the mass [kg] of an attached object."""
     body = scene.attached[name]
     lighter = replace(body, object=replace(body.object, mass=mass))
     return replace(scene, attached={**scene.attached, name: lighter}), request
 
 
 def reset_state(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Suggested change that sets joints of the scene's own state, whatever their previous values."""
+    """Apply a suggested change that sets joints in the scene's own state, whatever their previous
+    values are.
+    """
     positions = np.array(scene.positions)
     positions[scene.model.columns(state.joint_names)] = state.positions
     return replace(scene, positions=positions), request
 
 
 def without(scene: PlanningScene, names: Sequence[str]) -> PlanningScene:
-    """Return a copy of the scene without some objects, to apply a suggested change."""
+    """Return a copy of the scene without the given objects, for use in a suggested change."""
     return replace(scene, objects={k: v for k, v in scene.objects.items() if k not in names})
 
 
 def moved(scene: PlanningScene, name: str, offset: np.ndarray) -> PlanningScene:
-    """Return a copy of the scene with an object moved by (3,) [m], to apply a suggested change."""
+    """Return a copy of the scene in which an object is moved by an offset (3,) [m], for use in a suggested
+    change.
+    """
     T = scene.objects[name].T_world_object
     return scene.with_object_pose(name, SE3(T.rotation, T.translation + offset))
 
 
 def padded(scene: PlanningScene, most: float) -> PlanningScene:
-    """Return a copy of the scene with paddings limited to `most` [m], to apply a suggested change."""
+    """Return a copy of the scene whose paddings are at most `most` [m], for use in a suggested change."""
     links = {link: min(value, most) for link, value in scene.link_padding.items()}
     return scene.with_padding(min(scene.padding, most), links)

@@ -48,7 +48,7 @@ SPARE = (1.05, 1e-3)  # factor and addition [rad or m] to the minimal tolerance
 
 
 def constraint_label(one: One) -> str:
-    """Name a constraint in a diagnosis by its joint, link or sensor."""
+    """Return a short name for a constraint, for use in a diagnosis: the name of its joint, link or sensor."""
     if isinstance(one, JointConstraint):
         return one.joint
     if isinstance(one, VisibilityConstraint):
@@ -58,7 +58,7 @@ def constraint_label(one: One) -> str:
 
 
 def tolerance_text(one: One) -> str:
-    """Describe a constraint's tolerance as text for a diagnosis."""
+    """Describe the tolerance of a constraint as text for a diagnosis."""
     if isinstance(one, OrientationConstraint):
         return ", ".join(wording.angle(t) for t in one.tolerance)
     if isinstance(one, JointConstraint):
@@ -69,7 +69,8 @@ def tolerance_text(one: One) -> str:
 
 
 def scaled_constraint(one: One, factor: float) -> One | None:
-    """Scale a constraint's tolerance by a factor, to suggest a looser constraint.
+    """Return a constraint whose tolerance is multiplied by a factor; a diagnosis suggests such looser
+    constraints.
 
     Return None for a half space, which has no size, and for a visibility constraint.
     """
@@ -88,7 +89,7 @@ def scaled_constraint(one: One, factor: float) -> One | None:
 
 
 def loosened_constraint(one: One, error: ConstraintError) -> One:
-    """Suggest a wider constraint, so that the state with a given error satisfies it with a small margin.
+    """Suggest a wider constraint that a state with the given error satisfies with a small margin.
 
     Args:
         one: the constraint of the error, or an already widened copy of this constraint.
@@ -114,7 +115,7 @@ def _half(shape: Shape) -> float:
 
 
 def _extent(shape: Shape) -> tuple[float, ...]:
-    """Return the sizes [m] of a constraint region's shape, to suggest larger sizes."""
+    """Return the sizes [m] of a shape in a constraint region, so that a diagnosis can suggest larger ones."""
     match shape:
         case Box():
             return shape.x, shape.y, shape.z
@@ -132,7 +133,9 @@ def _size(shape: Shape) -> str:
 
 
 def _grown(shape: Shape, T: SE3, by: float) -> tuple[Shape, SE3]:
-    """Grow a constraint region's shape: its surface moves out by at least `by` [m] on every side."""
+    """Enlarge a shape of a constraint region so that its surface moves outward by at least `by` [m] on every
+    side.
+    """
     match shape:
         case Box():
             return Box(shape.x + 2 * by, shape.y + 2 * by, shape.z + 2 * by), T
@@ -155,7 +158,7 @@ Put = Callable[[Constraints], tuple[Callable, dict]]
 
 
 def blame_path_constraints(diagnosis: Diagnosis) -> bool:
-    """Diagnose path constraints: test whether a failed request succeeds without its path constraints.
+    """Test whether path constraints are the cause of a failure: the request may succeed without them.
 
     If it does, find the constraint to blame and return True.
     """
@@ -178,7 +181,9 @@ def blame_path_constraints(diagnosis: Diagnosis) -> bool:
 
 
 def blame_goal_constraints(diagnosis: Diagnosis, number: int, goal: ConstraintGoal) -> None:
-    """Diagnose goal constraints: find the constraint that makes a constraint goal unreachable."""
+    """Find the constraint that makes the goal of a failed request unreachable, if the goal is given by
+    constraints.
+    """
 
     def put(constraints: Constraints):
         return change_goal, {"number": number, "goal": ConstraintGoal(constraints)}
@@ -188,7 +193,9 @@ def blame_goal_constraints(diagnosis: Diagnosis, number: int, goal: ConstraintGo
 
 
 def _blame(diagnosis: Diagnosis, put: Put, whole: Constraints) -> bool:
-    """Suggest to widen or remove each constraint whose removal makes the request succeed."""
+    """Find each constraint whose removal makes a failed request succeed, and suggest widening or
+    removing it.
+    """
     each = list(_each(whole))
     if len(each) == 1:  # no constraint remains without it
         blamed = each
@@ -222,13 +229,17 @@ def _each(whole: Constraints) -> Iterator[tuple[str, int, One]]:
 
 
 def without(whole: Constraints, kind: str, k: int) -> Constraints:
-    """Return a copy of a failed request's constraints without constraint number k of a kind."""
+    """Return a copy of the constraints of a failed request without one of them, which is given by its kind
+    and number.
+    """
     kept = getattr(whole, kind)
     return replace(whole, **{kind: kept[:k] + kept[k + 1 :]})
 
 
 def exchanged(whole: Constraints, old: One, new: One) -> Constraints:
-    """Return a failed request's constraints with one constraint replaced by another of the same kind."""
+    """Return the constraints of a failed request with one of them replaced by another constraint of the same
+    kind.
+    """
     return replace(
         whole, **{kind: tuple(new if c is old else c for c in getattr(whole, kind)) for kind in FIELDS}
     )
@@ -241,7 +252,9 @@ def _works(diagnosis: Diagnosis, put: Put, constraints: Constraints) -> bool:
 
 
 def _suggest_scaled(diagnosis: Diagnosis, put: Put, whole: Constraints, one: One, called: str) -> bool:
-    """Suggest the smallest of a few constraint tolerance factors with which a failed request succeeds."""
+    """Try a few larger tolerances for a constraint, and suggest the smallest one with which the failed
+    request succeeds.
+    """
     for factor in FACTORS:
         changed = scaled_constraint(one, factor)
         if changed is None:
@@ -262,7 +275,9 @@ State = tuple[Array, list[ConstraintError]]
 
 
 def explain_start_constraints(diagnosis: Diagnosis) -> None:
-    """Explain which constraints a request's start violates, and suggest a valid start or tolerances."""
+    """Explain which constraints the start of a request violates, and suggest a valid start or larger
+    tolerances.
+    """
     request = _request(diagnosis)
     errors = _violated(diagnosis, diagnosis.start)
     _tell(diagnosis, "at the start", errors)
@@ -281,7 +296,9 @@ def explain_start_constraints(diagnosis: Diagnosis) -> None:
 
 
 def explain_goal_constraints(diagnosis: Diagnosis) -> None:
-    """Explain which constraints each goal of a request violates, and suggest valid goals or tolerances."""
+    """Explain which constraints each goal of a request violates, and suggest valid goals or larger
+    tolerances.
+    """
     for number, goal in enumerate(_request(diagnosis).goals[:MAX_GOALS]):
         states = _goal_states(diagnosis, goal)
         if not states or not states[0][1]:
@@ -314,7 +331,9 @@ def _tell(diagnosis: Diagnosis, where: str, errors: list[ConstraintError]) -> No
 
 
 def _moved(diagnosis: Diagnosis, q: Array) -> Array | None:
-    """Project q (n,) onto violated path constraints for a suggestion; None if the result is not free."""
+    """Project joint positions q (n,) onto violated path constraints to suggest valid ones; return None if the
+    result is not collision-free.
+    """
     request, model = _request(diagnosis), diagnosis.scene.model
     manifold = make_manifold(diagnosis.start_scene, request.group, request.path_constraints)
     low = np.maximum(model.lower[diagnosis.columns], manifold.lower)
@@ -326,7 +345,9 @@ def _moved(diagnosis: Diagnosis, q: Array) -> Array | None:
 
 
 def _goal_states(diagnosis: Diagnosis, goal: Goal) -> list[State]:
-    """List free states that reach a goal, with their constraint violations; smallest violation first."""
+    """List the collision-free states that reach a goal, with the constraints that they violate; the smallest
+    violation comes first.
+    """
     if isinstance(goal, JointGoal | NamedGoal):
         wanted = wanted_joints(diagnosis, goal)
         return [] if wanted is None else [(wanted, _violated(diagnosis, wanted))]
@@ -344,7 +365,7 @@ def _amount(state: State) -> float:
 
 
 def _nearest_goal(diagnosis: Diagnosis, number: int, goal: Goal, states: list[Array]) -> None:
-    """Suggest the first goal state that can be projected onto the constraints."""
+    """Suggest the first goal state that can be moved so that it satisfies the constraints."""
     both = next(((q, m) for q in states if (m := _moved(diagnosis, q)) is not None), None)
     if both is None:
         diagnosis.add_finding("no free state near the goal was found that keeps to the constraints")
@@ -368,7 +389,7 @@ def _nearest_goal(diagnosis: Diagnosis, number: int, goal: Goal, states: list[Ar
 
 
 def _suggest_wider(diagnosis: Diagnosis, errors: list[ConstraintError]) -> None:
-    """Suggest constraint tolerances that cover all errors of the start or goal."""
+    """Suggest tolerances that are wide enough for all constraint errors of the start or the goal."""
     wide: dict[int, tuple[One, One]] = {}  # by identity: the constraint and its widened copy
     for error in errors:
         first = error.constraint

@@ -28,19 +28,22 @@ SPARE = 1e-3  # [m] added to the smallest shift
 
 
 def pairs_of(contacts: Iterable[Contact]) -> list[tuple[str, str]]:
-    """List the body pairs of a diagnosis' contacts."""
+    """List the pairs of bodies that the contacts of a diagnosis involve."""
     return [(c.body_a, c.body_b) for c in contacts]
 
 
 def objects_in(scene: PlanningScene, contacts: Iterable[Contact]) -> list[str]:
-    """List the world objects in a diagnosis' contacts, in the order of the contacts."""
+    """List the objects of the world that the contacts of a diagnosis involve, in the order of the
+    contacts.
+    """
     return list(dict.fromkeys(n for pair in pairs_of(contacts) for n in pair if n in scene.objects))
 
 
 def least_freeing_shift(
     scene: PlanningScene, name: str, joint_names: tuple[str, ...], qs: list[Array], padded: bool = True
 ) -> Array | None:
-    """Find an object's smallest shift (3,) [m] that ends its contacts with the robot at each of qs (n,).
+    """Find the smallest shift (3,) [m] of an object that ends its contacts with the robot in all
+    configurations qs (n,).
 
     The shift does not push the object into others. Return None if no shift up to a meter frees the object.
     """
@@ -74,7 +77,7 @@ def _least(free, direction: Array, low: float, high: float) -> float:
 def suggest_freeing_objects(
     diagnosis: Diagnosis, qs: list[Array], contacts: list[Contact], padded: bool
 ) -> None:
-    """Suggest to resolve contacts: to shift the objects in contact with the robot, or remove them.
+    """Suggest how to end contacts with the robot: move the objects in contact, or remove them.
 
     Args:
         qs: configurations of the group (n,) at which the objects must be free.

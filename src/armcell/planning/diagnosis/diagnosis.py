@@ -41,7 +41,7 @@ CLOSE_TO_LIMIT = np.deg2rad(5.0)
 
 @dataclass(eq=False)
 class Diagnosis:
-    """Diagnosis: a failed planning request with its findings and suggestions.
+    """Diagnosis of a failed planning request, which collects findings and suggestions.
 
     Attributes:
         solvers: the planning function for each kind of request.
@@ -63,7 +63,7 @@ class Diagnosis:
     # --- request ---
     @cached_property
     def start_scene(self) -> PlanningScene:
-        """Scene of a diagnosis, with the robot at the start of the failed request."""
+        """Scene for a diagnosis, in which the robot is at the start of the failed request."""
         if self.request.start is None:
             return self.scene
         positions = self.scene.state.updated(self.request.start).positions
@@ -79,19 +79,23 @@ class Diagnosis:
 
     @property
     def start(self) -> Array:
-        """Start positions (n,) of the group's joints in a diagnosed request."""
+        """Positions (n,) of the group's joints at the start of the diagnosed request."""
         return self.start_scene.positions[self.columns]
 
     @cached_property
     def checker(self) -> KernelChecker:
-        """Checker of a diagnosis' start scene, with its padding relaxed like the planner's."""
+        """Collision checker for the start scene of a diagnosis. It reduces the padding at the start in the
+        same manner as the planner does.
+        """
         checker = KernelChecker(self.start_scene, self.joint_names)
         if np.isfinite(self.start).all() and not checker.touches(self.start):
             checker.relax_margins(self.start)
         return checker
 
     def nearest_free(self, q: Array) -> Array | None:
-        """Find the free configuration (n,) nearest to q for a diagnosis, with a small margin if possible."""
+        """Find the collision-free configuration (n,) nearest to q that a diagnosis can suggest, with a small
+        margin if possible.
+        """
         lower, upper = self.scene.model.lower[self.columns], self.scene.model.upper[self.columns]
         roomy = self.start_scene.with_padding(
             self.scene.padding + SPARE, {k: v + SPARE for k, v in self.scene.link_padding.items()}
@@ -103,7 +107,7 @@ class Diagnosis:
         return None
 
     def tip_distance(self, a: Array, b: Array) -> float | None:
-        """Compute the tip motion [m] between two configurations (n,) for a diagnosis.
+        """Return how far the tip moves [m] between two configurations (n,) of a diagnosis.
 
         Return None if the group has no tip.
         """
@@ -122,22 +126,24 @@ class Diagnosis:
         return np.random.default_rng([getattr(self.request, "seed", 0), 2])
 
     def group_state(self, q: Array) -> JointState:
-        """Create a JointState of a diagnosed request's group from positions q (n,)."""
+        """Create a JointState from positions q (n,) of the group in a diagnosed request."""
         return JointState(self.joint_names, q)
 
     # --- findings ---
     @property
     def time_left(self) -> float:
-        """Remaining time [s] for further planning attempts of the diagnosis."""
+        """Time [s] that a diagnosis has left for further planning attempts."""
         return self.deadline - time.monotonic()
 
     def add_finding(self, line: str) -> None:
-        """Add a finding to a diagnosis unless it is already present."""
+        """Add a finding to a diagnosis, unless the diagnosis already contains it."""
         if line not in self.details:
             self.details.append(line)
 
     def succeeds(self, scene: PlanningScene, request: Request, seconds: float = TRY) -> PlanResult | None:
-        """Plan a changed request for a diagnosis; None if planning fails, is misuse, or no time is left."""
+        """Plan a changed request for a diagnosis. Return None if planning fails, the request is invalid, or
+        no time is left.
+        """
         if self.time_left <= 0:
             return None
         if isinstance(request, PlanRequest):
@@ -153,7 +159,7 @@ class Diagnosis:
         known: bool = False,
         anyway: bool = False,
     ) -> bool:  # fmt: skip
-        """Test a diagnosis' change and keep it as a suggestion if the changed request succeeds.
+        """Test whether a change makes the diagnosed request succeed, and if so add it to the suggestions.
 
         Args:
             known: a test has already shown that the change works.
@@ -176,7 +182,7 @@ class Diagnosis:
         return works is not False
 
     def explanation(self) -> Explanation:
-        """Build a diagnosis' explanation of the failure from findings and suggestions.
+        """Create the explanation of a failed request from the findings and suggestions of its diagnosis.
 
         Working suggestions come first, otherwise in the order found.
         """
@@ -197,7 +203,7 @@ class Diagnosis:
 
 
 def report_limit_margins(diagnosis: Diagnosis) -> None:
-    """Diagnose a start's distances from joint limits; report the joints close to a limit."""
+    """Report which joints are close to a limit at the start of a diagnosed request."""
     model, q = diagnosis.scene.model, diagnosis.start
     margins = np.minimum(q - model.lower[diagnosis.columns], model.upper[diagnosis.columns] - q)
     diagnosis.data["start_limit_margins"] = dict(zip(diagnosis.joint_names, margins.tolist(), strict=True))
@@ -211,14 +217,17 @@ def report_limit_margins(diagnosis: Diagnosis) -> None:
 
 
 def report_distance(diagnosis: Diagnosis, what: str, a: Array, b: Array) -> None:
-    """Report the difference of two configurations (n,) in a diagnosis, and the tip motion between them."""
+    """Report in a diagnosis how much two configurations (n,) differ, and how far the tip moves between
+    them.
+    """
     tip = diagnosis.tip_distance(a, b)
     moved = f", which moves the tip by {tip * 1000:.0f} mm" if tip is not None else ""
     diagnosis.add_finding(f"{what} is {np.linalg.norm(b - a):.2f} rad away{moved}")
 
 
 def wanted_joints(diagnosis: Diagnosis, goal: JointGoal | NamedGoal) -> np.ndarray | None:
-    """Return the group positions (n,) that a diagnosed joint goal requests, within limits or not.
+    """Return the joint positions (n,) of the group that the goal of a diagnosed request asks for, even if
+    they violate limits.
 
     Return None for misuse.
     """

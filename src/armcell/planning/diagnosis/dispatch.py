@@ -36,7 +36,9 @@ EXPLAINERS: dict[ErrorCode, Callable[[Diagnosis], None]] = {
 
 
 def with_explanation(kind: type) -> Callable[[F], F]:
-    """Dispatcher of diagnoses: decorate a planning function so that its failed results can be explained."""
+    """Decorate a planning function for one kind of request, so that its failed results can be explained by
+    the matching diagnosis.
+    """
 
     def decorate(solve: F) -> F:
         @wraps(solve)
@@ -67,7 +69,7 @@ def _explain(scene: PlanningScene, request: Request, result: PlanResult, seconds
 def explain_misuse(
     scene: PlanningScene, request: Request, error: InputError, seconds: float = 10.0
 ) -> Explanation:
-    """Dispatch to the diagnosis of a request that a planning function rejected, and suggest corrections."""
+    """Explain why a planning function rejected a request as invalid, and suggest corrections."""
     diagnosis = Diagnosis(scene, request, missing_result(error), SOLVERS, time.monotonic() + seconds)
     explain_request_error(diagnosis, error)
     return diagnosis.explanation()

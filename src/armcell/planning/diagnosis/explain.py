@@ -27,7 +27,7 @@ from armcell.scene import PlanningScene
 def explain(
     scene: PlanningScene, request: PlanRequest | CartesianRequest, seconds: float = 10.0
 ) -> Explanation:
-    """Plan a request, and explain why planning fails and which changes would help.
+    """Plan a request, and if this fails explain why and which changes would help.
 
     Invalid requests are explained, too.
 
@@ -50,7 +50,8 @@ def solve_ik(
     avoid_collisions: bool = True,
     seed: int = 0,
 ) -> IKResult:
-    """Find joint positions that place a link (default: the tip) at a pose, with an explanation of failures.
+    """Find joint positions that bring a link (by default, the tip) to a pose. The result can explain a
+    failure.
 
     Returns:
         SUCCESS with `positions` (n,) of the group; NO_IK_SOLUTION if no solution is within limits, or all

@@ -27,7 +27,7 @@ SHARE = 0.4  # share of the remaining time for the search of a nearby pose
 
 
 def explain_goals(diagnosis: Diagnosis) -> None:
-    """Diagnose each goal of a failed request in turn."""
+    """Diagnose the goals of a failed request, one after the other."""
     request = diagnosis.request
     assert isinstance(request, PlanRequest)
     report_limit_margins(diagnosis)
@@ -43,7 +43,7 @@ def explain_goals(diagnosis: Diagnosis) -> None:
 
 
 def _no_goal(diagnosis: Diagnosis) -> None:
-    """Suggest named states of the planning group instead of an infeasible goal."""
+    """Suggest named states of the planning group as goals if a request contains no goal."""
     model = diagnosis.scene.model
     states = model.named_states.get(diagnosis.request.group, {})
     diagnosis.add_finding(f"named states of {diagnosis.request.group}: {', '.join(sorted(states)) or 'none'}")
@@ -116,7 +116,7 @@ def _contacts_at(diagnosis: Diagnosis, q: np.ndarray) -> None:
 
 
 def _other_ways(diagnosis: Diagnosis, q: np.ndarray) -> None:
-    """Suggest further changes that free a goal configuration (n,) from contact.
+    """Suggest further changes that would free a goal configuration (n,) from contact.
 
     The changes are smaller padding, moved objects and allowed contacts.
     """
@@ -206,7 +206,9 @@ def _report_branches(diagnosis: Diagnosis, found) -> None:
 
 
 def _report_some(diagnosis: Diagnosis, what: str, branches: list[Branch]) -> None:
-    """Report the first joint solutions of a goal pose as text; the data contains all of them."""
+    """Report the first few joint solutions of a goal pose as text; the data of the diagnosis contains all of
+    them.
+    """
     for count, branch in enumerate(branches[:MAX_REPORTED], 1):
         joints = " ".join(f"{v:.0f}" for v in np.rad2deg(branch.positions))
         diagnosis.add_finding(f"{what} {count} ({joints} deg): {branch.reason(diagnosis.scene.model)}")
@@ -219,7 +221,7 @@ def _report_some(diagnosis: Diagnosis, what: str, branches: list[Branch]) -> Non
 
 
 def _back_into_reach(diagnosis: Diagnosis, search: PoseSearch, T, closest):
-    """Find the reachable pose nearest to an unreachable goal with the goal's orientation."""
+    """Find the reachable pose that is nearest to an unreachable goal pose and has the same orientation."""
     at = diagnosis.start_scene.positions.copy()
     at[diagnosis.columns] = closest
     tree, tip = search.ik.tree, search.ik.tip_link
@@ -255,7 +257,9 @@ def _report_turn(diagnosis: Diagnosis, number: int, goal: PoseGoal, near) -> boo
 
 
 def _closest_pose(diagnosis: Diagnosis, number: int, goal: PoseGoal, search: PoseSearch, closest) -> None:
-    """Suggest the reachable pose closest to an unreachable goal, with changed position and orientation."""
+    """Suggest the reachable pose that is closest to an unreachable goal pose; both its position and its
+    orientation may differ from the goal.
+    """
     at = diagnosis.start_scene.positions.copy()
     at[diagnosis.columns] = closest
     pose = search.ik.tree.link_pose(at, search.ik.tip_link)

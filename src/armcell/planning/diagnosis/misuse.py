@@ -37,14 +37,18 @@ LIKELY_PERCENT = 100.0
 
 
 def code_of(error: InputError) -> ErrorCode:
-    """Return MoveIt's error code for misuse (an InputError about a request); else FAILURE."""
+    """Return MoveIt's error code for the misuse that an exception reports (an InputError about a request), or
+    FAILURE.
+    """
     if isinstance(error, UnknownNameError):
         return next((code for kind, code in CODES if error.kind.startswith(kind)), ErrorCode.FAILURE)
     return ErrorCode.FAILURE
 
 
 def explain_request_error(diagnosis: Diagnosis, error: InputError) -> None:
-    """Diagnose misuse: suggest names similar to an unknown name, and numbers in range."""
+    """Diagnose misuse in an invalid request: suggest known names similar to an unknown one, and numbers
+    within their range.
+    """
     diagnosis.data["error"] = str(error)
     if isinstance(error, UnknownNameError):
         diagnosis.data |= {"kind": error.kind, "name": str(error.name), "known": error.known}
@@ -65,7 +69,9 @@ def explain_request_error(diagnosis: Diagnosis, error: InputError) -> None:
 
 
 def _like(name: str, known: list[str]) -> list[str]:
-    """List known names similar to an unknown name in an invalid request (misuse), most likely first."""
+    """List known names that are similar to an unknown name in an invalid request (misuse); the most likely
+    one comes first.
+    """
     folded = {k.lower(): k for k in known}
     like = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
     within = [k for k in known if name.lower() in k.lower() and k.lower() not in like]
@@ -73,7 +79,7 @@ def _like(name: str, known: list[str]) -> list[str]:
 
 
 def _rename(diagnosis: Diagnosis, wrong: str, right: str, anyway: bool = False) -> bool:
-    """Suggest an existing name for a wrong one (misuse), replaced everywhere in the request."""
+    """Suggest replacing a wrong name by an existing one everywhere in an invalid request (misuse)."""
     request = diagnosis.request
     fields = [f for f in ("group", "link", "planner_id", "pipeline_id") if getattr(request, f, None) == wrong]
     planner = getattr(request, "planner_id", "")
@@ -114,7 +120,9 @@ def _renamed(state: JointState, wrong: str, right: str) -> JointState | None:
 
 
 def _numbers(diagnosis: Diagnosis) -> None:
-    """Correct a request's misuse of numbers: suggest scalings, times and steps in valid ranges."""
+    """Correct invalid numbers in a request (misuse): suggest scaling factors, times and step sizes within
+    their ranges.
+    """
     request = diagnosis.request
     changes: dict[str, float] = {}
     for name in ("velocity_scaling", "acceleration_scaling"):
@@ -142,7 +150,7 @@ def _numbers(diagnosis: Diagnosis) -> None:
 
 
 def _goal_without_tip(diagnosis: Diagnosis) -> None:
-    """Suggest another group for a misuse: a pose goal of a group without a tip."""
+    """Suggest another planning group if a request misuses a group that has no tip for a pose goal."""
     request, model = diagnosis.request, diagnosis.scene.model
     group = model.groups.get(request.group)
     if group is None or group.tip_link is not None:
@@ -156,5 +164,5 @@ def _goal_without_tip(diagnosis: Diagnosis) -> None:
 
 
 def missing_result(error: InputError) -> PlanResult:
-    """Build the failed planning result of an invalid request (misuse) that raised an error."""
+    """Create the failed planning result of an invalid request (misuse) from the exception that it raised."""
     return PlanResult(code_of(error), str(error))

@@ -25,7 +25,7 @@ SOLUTIONS = 12  # solutions examined per pose
 
 
 def nearest_free(q: ArrayLike, free: Free, lower: Array, upper: Array, seed: int = 0) -> Array | None:
-    """Find a free configuration (n,) near q by sampling; None if the search fails.
+    """Search for a collision-free configuration (n,) near q by sampling; return None if the search fails.
 
     The search samples shells of growing radius, first along single joints, and pulls the free samples of
     the first successful shell toward q, first as a whole and then joint by joint.
@@ -53,7 +53,9 @@ def nearest_free(q: ArrayLike, free: Free, lower: Array, upper: Array, seed: int
 
 
 def _pulled(at: Array, p: Array, free: Free) -> Array:
-    """Pull a free configuration p toward `at`: reset joints that need not move, bisect the others."""
+    """Move a collision-free configuration p closer to `at`: reset the joints that need not differ, and bisect
+    the others.
+    """
     for k in np.argsort(np.abs(p - at)):  # small detours first
         only = p.copy()
         only[k] = at[k]
@@ -76,7 +78,9 @@ def _bisected(bad: Array, good: Array, free: Free) -> Array:
 
 # --- poses ---
 def _grid() -> Array:
-    """Create 26 unit directions (26, 3) for the nearest pose: toward a cube's faces, edges and corners."""
+    """Return 26 unit directions (26, 3), toward the faces, edges and corners of a cube, in which to search
+    for the nearest pose.
+    """
     steps = np.array(np.meshgrid(*[[0, 1, -1]] * 3, indexing="ij")).reshape(3, -1).T
     steps = steps[np.any(steps != 0, axis=1)].astype(float)
     steps = steps[np.argsort(np.abs(steps).sum(1), kind="stable")]
@@ -89,7 +93,7 @@ ANGLES: Array = np.deg2rad(np.array([5.0, 10.0, 20.0, 40.0, 80.0, 130.0, 180.0])
 
 
 class PoseSearch:
-    """Search for the nearest pose that a free configuration reaches.
+    """Search for the pose nearest to a given one that the robot reaches in a collision-free configuration.
 
     Args:
         free: returns whether a configuration (n,) of the group is allowed.
@@ -103,21 +107,27 @@ class PoseSearch:
         self.ik = ik_solver(scene.model, group, link, SEARCH)
 
     def reached(self, T: SE3) -> Array | None:
-        """Find a free configuration (n,) that reaches a pose, near the scene's state, or None."""
+        """Find a collision-free configuration (n,) that reaches a pose and is near the state of the scene, or
+        None.
+        """
         rng = np.random.default_rng(self.seed)
         some = islice(self.ik.solutions(T, self.scene.positions, rng), SOLUTIONS)
         return next((q for q in some if self.free(q)), None)
 
     def nearest_position(self, T: SE3, directions: Array = DIRECTIONS) -> tuple[SE3, Array] | None:
-        """Find the nearest reachable position with the same orientation, and a configuration for it."""
+        """Find the reachable pose nearest to an unreachable one with the same orientation, and a
+        configuration that reaches it.
+        """
         return self._nearest(directions, DISTANCES, lambda step: SE3(T.rotation, T.translation + step))
 
     def nearest_orientation(self, T: SE3) -> tuple[SE3, Array] | None:
-        """Find the smallest rotation of an unreachable pose in place that makes the pose reachable."""
+        """Find the smallest rotation with which an unreachable pose becomes reachable while its position
+        stays the same.
+        """
         return self._nearest(DIRECTIONS, ANGLES, lambda step: SE3(T.rotation @ SO3.exp(step), T.translation))
 
     def towards(self, T: SE3, goals: list[Array]) -> tuple[SE3, Array] | None:
-        """Find the reachable pose nearest to an unreachable pose T.
+        """Find the reachable pose that is nearest to an unreachable pose T.
 
         The search follows lines from T to the points `goals` (3,).
         """
@@ -160,7 +170,9 @@ class PoseSearch:
     def _closer(
         self, directions: list[Array], low: float, high: float, pose: Callable[[Array], SE3]
     ) -> tuple[SE3, Array] | None:
-        """Bisect along each direction from an unreachable pose; return the reachable pose nearest to it."""
+        """Bisect along each direction between an unreachable pose and a reachable one, and return the nearest
+        reachable pose.
+        """
         best, chosen = np.inf, None
         for direction in directions[:8]:
             a, b = low, min(high, best)

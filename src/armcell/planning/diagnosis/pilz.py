@@ -33,7 +33,7 @@ POINTS = ("interim", "center")  # parameters of CIRC alone
 
 
 def is_pilz_motion_failure(diagnosis: Diagnosis) -> bool:
-    """Return whether a PTP, LIN or CIRC motion failed on the path, not at the start or goal."""
+    """Return whether the failure of a PTP, LIN or CIRC motion lies on its path, not in its start or goal."""
     request, result = diagnosis.request, diagnosis.result
     return (
         isinstance(request, PlanRequest)
@@ -43,7 +43,7 @@ def is_pilz_motion_failure(diagnosis: Diagnosis) -> bool:
 
 
 def explain_pilz_motion(diagnosis: Diagnosis) -> None:
-    """Explain why a PTP, LIN or CIRC motion failed, and suggest changes."""
+    """Explain why a PTP, LIN or CIRC motion failed, and suggest changes with which it succeeds."""
     request, evidence = diagnosis.request, diagnosis.result.evidence
     assert isinstance(request, PlanRequest)
     report_limit_margins(diagnosis)
@@ -63,7 +63,9 @@ def explain_pilz_motion(diagnosis: Diagnosis) -> None:
 
 
 def _otherwise(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Suggest another motion type instead of a failed PTP, LIN or CIRC motion, or a search."""
+    """Suggest replacing a failed PTP, LIN or CIRC motion by a motion of another type or by a search for a
+    path.
+    """
     ours = {k: v for k, v in request.parameters.items() if k not in POINTS}
     less = {"path_constraints": Constraints()} if request.planner_id == "CIRC" else {}
     for name in ("LIN", "PTP"):
@@ -89,7 +91,9 @@ SPARE = 1.02  # safety factor of the suggested slowdown
 def change_blend_radius(
     scene: PlanningScene, sequence: SequenceRequest, number: int, radius: float
 ) -> tuple[PlanningScene, SequenceRequest]:
-    """Suggested change of the blend radius [m] after motion `number` of a failed Pilz sequence."""
+    """Apply a suggested change that sets the blend radius [m] at the end of one motion in a failed Pilz
+    sequence.
+    """
     items = list(sequence.items)
     items[number] = (items[number][0], radius)
     return scene, replace(sequence, items=tuple(items))
@@ -98,7 +102,9 @@ def change_blend_radius(
 def slow_motions(
     scene: PlanningScene, sequence: SequenceRequest, number: int, factor: float
 ) -> tuple[PlanningScene, SequenceRequest]:
-    """Suggested change that slows motion `number` (from 0) and the next of a Pilz sequence by a factor."""
+    """Apply a suggested change that slows down motion `number` (counted from 0) of a Pilz sequence, and the
+    next motion, by a factor.
+    """
     items = list(sequence.items)
     for k in (number, number + 1):
         request, radius = items[k]
@@ -115,7 +121,9 @@ def explain_blend(
     scene: PlanningScene, sequence: SequenceRequest, outcome: Outcome,
     solve: Callable[[PlanningScene, Any], PlanResult], seconds: float,
 ) -> Explanation:  # fmt: skip
-    """Explain why a blend of PTP, LIN or CIRC motions failed; find the largest radius or speed that works."""
+    """Explain why two PTP, LIN or CIRC motions cannot be blended, and find the largest radius or speed that
+    works.
+    """
     deadline, number = time.monotonic() + seconds, outcome.evidence["item"]
     radius = sequence.items[number][1]
 

@@ -23,7 +23,8 @@ OUTSIDE = IKSettings(seeds=60)
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One joint solution (n,) of an unreachable pose, with its contacts and limit violations.
+    """Joint solution (n,) of a pose that an arm cannot reach, with the contacts and limit violations that
+    rule it out.
 
     Attributes:
         contacts: contacts of the solution, including pairs within the padding.
@@ -36,18 +37,20 @@ class Branch:
 
     @property
     def free(self) -> bool:
-        """Whether a joint solution of a diagnosed pose is within limits and free of contact."""
+        """Whether a joint solution of the diagnosed pose is within the joint limits and free of contact."""
         return not self.contacts and not self.beyond
 
     def reason(self, model: RobotModel) -> str:
-        """Describe contacts and limit violations of a diagnosed pose's joint solution; "free" if none."""
+        """Describe the contacts and limit violations of a joint solution of the diagnosed pose; return "free"
+        if there are none.
+        """
         outside = [f"{n} {wording.joint_value(model, n, v)} beyond its limit" for n, v in self.beyond.items()]
         return "; ".join(outside) or wording.contacts(self.contacts) or "free"
 
 
 @dataclass(frozen=True, eq=False)
 class PoseExplanation:
-    """Explanation of why an arm cannot reach a pose, with its joint solutions.
+    """Explanation of why an arm cannot reach a pose, with all joint solutions of this pose.
 
     Attributes:
         branches: solutions within limits; free ones first, then by depth of contact.
@@ -72,7 +75,9 @@ class PoseExplanation:
 def explain_pose(
     scene: PlanningScene, group: str, target: SE3, link: str | None = None, seed: int = 0
 ) -> PoseExplanation:
-    """Examine every joint solution of an unreachable pose of a link (by default the group's tip)."""
+    """Explain why a link (by default, the tip of the group) cannot reach a pose, by examining every joint
+    solution of the pose.
+    """
     ik = ik_solver(scene.model, group, link)
     checker = ExactChecker(scene, ik.joint_names)
     start = checker.contacts(scene.positions[ik.columns], padded=False)
@@ -116,7 +121,9 @@ def explain_pose(
 def solutions_beyond_limits(
     scene: PlanningScene, group: str, target: SE3, link: str | None = None, seed: int = 0
 ) -> list[Branch]:
-    """Find solutions of a pose that only joint limits forbid, smallest violation first."""
+    """Find the joint solutions of a pose that are excluded only by joint limits; the smallest violation comes
+    first.
+    """
     ik = ik_solver(scene.model, group, link)
     rng = np.random.default_rng(seed)
     found = []
@@ -132,7 +139,9 @@ def solutions_beyond_limits(
 
 
 def _turned_in(ik: IKSolver, q: np.ndarray) -> np.ndarray:
-    """Turn revolute joints of a pose's solution by full turns to minimize limit violations."""
+    """Rotate the joints of a pose's solution by full turns, so that they exceed their limits as little as
+    possible.
+    """
     at = q.copy()
     for k, name in enumerate(ik.joint_names):
         if ik.model.joint(name).type != "prismatic":
@@ -143,7 +152,9 @@ def _turned_in(ik: IKSolver, q: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _without_limits(model: RobotModel, group: str, link: str | None) -> IKSolver:
-    """Create an IK solver with unlimited revolute joints, to show that only limits forbid a pose."""
+    """Create an IK solver without limits for revolute joints, which shows whether only joint limits make a
+    pose unreachable.
+    """
     joints = {
         name: replace(joint, limits=replace(joint.limits, lower=-np.inf, upper=np.inf))
         if joint.type == "revolute"

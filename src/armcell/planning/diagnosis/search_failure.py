@@ -32,7 +32,9 @@ DEFAULT = {"planner_id": "RRTConnect", "pipeline_id": "native"}
 
 
 def explain_search_failure(diagnosis: Diagnosis) -> None:
-    """Diagnose a failed search: would more time, another planner, less padding or fewer objects help?"""
+    """Diagnose why the search for a path failed: test whether more time, another planner, less padding or
+    fewer objects help.
+    """
     request = diagnosis.request
     assert isinstance(request, PlanRequest)
     if diagnosis.result.code is ErrorCode.PREEMPTED:
@@ -57,7 +59,7 @@ def explain_search_failure(diagnosis: Diagnosis) -> None:
 
 
 def _report_search(diagnosis: Diagnosis) -> None:
-    """Report the statistics and contacts of the planner's failed search for a path."""
+    """Report statistics of a failed search for a path, and the contacts that it met."""
     evidence = diagnosis.result.evidence
     blocked = evidence.get("blocked_by", [])
     if "closest_approach_rad" in evidence:
@@ -70,7 +72,8 @@ def _report_search(diagnosis: Diagnosis) -> None:
 
 
 def _more_time(diagnosis: Diagnosis, request: PlanRequest) -> bool:
-    """Diagnose a failed search: test whether longer planning times help, if the request allowed little time.
+    """Test whether a failed search finds a path when it gets more planning time, if the request allowed
+    little time.
 
     Five seconds without success are conclusive.
     """
@@ -110,7 +113,7 @@ def _other_planner(diagnosis: Diagnosis, request: PlanRequest) -> bool:
 
 
 def _less_padding(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the largest padding with which a failed search finds a path."""
+    """Find the largest padding with which a search that failed finds a path."""
     scene = diagnosis.scene
     most = max([scene.padding, *scene.link_padding.values()])
     if most <= 0 or diagnosis.succeeds(padded(scene, 0.0), request, SHORT) is None:
@@ -133,7 +136,7 @@ def _less_padding(diagnosis: Diagnosis, request: PlanRequest) -> None:
 
 
 def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the fewest objects whose removal lets a failed search find a path."""
+    """Find the smallest set of objects whose removal lets a search that failed find a path."""
     names = _by_suspicion(diagnosis)
 
     def opens(gone: tuple[str, ...] | list[str]) -> bool:
@@ -173,7 +176,7 @@ def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
 
 
 def _by_suspicion(diagnosis: Diagnosis) -> list[str]:
-    """Sort the scene's objects; objects that a failed search touched come first."""
+    """Sort the objects of the scene; those that a failed search touched come first."""
     met = [n for c in diagnosis.contacts for n in (c.body_a, c.body_b)]
     return sorted(diagnosis.scene.objects, key=lambda name: (name not in met, name))
 
@@ -183,7 +186,7 @@ def _and(names: list[str]) -> str:
 
 
 def _not_so_far(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the reachable goal nearest to the goal of a failed search.
+    """Find a reachable goal that is as near as possible to the goal for which the search failed.
 
     The candidates are a few configurations between start and goal.
     """
@@ -244,7 +247,9 @@ def _joints_between(diagnosis: Diagnosis, goal: JointGoal | NamedGoal, share: fl
 
 
 def _too_weak(diagnosis: Diagnosis, joint: str, torque: float, limit: float) -> None:
-    """Explain after a failed search a torque limit that no path keeps; suggest a smaller payload."""
+    """Explain that a search failed because every path exceeds a torque limit, and suggest a smaller
+    payload.
+    """
     diagnosis.add_finding(f"{joint} takes {torque:.3g} to hold still, and has {limit:.3g} (Nm or N)")
     for name, body in diagnosis.scene.attached.items():
         low, high = 0.0, body.object.mass_kg

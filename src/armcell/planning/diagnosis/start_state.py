@@ -26,7 +26,9 @@ WITHIN = 1e-6  # [rad or m] inside a limit
 
 
 def explain_start_limits(diagnosis: Diagnosis) -> None:
-    """Diagnose start joints outside their limits or not finite, and suggest valid values."""
+    """Diagnose start positions of joints that are outside their limits or not finite, and suggest valid
+    positions.
+    """
     model, q = diagnosis.scene.model, diagnosis.start_scene.positions
     wrong, mended = {}, {}
     usual = model.default_positions()
@@ -58,7 +60,9 @@ def explain_start_limits(diagnosis: Diagnosis) -> None:
 
 
 def explain_start_contact(diagnosis: Diagnosis) -> None:
-    """Diagnose contacts at the start state; suggest a free start, moved objects or allowed contact."""
+    """Diagnose contacts in the start state, and suggest a contact-free start, moved objects or an allowed
+    contact.
+    """
     checker = KernelChecker(diagnosis.start_scene, diagnosis.joint_names)
     contacts = checker.exact.contacts(diagnosis.start, padded=False) or touching(checker, diagnosis.start)
     diagnosis.contacts, diagnosis.state = contacts, diagnosis.group_state(diagnosis.start)
@@ -93,7 +97,7 @@ def explain_start_contact(diagnosis: Diagnosis) -> None:
 
 
 def _report_departure(diagnosis: Diagnosis) -> None:
-    """Report why the planner cannot leave the contacts at the start state."""
+    """Report why the planner cannot move the robot out of the contacts in its start state."""
     deepest = max((-c.distance for c in diagnosis.contacts), default=0.0)
     if deepest > RESTING:
         diagnosis.add_finding(
@@ -111,7 +115,8 @@ ALIKE = 0.02  # [rad] largest difference of equal positions
 
 def explain_start(measured: JointState, planned: JointState, tolerance: float, code: ErrorCode,
                   message: str, seconds: float = 0.0) -> Explanation:  # fmt: skip
-    """Explain which measured joints differ from an invalid start state, by how much, and what to do.
+    """Explain which measured joints differ from the start of a motion and by how much, and what to do about
+    it.
 
     Args:
         planned: start of the motion. measured: state of the robot, with the same joints.
@@ -146,7 +151,9 @@ def explain_start(measured: JointState, planned: JointState, tolerance: float, c
 
 
 def start_from(scene: PlanningScene, request: PlanRequest, state: JointState) -> SceneAndRequest:
-    """Suggested change of an invalid start: use the measured state, drop the request's own start."""
+    """Apply a suggested change that replaces an invalid start by the measured state; the start that the
+    request contains is dropped.
+    """
     return change_request(scene.with_state(state), request, start=None)
 
 

@@ -15,7 +15,7 @@ from armcell.model import RobotModel
 
 
 def offset(vector: ArrayLike) -> str:
-    """Word a translation (3,) [m] in an explanation: "12 mm along +x, 3.0 mm along -z"."""
+    """Format a translation (3,) [m] as text for an explanation: "12 mm along +x, 3.0 mm along -z"."""
     v = np.asarray(vector, dtype=float)
     axes = [k for k in range(3) if abs(v[k]) >= max(5e-5, 0.05 * np.abs(v).max())]
     parts = [f"{length(abs(v[k]))} along {'+' if v[k] > 0 else '-'}{'xyz'[k]}" for k in axes]
@@ -23,20 +23,22 @@ def offset(vector: ArrayLike) -> str:
 
 
 def length(meters: float) -> str:
-    """Word a length [m] in an explanation: "12 mm", "3.0 mm" or "1.20 m"."""
+    """Format a length [m] as text for an explanation: "12 mm", "3.0 mm" or "1.20 m"."""
     if meters >= 1.0:
         return f"{meters:.2f} m"
     return f"{meters * 1000:.1f} mm" if meters < 0.01 else f"{meters * 1000:.0f} mm"
 
 
 def angle(radians: float) -> str:
-    """Word an angle [rad] in degrees in an explanation."""
+    """Format an angle [rad] as text in degrees, for an explanation."""
     degrees = np.rad2deg(abs(radians))
     return f"{degrees:.1f} deg" if degrees < 10 else f"{degrees:.0f} deg"
 
 
 def turn(rotvec: ArrayLike) -> str:
-    """Word a rotation vector (3,) [rad] in the tool's frame: "20 deg about the tool's z"."""
+    """Format a rotation vector (3,) [rad] in the tool's frame as text for an explanation: "20 deg about the
+    tool's z".
+    """
     v = np.asarray(rotvec, dtype=float)
     size = float(np.linalg.norm(v))
     main = int(np.argmax(np.abs(v)))
@@ -47,7 +49,7 @@ def turn(rotvec: ArrayLike) -> str:
 
 
 def joint_value(model: RobotModel, name: str, value: float) -> str:
-    """Word a joint's position or position difference in an explanation.
+    """Format a joint position, or a difference of positions, as text for an explanation.
 
     The unit is degrees, or millimeters for a prismatic joint.
     """
@@ -57,7 +59,7 @@ def joint_value(model: RobotModel, name: str, value: float) -> str:
 
 
 def joint_steps(model: RobotModel, names: Iterable[str], difference: ArrayLike, most: int = 4) -> str:
-    """Word the largest joint motions of an explanation: "panda_joint2 by +4.0 deg, ..."."""
+    """Format the largest joint motions as text for an explanation: "panda_joint2 by +4.0 deg, ..."."""
     steps = [(n, float(d)) for n, d in zip(names, np.asarray(difference), strict=True) if abs(d) > 1e-3]
     steps.sort(key=lambda step: -abs(step[1]))
     parts = [f"{n} by {'+' if d > 0 else ''}{joint_value(model, n, d)}" for n, d in steps[:most]]
@@ -66,6 +68,6 @@ def joint_steps(model: RobotModel, names: Iterable[str], difference: ArrayLike, 
 
 
 def contacts(found: Iterable[Contact], most: int = 3) -> str:
-    """Word the first contacts of an explanation and the number of further contacts."""
+    """Format the first few contacts and the number of further contacts as text for an explanation."""
     parts = [c.describe() for c in found]
     return "; ".join(parts[:most]) + (f"; and {len(parts) - most} more" if len(parts) > most else "")

@@ -38,7 +38,8 @@ BLOCKED = 16  # positions in collision after which another posture is tried
 def find_joint_goals(
     validated: ValidatedRequest, checker: KernelChecker, rng: np.random.Generator
 ) -> tuple[tuple[Array, ...], Outcome]:
-    """Find collision-free goal positions (n,) of the planning group, nearest to the start first.
+    """Find collision-free joint positions (n,) that reach the goals of a request; those nearest to the start
+    come first.
 
     Returns:
         The goals and SUCCESS; or no goals and the code, message and evidence of the last failed goal.
@@ -66,7 +67,9 @@ def find_joint_goals(
 
 
 class _GoalFilter:
-    """Filter of joint goal positions by collisions and workspace; records why it rejects positions."""
+    """Filter for joint goals, which rejects positions in collision or outside the workspace and records the
+    reason.
+    """
 
     def __init__(self, validated: ValidatedRequest, checker: KernelChecker):
         self.validated, self.checker = validated, checker
@@ -74,7 +77,9 @@ class _GoalFilter:
         self.forbidden = ""
 
     def usable(self, q: Array) -> bool:
-        """Return whether joint goal positions q (n,) are free and allowed; record the reason if not."""
+        """Return whether joint positions q (n,) of a goal are collision-free and allowed; record the reason
+        if they are not.
+        """
         if not self.checker.is_free(q):
             self.blocked.append(q)
             return False
@@ -83,11 +88,11 @@ class _GoalFilter:
         return not why
 
     def first(self, positions: Iterable[Array], count: int) -> list[Array]:
-        """Return the first `count` joint goal positions that are free and allowed."""
+        """Return the first `count` positions of a joint goal that are collision-free and allowed."""
         return list(islice((q for q in positions if self.usable(q)), count))
 
     def refusal(self) -> Outcome | None:
-        """Return the reason why all tested joint goals were rejected; None if none was tested."""
+        """Return the reason why all tested joint goals were rejected, or None if none was tested."""
         if self.forbidden:
             return Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, f"goal: {self.forbidden}")
         contacts = [c for c in map(self.checker.exact.contacts, self.blocked[:BLOCKED]) if c]
@@ -189,7 +194,8 @@ DISTINCT = 1e-2  # [rad or m] goals with a smaller difference in every joint cou
 def stream_goals(
     validated: ValidatedRequest, checker: KernelChecker, known: Sequence[Array], seed: int
 ) -> Iterator[Array] | None:
-    """Yield further collision-free goal positions (n,) while a planner's search runs.
+    """Yield further collision-free joint positions (n,) that reach the goals, while the search of a planner
+    is running.
 
     The positions of the request's goals alternate. Nothing is computed before the first position is
     requested. The result is None if the goals have no further positions.

@@ -49,21 +49,26 @@ FULL = 6  # joints of an arm that reaches any orientation; with fewer, only a pr
 
 
 def is_region(goal: Goal) -> bool:
-    """Return whether to sample a goal: it has more joint solutions than the few that are tried first."""
+    """Return whether a goal must be sampled because it has more joint solutions than the few that are tried
+    first.
+    """
     return isinstance(goal, PoseGoal | ConstraintGoal) or (
         isinstance(goal, JointGoal) and goal.tolerance > WIDE[0]
     )
 
 
 def is_wide(goal: PoseGoal) -> bool:
-    """Return whether a pose goal's tolerances are large enough to sample."""
+    """Return whether the tolerances of a pose goal are so large that joint positions for it should be
+    sampled.
+    """
     return goal.position_tolerance > WIDE[0] or bool(np.max(goal.orientation_tolerance) > WIDE[1])
 
 
 def sample_goal_positions(
     scene: PlanningScene, group: str, goal: Goal, rng: np.random.Generator, deadline: float = np.inf
 ) -> Iterator[Array]:
-    """Sample joint positions (n,) within limits that reach a goal; collisions are not checked.
+    """Sample joint positions (n,) that reach a goal and are within the joint limits; collisions are not
+    checked.
 
     Args:
         deadline: [s] of time.monotonic(), after which sampling ends.
@@ -81,7 +86,9 @@ def sample_goal_positions(
 
 def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGoal, q: Array,
             slack: tuple[float, float] = (0.0, 0.0)) -> bool:  # fmt: skip
-    """Return whether positions q (n,) reach a sampled goal within its tolerances or `slack` [m], [rad]."""
+    """Return whether joint positions q (n,) reach a goal, within the goal's tolerances or within `slack` [m],
+    [rad].
+    """
     if isinstance(goal, ConstraintGoal):
         return satisfied(scene, group, goal.constraints, q)
     pose, wanted = MovedFrame(scene, group, goal.link).pose(q), goal.T_world_link
@@ -99,7 +106,7 @@ def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGo
 def _of_joints(
     scene: PlanningScene, group: str, goal: JointGoal, rng: np.random.Generator
 ) -> Iterator[Array]:
-    """Sample positions of a joint goal: first near the goal, then in the whole tolerance."""
+    """Sample joint positions for a joint goal, first near the exact goal, then within its whole tolerance."""
     names = scene.model.group(group).joint_names
     low, high = joint_ranges(scene, group, ())
     named = np.array([name in goal.state.joint_names for name in names])
@@ -112,7 +119,8 @@ def _of_joints(
 def whole_turn_equivalents(
     model: RobotModel, joint_names: tuple[str, ...], q: Array, start: Array
 ) -> list[Array]:
-    """List goal samples equal to q (n,) up to full turns of joints, nearest to the start first.
+    """List joint positions that equal the goal sample q (n,) except for full turns of joints; those nearest
+    to the start come first.
 
     Joints that drive a mimic joint at a non-integer ratio keep their position.
     """
@@ -136,7 +144,8 @@ def whole_turn_equivalents(
 def _of_pose(
     scene: PlanningScene, group: str, goal: PoseGoal, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample positions for a pose goal: exact solutions alternate with random tolerated poses.
+    """Sample joint positions for a pose goal: solutions of the exact pose alternate with those of random
+    poses within the tolerances.
 
     The exact solutions include equivalents by full turns; random poses are solved from random references.
     """
@@ -178,7 +187,7 @@ def _random(ik: IKSolver, rng: np.random.Generator) -> Array:
 
 
 def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
-    """Sample a pose within a pose goal's tolerances: uniform in position and rotation vector.
+    """Sample a random pose within the tolerances of a pose goal, uniformly in position and rotation vector.
 
     Position and rotation vector are uniform in balls. With three angular tolerances, the rotation vector is
     uniform in their box.
@@ -198,7 +207,9 @@ def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
 
 
 def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> SO3:
-    """Sample a random rotation of a pose goal whose rotation error is within tolerances (3,)."""
+    """Sample a random rotation for a pose goal, such that the rotation error is within the tolerances
+    (3,).
+    """
     most = np.minimum(np.where(tolerance < np.pi, SHARE * tolerance, np.pi), np.pi)
     for _ in range(TRIES):
         turn = rotation_of(rng.uniform(-most, most), parameterization)
@@ -215,7 +226,7 @@ def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> 
 def _of_constraints(
     scene: PlanningScene, group: str, wanted: Constraints, rng: np.random.Generator, deadline: float
 ) -> Iterator[Array]:
-    """Sample joint positions for a goal that is given by constraints.
+    """Sample joint positions for a goal that is defined by constraints.
 
     The sampler starts from the request's start or from random positions, and moves each of them to the
     nearest solution or to a random solution.
@@ -249,7 +260,9 @@ def _of_constraints(
 def _pulled(
     scene: PlanningScene, group: str, wanted: Constraints, q: Array, rng: np.random.Generator, clip: bool
 ) -> Array | None:
-    """Pull a goal sample q (n,) to positions at which the first constrained link meets its constraints."""
+    """Move a goal sample q (n,) to joint positions at which the first constrained link satisfies its
+    constraints.
+    """
     first = (*wanted.positions, *wanted.orientations)[0]
     moved_frame = MovedFrame(scene, group, first.link)
     pose = moved_frame.pose(q)
@@ -283,7 +296,7 @@ def _rotation(
 def _point(
     scene: PlanningScene, c: PositionConstraint, present: Array, rng: np.random.Generator, keep: bool
 ) -> Array:
-    """Sample a world point in the region of a goal's position constraint.
+    """Sample a point in the world from the region of a position constraint that belongs to a goal.
 
     The result is the current point if it is inside the region, otherwise a random point of the region.
     """

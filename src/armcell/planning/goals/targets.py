@@ -23,7 +23,8 @@ Target = str | SE3 | JointState | Mapping[str, float] | Sequence[float] | NDArra
 
 
 def goal_of(model: RobotModel, group: str, target: Target) -> Goal:
-    """Convert a user target (named state, pose or joint values) to a goal of a planning group.
+    """Convert a target that a user gives (a named state, a pose or joint values) to a goal of a planning
+    group.
 
     Args:
         target: a named state; a pose of the group's tip in the world; joint values, all of the group's in

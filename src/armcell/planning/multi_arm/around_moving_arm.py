@@ -36,7 +36,8 @@ SEARCHES = 3  # searches, each for an earlier arrival than the last
 
 @dataclass(frozen=True, eq=False)
 class RunningMotion:
-    """Running motion of the moving arm, from time `start` [s] on, in the past or future.
+    """Motion of the moving arm that a plan for the other arm must avoid; it begins at time `start` [s], in
+    the past or in the future.
 
     The arm rests after the end of the motion.
     """
@@ -46,12 +47,12 @@ class RunningMotion:
 
     @property
     def end(self) -> float:
-        """End time [s] of the moving arm's running motion."""
+        """Time [s] at which the running motion of the moving arm ends."""
         return self.start + self.trajectory.duration
 
     @staticmethod
     def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
-        """Create the running motion of an arm that is not moving, at its position in the scene."""
+        """Create the running motion of an arm that stands still at its position in the scene."""
         names = scene.model.group(group).joint_names
         return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
 
@@ -65,7 +66,7 @@ def plan_around_moving_arm(
     clearance: float = CLEARANCE,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan one arm's motion that is proven to avoid the other, moving arm.
+    """Plan a motion of one arm that is proven to avoid the other arm while that arm is moving.
 
     Args:
         scene: scene with the planned arm at its start; the other arm's position does not matter.
@@ -123,7 +124,9 @@ def _with_strategy(result: PlanResult, how: str, began: float) -> PlanResult:
 
 
 class MovingArmTimeline:
-    """Timeline of the moving arm: its motion as straight pieces over time, with clearance checks."""
+    """Timeline of the moving arm: its motion over time as straight pieces, with checks of the clearance to
+    it.
+    """
 
     def __init__(self, arms: Arms, running: RunningMotion, start_time: float, clearance: float):
         self.arms, self.running, self.start_time, self.clearance = arms, running, start_time, clearance
@@ -134,11 +137,12 @@ class MovingArmTimeline:
         self._room = np.concatenate([np.zeros(self.dof), self.room])
 
     def other_at(self, t: float) -> Array:
-        """Interpolate the moving arm's joint positions at a time [s]."""
+        """Return the joint positions of the moving arm at a time [s], interpolated on its timeline."""
         return np.array([np.interp(t, self.times, column) for column in self.points.T])
 
     def first_conflict(self, trajectory: JointTrajectory) -> float | None:
-        """Find the first time [s] at which a motion violates the clearance to the other, moving arm.
+        """Return the first time [s] at which a planned motion comes closer to the moving arm than the
+        clearance allows, or None.
 
         The arm rests after its motion. None if the motion and the rest keep the clearance.
         """
@@ -149,12 +153,16 @@ class MovingArmTimeline:
         return None if found.free else found.time
 
     def contact(self, trajectory: JointTrajectory, at: float) -> Contact | None:
-        """Find the nearest bodies of the planned and the moving arm at a time [s] of the planned motion."""
+        """Find the bodies of the planned arm and the moving arm that are nearest to each other at a time [s]
+        of the planned motion.
+        """
         q = trajectory.sample(at - self.start_time)[0]
         return self.arms.contact(np.concatenate([q, self.other_at(at)]))
 
     def keeps_clearance(self, p: Array, s: float, q: Array, t: float, more: float = 0.0) -> bool:
-        """Return whether a motion (p, s) to (q, t) keeps the clearance to the moving arm plus `more` [m]."""
+        """Return whether the motion from (p, s) to (q, t) keeps the required clearance to the moving arm,
+        plus `more` [m].
+        """
         inside = self.times[(self.times > s) & (self.times < t)]
         clock = np.concatenate([[s], inside, [t]]) if t > s else np.array([s])
         share = (clock - s) / (t - s) if t > s else np.zeros(1)
@@ -165,7 +173,7 @@ class MovingArmTimeline:
         return self.arms.find_too_close(points, self._room, self.clearance + more) < 0
 
     def free_after(self, q: Array, more: float) -> float:
-        """Compute the time [s] after which the arm may rest at q without the moving arm coming near.
+        """Return the time [s] from which the arm may rest at q because the moving arm no longer comes near.
 
         The time is infinite if the other arm comes to rest too near.
         """
@@ -178,7 +186,9 @@ class MovingArmTimeline:
 
 
 def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointTrajectory | None:
-    """Delay a motion by the shortest wait that lets the other, moving arm pass; None if no wait helps."""
+    """Delay a motion until the moving arm has passed; the wait is as short as possible. Return None if no
+    wait helps.
+    """
     start = trajectory.positions[0]
     longest = timeline.end - timeline.start_time + WAIT_STEP
     for k in range(1, int(np.ceil(longest / WAIT_STEP)) + 1):
@@ -192,7 +202,9 @@ def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointT
 
 
 class _TimelineValidity:
-    """Edge validity in time: free of the world at samples, and proven clear of the moving arm."""
+    """Validity check for edges in joint space and time: samples must be collision-free, and the clearance to
+    the moving arm must be proven.
+    """
 
     def __init__(self, checker: KernelChecker, timeline: MovingArmTimeline, margin: float):
         self.checker, self.timeline, self.margin = checker, timeline, margin
@@ -207,7 +219,8 @@ def _searched(
     alone: PlanningScene, timeline: MovingArmTimeline, request: PlanRequest, first: PlanResult, latest: float,
     deadline: float, cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search a motion around a moving arm in joint positions and time that arrives before `latest` [s].
+    """Search in joint space and time for a motion around the moving arm that arrives before time `latest`
+    [s].
 
     The search seeks the earliest arrival. Return a proven smooth motion or None.
     """
@@ -234,7 +247,7 @@ def _earliest(
     latest: float, deadline: float,
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search for the earliest arrival past a moving arm, from the start at its timeline's start.
+    """Search in joint space and time for the motion past the moving arm that arrives as early as possible.
 
     See `_searched`.
     """
@@ -282,7 +295,7 @@ def _earliest(
 
 
 def _horizon(problem: SpaceTimeProblem, timeline: MovingArmTimeline, arrivals: list[float]) -> float:
-    """Compute the latest arrival time [s] to search for around the moving arm.
+    """Compute the latest arrival time [s] that a search around the moving arm should consider.
 
     The time suffices for a detour after the other arm has come to rest.
     """
@@ -294,7 +307,7 @@ def _smoothed(
     names: tuple[str, ...], path: SpaceTimePath, start_time: float, acceleration: Array,
     checker: KernelChecker, timeline: MovingArmTimeline,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Smooth a path around a moving arm in time; return the motion if certified, else None."""
+    """Smooth a path in time around the moving arm; return the motion if it is certified, else None."""
     times, points = path.times, path.points
     keep = np.concatenate([[True], np.diff(times) > 1e-6])
     times, points = times[keep], points[keep]

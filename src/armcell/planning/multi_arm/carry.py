@@ -57,7 +57,9 @@ POSTURES = 4  # joint solutions tried at the end of a detour
 
 @dataclass(frozen=True, eq=False)
 class CarrySegment:
-    """Segment of a two-arm carry: a timed motion of both arms along one object path, rest to rest."""
+    """Segment of a two-arm carry: a motion of both arms with timing, from rest to rest, along one path of the
+    carried object.
+    """
 
     trajectory: JointTrajectory
     path: Array  # (k, n) joint positions at evenly spaced shares of the path
@@ -66,7 +68,7 @@ class CarrySegment:
 
 @dataclass(frozen=True, eq=False)
 class BlockedSegment:
-    """Reason why a two-arm carry's object path is not feasible: text, evidence and error code."""
+    """Reason why two arms cannot carry an object along a path: text, evidence and error code."""
 
     text: str
     evidence: dict[str, Any] = field(default_factory=dict)
@@ -87,7 +89,7 @@ def plan_carry(
     seed: int = 0,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan a two-arm carry of an object through poses, at rest in each pose.
+    """Plan how two arms carry an object through several poses, with a stop at each pose.
 
     Args:
         scene: scene with the arms at the start of the motion and the object attached to one of them; the
@@ -151,7 +153,8 @@ def plan_carry(
 
 
 class _SegmentBuilder:
-    """Builder of certified timed carry motions of two arms along object paths.
+    """Builder for the motions of a two-arm carry: it certifies and times the motion of both arms along a path
+    of the object.
 
     Attributes:
         checker: checker of the given scene.
@@ -168,7 +171,8 @@ class _SegmentBuilder:
     def build(
         self, way: ObjectPath, q: Array, checker: KernelChecker, padded: bool = False, evidence: bool = False
     ) -> CarrySegment | BlockedSegment:
-        """Build two arms' certified timed carry motion from joints q (dof,) along an object path.
+        """Build a certified motion with timing in which two arms, starting from joints q (dof,), carry an
+        object along a path.
 
         Args:
             padded: also keep the checker's padding.
@@ -206,14 +210,18 @@ class _SegmentBuilder:
         return CarrySegment(trajectory, path, exact[-1])
 
     def along(self, way: ObjectPath, q: Array) -> Array | ClosedChainFailure:
-        """Compute two carrying arms' joint positions (k, dof) at evenly spaced shares of an object path."""
+        """Compute the joint positions (k, dof) of two arms that carry an object, at even steps along its
+        path.
+        """
         steps = max(int(np.ceil(max(way.meters / STEP, way.radians / TURN))), 4)
         shares = np.linspace(0, 1, steps + 1)
         return self.hands.along(way.poses(shares), shares, q)
 
 
 class _DetourPlanner:
-    """Planner of a two-arm carry's detour between object poses: lift off, go around, set down."""
+    """Planner for a detour of a two-arm carry between two object poses: lift the object, go around, and set
+    it down.
+    """
 
     def __init__(
         self,
@@ -232,7 +240,8 @@ class _DetourPlanner:
     def plan(
         self, a: SE3, b: SE3, q: Array, blocked: BlockedSegment, seed: tuple[int, int]
     ) -> tuple[list[CarrySegment] | BlockedSegment, int]:
-        """Plan a two-arm carry's detour segments from joints q, with the object at a, to object pose b.
+        """Plan the segments of a detour on which two arms, starting from joints q, carry an object from pose
+        a to pose b.
 
         Return the segments, or the reason why there are none, and the number of poses tried.
         """
@@ -271,7 +280,7 @@ class _DetourPlanner:
         return BlockedSegment(text, blocked.evidence, ErrorCode.TIMED_OUT), poses_tried
 
     def _ends(self, a: SE3, b: SE3, q: Array) -> list[Array] | BlockedSegment:
-        """Find joint positions of both arms at the goal pose of the object that they carry.
+        """Find joint positions of both arms for the goal pose of the object that they carry.
 
         The result contains the positions at the end of the straight path, otherwise the nearest ones.
         """
@@ -290,7 +299,7 @@ class _DetourPlanner:
         return free[:POSTURES]
 
     def _clear(self, T: SE3, q: Array) -> tuple[SE3, Array] | None:
-        """Return a pose T of the object that two arms carry, or one above with more clearance.
+        """Return the pose T of an object that two arms carry, or a pose above it that has more clearance.
 
         Return None if the object touches at all these poses.
         """
@@ -308,7 +317,9 @@ class _DetourPlanner:
         return None
 
     def _made(self, a: SE3, q: Array, poses: list[SE3], b: SE3) -> list[CarrySegment] | None:
-        """Build carry segments of a detour: from object pose a through all poses and down to b."""
+        """Build the segments of a two-arm carry on a detour: from object pose a through all given poses, then
+        down to pose b.
+        """
         up = self._straight([a, poses[0]], q, self.builder.checker)
         if up is None:
             return None
@@ -319,7 +330,8 @@ class _DetourPlanner:
         return None if down is None else [*up, *through, *down]
 
     def _through(self, poses: list[SE3], q: Array) -> list[CarrySegment] | None:
-        """Build one rounded carry segment through object poses, with padding if possible.
+        """Build one segment of a two-arm carry with rounded corners through object poses, with padding if
+        possible.
 
         If the rounded segment is not free, build straight segments with stops.
         """

@@ -34,7 +34,9 @@ JUMP = 0.2  # [rad] largest joint step between near poses; a larger step means a
 
 @dataclass(frozen=True, eq=False)
 class CarriedObject:
-    """Object in a closed chain of two hands: by group, the pose of the hand's TCP in the object frame."""
+    """Object that two hands hold in a closed chain, with the pose of each hand's TCP in the object's
+    frame.
+    """
 
     name: str
     grasps: Mapping[str, SE3]  # by group, T_object_tcp
@@ -42,7 +44,8 @@ class CarriedObject:
 
     @property
     def radius(self) -> float:
-        """Upper bound [m] of a hand's distance from the object's origin in a closed chain.
+        """Upper bound [m] on the distance between a hand and the origin of the object that a closed chain
+        holds.
 
         The radius converts rotations of the object to lengths.
         """
@@ -51,7 +54,7 @@ class CarriedObject:
 
 @dataclass(frozen=True)
 class ClosedChainFailure:
-    """Reason why an arm of a closed chain cannot follow the carried object."""
+    """Reason why one of the two arms in a closed chain cannot follow the object that they hold."""
 
     group: str
     share: float  # share of the path at which the arm fails
@@ -65,7 +68,7 @@ class ClosedChainFailure:
 
 
 class ClosedChainIK:
-    """Closed-chain inverse kinematics of two arms that hold one object with fixed grasps.
+    """Inverse kinematics of a closed chain: two arms that hold one object with fixed grasps.
 
     Positions `q` contain all joints (dof,).
     """
@@ -75,7 +78,9 @@ class ClosedChainIK:
         self.solvers = {g: ik_solver(scene.model, g, carried.tips[g]) for g in carried.grasps}
 
     def at(self, T: SE3, last: Array, share: float = 0.0, jump: float = JUMP) -> Array | ClosedChainFailure:
-        """Solve the closed chain's joints with the object at T (T_world_object), on the branch of `last`."""
+        """Solve the inverse kinematics of a closed chain for the object at pose T (T_world_object), on the
+        same branch as `last`.
+        """
         new = last.copy()
         for group, ik in self.solvers.items():
             near = ik.nearest(T @ self.carried.grasps[group], last, among=8)
@@ -87,7 +92,9 @@ class ClosedChainIK:
         return new
 
     def along(self, poses: Sequence[SE3], shares: Array, q: Array) -> Array | ClosedChainFailure:
-        """Solve the closed chain's joints (k, dof) along object poses, each near the previous solution."""
+        """Solve the inverse kinematics of a closed chain along several object poses; each solution (k, dof)
+        is near the previous one.
+        """
         rows, last = [], q
         for T, share in zip(poses, shares, strict=True):
             last = self.at(T, last, float(share))
@@ -97,7 +104,9 @@ class ClosedChainIK:
         return np.array(rows)
 
     def postures(self, T: SE3, q: Array) -> list[Array] | ClosedChainFailure:
-        """List closed-chain solutions with the object at T on both arms' branches, nearest to q first."""
+        """List the joint solutions of a closed chain for the object at pose T, on all branches of both arms;
+        those nearest to q come first.
+        """
         options = []
         for group, ik in self.solvers.items():
             options.append(ik.nearest(T @ self.carried.grasps[group], q, among=8))
@@ -125,19 +134,25 @@ SAME = 1e-3  # [rad] tolerance of equal joint positions
 
 @dataclass(frozen=True, eq=False)
 class SearchLimits:
-    """Deadline and cancel event of a closed chain's search over object poses."""
+    """Limits of a search over the object poses of a closed chain: a deadline and an event that cancels the
+    search.
+    """
 
     deadline: float  # [s] of time.monotonic()
     cancel: threading.Event
 
     @property
     def over(self) -> bool:
-        """Whether a closed chain's object pose search is canceled or its deadline has passed."""
+        """Whether a search over the object poses of a closed chain must end, because it is canceled or its
+        deadline has passed.
+        """
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
 
 class _Tree:
-    """RRT-Connect tree of object poses with a closed chain's joint positions (dof,) at each pose."""
+    """Search tree of RRT-Connect whose nodes are object poses, each with joint positions (dof,) of the closed
+    chain.
+    """
 
     def __init__(self, radius: float):
         self.radius = radius
@@ -147,7 +162,9 @@ class _Tree:
         self.parents: list[int] = []
 
     def _key(self, T: SE3) -> Array:
-        """Map an object pose to 12 coordinates of the closed-chain search tree: translation and rotation."""
+        """Convert an object pose to 12 coordinates for the search tree of a closed chain: translation and
+        rotation matrix.
+        """
         return np.concatenate([T.translation, (self.radius / np.sqrt(2)) * T.rotation.matrix.ravel()])
 
     def add(self, T: SE3, q: Array, parent: int) -> int:
@@ -165,14 +182,15 @@ class _Tree:
         return int(np.argmin(np.einsum("ij,ij->i", gaps, gaps)))
 
     def branch(self, node: int) -> Iterator[SE3]:
-        """Yield the object poses of the closed-chain search tree from a node to the root."""
+        """Yield the object poses in the search tree of a closed chain, from a node back to the root."""
         while node >= 0:
             yield self.poses[node]
             node = self.parents[node]
 
 
 class ObjectPoseSearch:
-    """RRT-Connect search over object poses of a closed chain: a path from one pose to another.
+    """Search by RRT-Connect for a path of the object that a closed chain holds, from one object pose to
+    another.
 
     Args:
         checker: checker of both arms' joints. q: all joints (dof,) at the start. ends: joint positions
@@ -195,7 +213,8 @@ class ObjectPoseSearch:
         self.low, self.high = corners.min(axis=0) - SPREAD, corners.max(axis=0) + SPREAD
 
     def find_poses(self) -> list[SE3] | None:
-        """Search object poses of a closed chain from start to goal, joined by straight, shortened motions.
+        """Search for object poses that lead a closed chain from start to goal on straight lines, and shorten
+        the result.
 
         Return None if the search is stopped.
         """
@@ -224,7 +243,7 @@ class ObjectPoseSearch:
         return SE3(rotation, position)
 
     def _extend(self, tree: _Tree, target: SE3, most: int | None) -> tuple[int, bool] | None:
-        """Extend a closed-chain search tree toward an object pose by at most `most` strides.
+        """Extend a search tree of a closed chain toward an object pose by at most `most` steps.
 
         Return the new node and whether it is at the pose; None if no stride is possible.
         """
@@ -238,7 +257,9 @@ class ObjectPoseSearch:
         return tree.add(T, q, near), arrived
 
     def _walk(self, T: SE3, q: Array, target: SE3, most: int | None = None) -> tuple[SE3, Array, bool] | None:
-        """Move a closed chain's object straight from T toward a pose until blocked by an arm or contact."""
+        """Move the object of a closed chain on a straight line from T toward a pose, until an arm cannot
+        follow or a contact blocks it.
+        """
         meters, radians = T.distance_to(target)
         count = max(int(np.ceil(max(meters / STRIDE, radians / SWING))), 1)
         columns, at, arrived = self.checker.columns, None, False
@@ -255,7 +276,9 @@ class ObjectPoseSearch:
         return None if at is None else (at, q, arrived)
 
     def _shortened(self, poses: list[SE3]) -> list[SE3]:
-        """Shorten a closed chain's path of object poses by straight shortcuts that the joints can follow."""
+        """Shorten a path of object poses by straight shortcuts along which the arms of the closed chain can
+        follow.
+        """
         joints = self._followed(poses, self.q)
         for _ in range(SHORTCUTS):
             if joints is None or len(poses) < 3 or self.limits.over:
@@ -284,7 +307,9 @@ class ObjectPoseSearch:
         return length(a, b, self.radius) > 1e-6
 
     def _followed(self, poses: Sequence[SE3], q: Array) -> list[Array] | None:
-        """Compute a closed chain's joints at object poses, starting with q; None if the path is not free."""
+        """Compute the joint positions of a closed chain along object poses, starting with q. Return None if
+        the path is not collision-free.
+        """
         found = [q]
         for a, b in pairwise(poses):
             reached = self._walk(a, found[-1], b)
@@ -295,5 +320,5 @@ class ObjectPoseSearch:
 
     @property
     def poses_tried(self) -> int:
-        """Number of object poses in both trees of the closed chain's search."""
+        """Number of object poses in both search trees of a closed chain."""
         return len(self.ahead.parents) + len(self.back.parents)

@@ -24,7 +24,8 @@ SOFT = 0.2  # [s] window of the two moving averages that round the speed's corne
 
 
 class ObjectPath(Protocol):
-    """Protocol of a carried object's path: object poses over a share from 0 to 1.
+    """Protocol of a path of a carried object: object poses as a function of the share of the path, from 0 to
+    1.
 
     Attributes:
         meters, radians: length and total rotation.
@@ -39,7 +40,7 @@ class ObjectPath(Protocol):
 
 
 class StraightObjectPath:
-    """Straight path of a carried object with even rotation between two poses."""
+    """Path on which a carried object moves straight and rotates evenly from one pose to another."""
 
     def __init__(self, a: SE3, b: SE3):
         self.a, self.b = a, b
@@ -51,7 +52,8 @@ class StraightObjectPath:
 
 
 class RoundedObjectPath:
-    """Smooth path of a carried object through poses with cut corners: a uniform cubic B-spline.
+    """Smooth path of a carried object that passes near given poses and cuts the corners: a uniform cubic
+    B-spline.
 
     The control poses are on the straight pieces. Positions are a B-spline in space, rotations the
     cumulative B-spline (Kim, Kim and Shin, "A general construction scheme for unit quaternion curves with
@@ -98,7 +100,7 @@ class RoundedObjectPath:
 
 
 def length(a: SE3, b: SE3, radius: float) -> float:
-    """Measure the distance [m] between two poses of a carried object, rotation included.
+    """Return the distance [m] between two poses of a carried object; it includes their rotation.
 
     A rotation counts as the motion of a point at the distance `radius` [m].
     """
@@ -120,7 +122,8 @@ def _evenly(through: Sequence[SE3], spacing: float, radius: float) -> list[SE3]:
 def time_law(
     path: Array, way: ObjectPath, velocity: Array, acceleration: Array, max_speed: float
 ) -> tuple[Array, Array]:
-    """Compute the fastest time law along a carried object's path within joint limits and object speed.
+    """Compute how fast an object can be carried along a path (time law) within joint limits and the largest
+    object speed.
 
     Return times (m,) and shares (m,) of the path. The time law is one quintic from rest to rest; a rounded
     path is slower at its bends.
@@ -149,7 +152,8 @@ def time_law(
 def _paced(
     path: Array, way: ObjectPath, velocity: Array, acceleration: Array, max_speed: float
 ) -> tuple[Array, Array]:
-    """Compute the fastest time law along a carried object's rounded path.
+    """Compute how fast an object can be carried along a rounded path (time law); the motion slows down at
+    bends.
 
     Bends and speed changes share the acceleration limits. A moving average over time then makes the
     acceleration continuous; the object stays exactly on its path.
@@ -181,7 +185,9 @@ def _paced(
 
 
 def _quintic(x: Array) -> tuple[Array, Array, Array]:
-    """Evaluate an object path's quintic time law 0 to 1, rest to rest: value, first and second derivative."""
+    """Evaluate the quintic time law for an object path, which goes from 0 to 1 and from rest to rest: value,
+    first and second derivative.
+    """
     return (
         x**3 * (10 - 15 * x + 6 * x**2),
         30 * x**2 * (1 - x) ** 2,
@@ -197,7 +203,9 @@ def cubic_spline(x: Array, y: Array, **options: Any) -> CubicSpline:
 
 
 def derivatives(times: Array, q: Array) -> tuple[Array, Array]:
-    """Compute velocities and accelerations for an object path's spline through joint positions (m, n)."""
+    """Compute the velocities and accelerations of the spline through the joint positions (m, n) along an
+    object path.
+    """
     spline = cubic_spline(times, q, bc_type="clamped")
     v, a = spline(times, 1), spline(times, 2)
     v[0] = v[-1] = a[0] = a[-1] = 0.0

@@ -25,14 +25,18 @@ SHORTCUTS = 150
 
 
 class EdgeValidity(Protocol):
-    """Protocol of the validity check of a space-time edge from (p, s) to (q, t)."""
+    """Protocol of a function that checks whether an edge in space and time, from (p, s) to (q, t), is
+    valid.
+    """
 
     def free(self, p: Array, s: float, q: Array, t: float) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False)
 class SpaceTimeProblem:
-    """Space-time search problem: a start (n,) at a time, goals (g, n) with earliest times of rest [s]."""
+    """Problem of a search in space and time: a start (n,) at a given time, and goals (g, n), each with the
+    earliest time [s] of rest there.
+    """
 
     validity: EdgeValidity
     start: Array
@@ -44,11 +48,13 @@ class SpaceTimeProblem:
     upper: Array
 
     def quickest(self, p: Array, q: Array) -> float:
-        """Compute the shortest time [s] of a space-time motion between two joint positions."""
+        """Return the shortest time [s] that a motion between two joint positions needs in a search in space
+        and time.
+        """
         return float(np.max(np.abs(q - p) / self.speed))
 
     def arrival(self, goal: int) -> float:
-        """Compute the earliest arrival time [s] at a goal of a space-time search."""
+        """Return the earliest time [s] at which a search in space and time can arrive at a goal."""
         return max(
             self.start_time + self.quickest(self.start, self.goals[goal]), float(self.goals_from[goal])
         )
@@ -56,7 +62,7 @@ class SpaceTimeProblem:
 
 @dataclass(frozen=True, eq=False)
 class SpaceTimePath:
-    """Space-time path: joint positions (k, n) at times (k,) [s], with constant speed between them.
+    """Path in space and time: joint positions (k, n) at times (k,) [s], with constant speed between them.
 
     `nodes` is the number of nodes in both search trees.
     """
@@ -67,7 +73,9 @@ class SpaceTimePath:
 
 
 class _Tree:
-    """Space-time search tree of nodes (q, t) with parents; sign 1 grows into the future, -1 into the past."""
+    """Tree for a search in space and time, with nodes (q, t) and their parents. With sign 1 it grows into the
+    future, with sign -1 into the past.
+    """
 
     def __init__(self, dof: int, sign: int):
         self.q, self.t = np.empty((256, dof)), np.empty(256)
@@ -87,7 +95,9 @@ class _Tree:
         return n
 
     def nearest(self, q: Array, t: float, speed: Array) -> int:
-        """Find the nearest space-time tree node from which (q, t) is reachable in time; -1 if none exists."""
+        """Return the tree node nearest in space and time from which (q, t) can be reached without exceeding
+        the speed limits, or -1.
+        """
         n = len(self)
         gap = self.sign * (t - self.t[:n])
         away = np.abs(self.q[:n] - q)
@@ -111,7 +121,7 @@ def search(
     deadline: float,
     iterations: int = 30_000,
 ) -> SpaceTimePath | None:
-    """Search in space and time for a path that arrives before `horizon` [s]; None if none was found.
+    """Search in space and time for a path that arrives before `horizon` [s]. Return None if none was found.
 
     Args:
         deadline: [s] of time.monotonic(). iterations: each grows one tree and then connects the other.
@@ -163,7 +173,9 @@ def _sample(problem: SpaceTimeProblem, tree: _Tree, horizon: float, rng: np.rand
 
 
 def _extend(problem: SpaceTimeProblem, tree: _Tree, q: Array, t: float) -> int:
-    """Add one edge toward (q, t) to a space-time search tree; return the new node, or -1."""
+    """Add an edge toward (q, t) to a tree for a search in space and time. Return the new node, or -1 on
+    failure.
+    """
     node = tree.nearest(q, t, problem.speed)
     if node < 0:
         return -1
@@ -193,7 +205,7 @@ def _joined(problem, ahead: _Tree, back: _Tree, end: int, reached: int, from_ahe
 def shortened(
     problem: SpaceTimeProblem, path: SpaceTimePath, rng: np.random.Generator, deadline: float
 ) -> SpaceTimePath:
-    """Remove corners from a space-time path and make it arrive earlier if possible."""
+    """Remove corners from a path in space and time, and let it arrive earlier if possible."""
     points, times = list(path.points), list(path.times)
     for _ in range(SHORTCUTS):
         if len(points) < 3 or time.monotonic() > deadline:

@@ -35,7 +35,8 @@ TRIES = 3  # pairs of separate plans with different seeds before planning both a
 
 @dataclass(frozen=True)
 class SynchronizedPlan(Outcome):
-    """Synchronized plan of two arms: motions of equal duration, by group and as one trajectory.
+    """Plan for synchronized motions of two arms, which take equally long: one motion per group, and both as
+    one trajectory.
 
     Both are None unless planning succeeded.
     """
@@ -55,7 +56,8 @@ def plan_synchronized(
     clearance: float = CLEARANCE,
     template: PlanRequest | None = None,
 ) -> SynchronizedPlan:
-    """Plan synchronized motions of two arms: equal start and end time, with a clearance.
+    """Plan synchronized motions of two arms, which start and end at the same time and keep a clearance
+    between the arms.
 
     Each arm is planned without the other, the shorter motion is stretched to the longer duration, and the
     timed pair is proven. If the proof fails, planning repeats with other seeds, then plans both arms as one
@@ -134,7 +136,9 @@ def _done(
 
 
 def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] | Outcome:
-    """Choose both arms' goals for synchronized motions: collision-free and nearest to the start first."""
+    """Choose goals for synchronized motions of two arms: collision-free positions that are nearest to the
+    start.
+    """
     found, starts = [], []
     for group, request in requests.items():
         endpoints = find_start_and_goals(validate_request(scenes[group], request))

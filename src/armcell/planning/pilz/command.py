@@ -25,7 +25,9 @@ AT_GOAL = 1e-9  # [m, rad or joint units] shorter motions count as standstill
 
 @dataclass(frozen=True, eq=False)
 class MotionCommand:
-    """Pilz motion command (PTP, LIN or CIRC): from joint positions (n,) to the request's goals."""
+    """Pilz motion command (PTP, LIN or CIRC), which leads from joint positions (n,) to the goal of the
+    request.
+    """
 
     validated: ValidatedRequest
     checker: KernelChecker
@@ -41,28 +43,34 @@ class MotionCommand:
         return self.validated.choice.settings
 
     def moved_frame(self, link: str | None = None) -> MovedFrame:
-        """Return the frame that a Pilz motion command moves: the goal's link, or the group's tip."""
+        """Return the frame that a Pilz motion command moves: the link of the goal, or the tip of the
+        group.
+        """
         wanted = self.request.goals[0]
         named = wanted.link if isinstance(wanted, PoseGoal) else link
         return MovedFrame(self.validated.scene, self.request.group, named)
 
     def goal_pose(self, moved_frame: MovedFrame) -> SE3:
-        """Compute the goal pose T_world_tip of the frame that a Pilz motion command moves."""
+        """Compute the pose T_world_tip to which a Pilz motion command moves its frame."""
         wanted = self.request.goals[0]
         return wanted.T_world_link if isinstance(wanted, PoseGoal) else moved_frame.pose(self.goal)
 
     @property
     def goal_joints(self) -> Array | None:
-        """Goal positions (n,) of a Pilz motion command with a joint goal, else None."""
+        """Joint positions (n,) to which a Pilz motion command leads if it has a joint goal, else None."""
         return self.goal if isinstance(self.request.goals[0], JointGoal | NamedGoal) else None
 
     def standing(self) -> GeneratedMotion:
-        """Generate a one-point motion for a Pilz motion command whose goal is the current position."""
+        """Generate a motion with a single trajectory point for a Pilz motion command whose goal is the
+        current position.
+        """
         trajectory = resting(self.validated.joint_names, self.start)
         return GeneratedMotion(JointLine(self.start, self.start), trajectory)
 
     def stopped(self) -> Outcome | None:
-        """Return the outcome if a Pilz motion command is canceled or its time is up, else None."""
+        """Return the outcome if a Pilz motion command must stop because it is canceled or its time is up,
+        else None.
+        """
         if self.validated.cancel.is_set():
             return Outcome(ErrorCode.PREEMPTED, f"{self.validated.planner_id}: cancelled")
         if time.monotonic() > self.validated.deadline:
@@ -70,7 +78,8 @@ class MotionCommand:
         return None
 
     def tip_profile(self, length: float, angle: float) -> Profile:
-        """Compute a Pilz motion command's velocity profile over s in 0..1 of a tip path [m, rad].
+        """Compute the velocity profile of a Pilz motion command along a tip path of given length [m] and
+        rotation [rad], as a function of s in 0..1.
 
         The profile accelerates and brakes the longer of length and angle (scaled by the equivalent radius),
         like KDL's paths, which MoveIt uses.
@@ -87,7 +96,7 @@ class MotionCommand:
 
 @dataclass(frozen=True, eq=False)
 class GeneratedMotion:
-    """Motion that a Pilz motion command generated, before its certification.
+    """Motion that was generated from a Pilz motion command and is not yet certified.
 
     It has a joint curve, a trajectory and the frame of its tip (if any).
     """
@@ -101,7 +110,9 @@ Generator = Callable[[MotionCommand], GeneratedMotion | Outcome]
 
 
 def time_curve(curve: Curve, profile: Profile, joint_names: tuple[str, ...]) -> JointTrajectory:
-    """Time a Pilz motion command's joint curve by a velocity profile over the curve's parameter."""
+    """Turn the joint curve of a Pilz motion command into a trajectory, with the timing that a velocity
+    profile defines.
+    """
     times = profile.times()
     s, speed, acceleration = profile.at(times)
     s[0], speed[0], acceleration[0] = 0.0, 0.0, 0.0

@@ -30,7 +30,8 @@ Array = NDArray[np.float64]
 
 
 def synchronized_profile(step: Array, velocity: Array, acceleration: Array, deceleration: Array) -> Trapezoid:
-    """Compute a PTP generator's fastest common trapezoidal profile over s in 0..1 for steps (n,).
+    """Compute the fastest trapezoidal velocity profile that all joints of a PTP motion can share, for joint
+    steps (n,).
 
     MoveIt applies the group's strictest limits to every joint. Here each joint has its own limits: if all
     limits are equal, the motion equals MoveIt's; otherwise it is at least as fast.
@@ -50,7 +51,7 @@ def synchronized_profile(step: Array, velocity: Array, acceleration: Array, dece
 
 @pipelines[PILZ].register("PTP")
 def ptp(command: MotionCommand) -> GeneratedMotion | Outcome:
-    """Generate a PTP motion: all joints start, cruise, brake and end together."""
+    """Generate a PTP motion, in which all joints accelerate, cruise and brake at the same times."""
     if np.max(np.abs(command.goal - command.start)) <= AT_GOAL:
         return command.standing()
     names, request = command.validated.joint_names, command.request
@@ -69,7 +70,7 @@ def ptp(command: MotionCommand) -> GeneratedMotion | Outcome:
 
 @pipelines[PILZ].register("LIN")
 def lin(command: MotionCommand) -> GeneratedMotion | Outcome:
-    """Generate a LIN motion: the tip on a straight line with even rotation."""
+    """Generate a LIN motion, in which the tip moves on a straight line and rotates evenly."""
     moved_frame = command.moved_frame()
     line = Line(moved_frame.pose(command.start), command.goal_pose(moved_frame))
     if max(line.length, line.angle) > AT_GOAL:
@@ -87,7 +88,7 @@ def lin(command: MotionCommand) -> GeneratedMotion | Outcome:
 def generate_along_path(
     command: MotionCommand, path: TipPath, moved_frame: MovedFrame
 ) -> GeneratedMotion | Outcome:
-    """Generate a LIN or CIRC motion of the tip along its path within the joint limits."""
+    """Generate a LIN or CIRC motion in which the tip follows its path within the joint limits."""
     ik = solver_for(moved_frame, command.request.group)
     curve = follow_path(path, moved_frame, ik, command.start, command.goal_joints, command.stopped)
     if isinstance(curve, Outcome):
@@ -100,7 +101,9 @@ def generate_along_path(
 
 @pipelines[PILZ].register("CIRC")
 def circ(command: MotionCommand) -> GeneratedMotion | Outcome:
-    """Generate a CIRC motion of the tip, through an interim point or around a center."""
+    """Generate a CIRC motion, in which the tip moves on an arc through an interim point or around a
+    center.
+    """
     kind, point, link = auxiliary_point(command.validated)
     moved_frame = command.moved_frame(link)
     start, goal = moved_frame.pose(command.start), command.goal_pose(moved_frame)
@@ -111,7 +114,8 @@ def circ(command: MotionCommand) -> GeneratedMotion | Outcome:
 
 
 def auxiliary_point(validated: ValidatedRequest) -> tuple[str, Array, str | None]:
-    """Return the auxiliary point of a CIRC generator: its kind, world position (3,) [m] and link.
+    """Return the auxiliary point that defines the arc of a CIRC motion: its kind, its world position (3,) [m]
+    and its link.
 
     The link is None if the request does not specify it. The point is a parameter, or, as in MoveIt, the
     position of the first shape of the single position constraint in path constraints named after the kind of

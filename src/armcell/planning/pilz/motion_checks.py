@@ -23,7 +23,8 @@ SPARE = 1.02  # safety factor of the suggested slowdown
 def check_joint_limits(
     model: RobotModel, trajectory: JointTrajectory, request: PlanRequest | None, what: str = ""
 ) -> Outcome | None:
-    """Check a PTP, LIN or CIRC motion's joint limits; return the worst joint and slowdown, or None.
+    """Check whether a PTP, LIN or CIRC motion respects the joint limits. Return None, or the worst joint and
+    the slowdown that would help.
 
     The limits are the joints' own: the request's scalings apply to the tip, as in MoveIt.
 
@@ -71,7 +72,8 @@ PADDING_STEP = 0.03  # [rad] between padding checks
 def prove_motion_free(
     checker: KernelChecker, curve: Curve, moved_frame: MovedFrame | None, what: str
 ) -> Array | Outcome:
-    """Prove a PTP, LIN or CIRC motion free; return its points (k, n), with padding at samples.
+    """Prove that a PTP, LIN or CIRC motion is collision-free, and return its points (k, n). The padding is
+    checked at samples.
 
     If the motion is not free, return the contact.
     """
@@ -101,7 +103,7 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _first_touching(checker: KernelChecker, points: Array, at: float) -> tuple[float, Array]:
-    """Find the first contact on a PTP, LIN or CIRC motion up to a known contact.
+    """Find the first contact on a PTP, LIN or CIRC motion that is known to have a contact at a later point.
 
     The certification does not test a motion from its start to its end.
     """

@@ -20,7 +20,7 @@ RADIUS_DIFFERENCE = 1e-2  # [m] allowed between both ends' distances from the ce
 
 
 class TipPath(Protocol):
-    """Protocol of a LIN or CIRC tip path: a pose for every s in 0..1.
+    """Protocol of the path of the tip in a LIN or CIRC motion, with a pose for every s in 0..1.
 
     Position and orientation change evenly with s.
     """
@@ -38,14 +38,16 @@ class TipPath(Protocol):
 
 
 class Line:
-    """Straight tip path of LIN between two poses."""
+    """Straight path of the tip in a LIN motion between two poses."""
 
     def __init__(self, start: SE3, goal: SE3):
         self.start, self.goal = start, goal
 
     @cached_property
     def turn(self) -> Array:
-        """Whole rotation of a LIN tip path as a vector (3,) in the start's axes [rad]."""
+        """Whole rotation along the tip path of a LIN motion as a vector (3,) [rad] in the axes of the
+        start.
+        """
         return (self.start.rotation.inv() @ self.goal.rotation).log()
 
     @property
@@ -64,7 +66,7 @@ class Line:
 
 
 class Arc(Line):
-    """Circular tip path of CIRC between two poses.
+    """Circular path of the tip in a CIRC motion between two poses.
 
     Args:
         axis: (3,) unit vector; the arc turns about it by `sweep` [rad], right-handed.
@@ -76,7 +78,7 @@ class Arc(Line):
 
     @property
     def radius(self) -> float:
-        """Radius of the arc [m]."""
+        """Radius [m] of the arc in a CIRC motion."""
         return float(np.linalg.norm(self.start.translation - self.center))
 
     @property
@@ -89,7 +91,7 @@ class Arc(Line):
 
 
 def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
-    """Compute CIRC's arc path from start to goal through an interim point (3,) [m]."""
+    """Compute the arc of a CIRC motion from start to goal through an interim point (3,) [m]."""
     a, b = interim - start.translation, goal.translation - start.translation
     normal = np.cross(a, b)
     size = float(np.linalg.norm(normal))
@@ -107,7 +109,7 @@ def arc_through(start: SE3, goal: SE3, interim: Array) -> Arc | Outcome:
 
 
 def arc_around(start: SE3, goal: SE3, center: Array) -> Arc | Outcome:
-    """Compute CIRC's shorter arc path from start to goal around a center (3,) [m].
+    """Compute the shorter arc of a CIRC motion from start to goal around a center (3,) [m].
 
     A center that is not exactly equidistant from start and goal is moved until it is: the arc keeps its
     radius and ends in the goal.
@@ -141,14 +143,19 @@ def _no_arc(why: str, hint: str) -> Outcome:
 
 
 class Curve(Protocol):
-    """Protocol of the joint curve on a Pilz path: twice continuously differentiable over s."""
+    """Protocol of a curve in joint space along a Pilz path, which is twice continuously differentiable
+    in s.
+    """
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """Evaluate a Pilz path's joint curve: positions, first and second derivatives (m, n) at s (m,)."""
+        """Evaluate a curve in joint space along a Pilz path at s (m,): positions, first and second
+        derivatives (m, n).
+        """
         ...
 
     def polyline(self, sagitta: float) -> tuple[Array, Array]:
-        """Sample points (k, n) on the joint curve of a Pilz path.
+        """Return points (k, n) on a curve in joint space along a Pilz path; straight chords connect the
+        points.
 
         Return the points and the largest deviation (n,) of the curve from their chords.
         """
@@ -156,7 +163,7 @@ class Curve(Protocol):
 
 
 class JointLine:
-    """Straight joint path (curve) of PTP between two joint positions."""
+    """Straight line in joint space between two positions, the curve of a PTP motion."""
 
     def __init__(self, start: Array, goal: Array):
         self.start, self.step = start, goal - start
@@ -170,7 +177,7 @@ class JointLine:
 
 
 class JointSpline:
-    """Joint curve of a LIN or CIRC path: a cubic spline through points (k, n) at x (k,).
+    """Curve in joint space along a LIN or CIRC path: a cubic spline through points (k, n) at x (k,).
 
     Args:
         ends: first derivatives (2, n) at both ends, if specified.
@@ -207,7 +214,9 @@ AIMS = 4
 
 
 def solver_for(moved_frame: MovedFrame, group: str) -> IKSolver:
-    """Return a LIN or CIRC path's inverse kinematics solver, with tight tolerances for the moved frame."""
+    """Return an inverse kinematics solver with tight tolerances for the frame that a LIN or CIRC motion
+    moves.
+    """
     return ik_solver(moved_frame.scene.model, group, moved_frame.link, EXACT)
 
 
@@ -219,7 +228,8 @@ def follow_path(
     goal: Array | None = None,
     stopped: Callable[[], Outcome | None] = lambda: None,
 ) -> JointSpline | Outcome:
-    """Solve inverse kinematics along a LIN or CIRC tip path and return a joint curve over s in 0..1.
+    """Solve inverse kinematics along the tip path of a LIN or CIRC motion, and return a curve in joint space
+    over s in 0..1.
 
     Args:
         start: positions (n,) at the beginning of the path.
@@ -249,7 +259,9 @@ def follow_path(
 def _led(
     path: TipPath, moved_frame: MovedFrame, ik: IKSolver, start: Array, goal: Array | None, count: int
 ) -> Array | Outcome:
-    """Compute IK solutions (count + 1, n) along a LIN or CIRC path that end at the goal (n,), if given."""
+    """Compute IK solutions (count + 1, n) along a LIN or CIRC path. If goal positions (n,) are given, the
+    solutions end there.
+    """
     points = _solutions(path, moved_frame, ik, start, goal, count)
     if goal is None:
         return points
@@ -274,7 +286,9 @@ def _led(
 def _solutions(
     path: TipPath, moved_frame: MovedFrame, ik: IKSolver, start: Array, goal: Array | None, count: int
 ) -> Array | Outcome:
-    """Solve each pose of a LIN or CIRC path (count + 1, n), starting from the previous solution."""
+    """Solve inverse kinematics at every pose of a LIN or CIRC path (count + 1, n); each solution starts from
+    the previous one.
+    """
     q = moved_frame.full(start)
     points = [start]
     for k in range(1, count + 1):
@@ -289,7 +303,9 @@ def _solutions(
 
 
 def _sideways(ik: IKSolver, q: Array, wish: Array) -> Array:
-    """Project a joint step (n,) along a LIN or CIRC path onto the tip's null space (zero for 6 joints)."""
+    """Return the part of a joint step (n,) that does not move the tip off its LIN or CIRC path; it is zero
+    for an arm with 6 joints.
+    """
     J = ik.tree.jacobian(q, ik.tip_link, ik.joint_names)
     return wish - np.linalg.pinv(J, rcond=1e-4) @ (J @ wish)
 
@@ -308,7 +324,9 @@ def _stops(path: TipPath, ik: IKSolver, last: Array, s: float, meters: float, ra
 def _largest_error(
     path: TipPath, moved_frame: MovedFrame, curve: JointSpline, count: int
 ) -> tuple[float, float]:
-    """Find the tip's largest deviation [m or rad] from a LIN or CIRC path half-way between solutions."""
+    """Return the largest deviation [m or rad] of the tip from a LIN or CIRC path, measured half-way between
+    IK solutions.
+    """
     middles = (np.arange(count) + 0.5) / count
     errors = [
         max(moved_frame.pose(q).distance_to(path.pose(s)))

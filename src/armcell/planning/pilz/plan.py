@@ -24,7 +24,9 @@ STANDING = 1e-8  # [rad/s or m/s] largest start velocity that counts as rest (Mo
 
 
 def validate_pilz_request(validated: ValidatedRequest) -> None:
-    """Validate a request to plan PTP, LIN or CIRC: raise InputError for unsupported options."""
+    """Check a request for a PTP, LIN or CIRC motion, and raise an InputError for options that are not
+    supported.
+    """
     request = validated.request
     if request.torque_limits or request.jerk_limits:
         asked = "torque_limits" if request.torque_limits else "jerk_limits"

@@ -52,7 +52,7 @@ BISECTIONS = 40
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """Blend that replaces the end of one motion of a sequence and the beginning of the next.
+    """Blend in a motion sequence, which replaces the end of one motion and the beginning of the next.
 
     Attributes:
         leaves: time [s] in the first motion at which the blend begins.
@@ -69,7 +69,9 @@ class Blend:
 def blend_motions(
     first: JointTrajectory, second: JointTrajectory, radius: float, moved_frame: MovedFrame, ik: IKSolver
 ) -> Blend | Outcome:
-    """Blend a sequence's motion into the next inside a sphere of `radius` [m] around their corner."""
+    """Blend one motion of a sequence into the next, inside a sphere of `radius` [m] around the corner between
+    them.
+    """
     corner = moved_frame.pose(first.positions[-1]).translation
 
     def outside(trajectory: JointTrajectory, t: float) -> bool:
@@ -88,7 +90,9 @@ def blend_motions(
 
 
 def _border(outside, far: float, near: float) -> float:
-    """Find the time at which the tip crosses a sequence's blend sphere, between two given times."""
+    """Find the time, between two given times, at which the tip crosses the sphere around a blend of a
+    sequence.
+    """
     for _ in range(BISECTIONS):
         middle = (far + near) / 2
         far, near = (middle, near) if outside(middle) else (far, middle)
@@ -133,7 +137,7 @@ SPEED_ROUNDING = 1.001
 
 @dataclass(frozen=True, eq=False)
 class _Item:
-    """A planned motion of a PTP, LIN, CIRC sequence, with the scene at the beginning of the motion."""
+    """Planned motion in a sequence of PTP, LIN and CIRC motions, with the scene at its beginning."""
 
     scene: PlanningScene
     request: PlanRequest
@@ -145,7 +149,7 @@ class _Item:
 def plan_sequence(
     scene: PlanningScene, sequence: SequenceRequest, cancel: threading.Event | None = None
 ) -> PlanResult:
-    """Plan one certified motion through all requests of a sequence, with optional blends.
+    """Plan a sequence of motions, with optional blends between them, as one certified motion.
 
     Requests may use any pipeline. The robot stops between motions of different groups; the trajectory has
     the joints of all groups.
@@ -196,7 +200,7 @@ def plan_sequence(
 
 
 def _check(scene: PlanningScene, sequence: SequenceRequest) -> None:
-    """Check a motion sequence for misuse before planning."""
+    """Check a motion sequence for invalid requests before planning begins."""
     items = sequence.items
     if not items:
         raise InputError("the sequence has no requests")
@@ -230,7 +234,7 @@ def _check(scene: PlanningScene, sequence: SequenceRequest) -> None:
 
 
 def _check_kept(request: PlanRequest, name: str) -> None:
-    """Raise InputError if a motion of the sequence has requirements that a blend would violate."""
+    """Raise an InputError if a motion in a sequence has requirements that a blend would violate."""
     is_pilz = (
         normalized_pipeline_id(request.pipeline_id) == PILZ
     )  # path constraints define CIRC's auxiliary point
@@ -245,13 +249,15 @@ def _check_kept(request: PlanRequest, name: str) -> None:
 
 
 def _placed(scene: PlanningScene, request: PlanRequest) -> MovedFrame:
-    """Return the frame that a sequence's blend radius refers to: the goal's link, or the group's tip."""
+    """Return the frame to which the blend radius of a sequence refers: the link of the goal, or the tip of
+    the group.
+    """
     named = [goal.link for goal in request.goals if isinstance(goal, PoseGoal)]
     return MovedFrame(scene, request.group, named[0] if named else None)
 
 
 def _blends(items: list[_Item]) -> list[Blend | None] | Outcome:
-    """Compute and certify the blends between motions of a sequence, or report which blend is invalid."""
+    """Compute and certify the blends between the motions of a sequence, or report which blend is invalid."""
     if (overlap := _overlap(items)) is not None:
         return overlap
     blends: list[Blend | None] = []
@@ -275,7 +281,7 @@ def _blends(items: list[_Item]) -> list[Blend | None] | Outcome:
 
 
 def _overlap(items: list[_Item]) -> Outcome | None:
-    """Return an Outcome if the spheres of two consecutive blends of a sequence overlap, else None."""
+    """Return an Outcome if the spheres around two consecutive blends in a sequence overlap, else None."""
     for number, (a, b) in enumerate(pairwise(items)):
         if a.radius == 0 or b.radius == 0:
             continue
@@ -312,7 +318,9 @@ def _blend(first: _Item, second: _Item, number: int) -> Blend | Outcome:
 
 
 def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
-    """Return why a sequence's blend violates a speed limit or workspace of its two motions, else None."""
+    """Return the reason why a blend in a sequence violates a speed limit or workspace of its two motions, or
+    None.
+    """
     request, speed = item.request, item.request.max_cartesian_speed
     if speed is not None:
         moved_frame = MovedFrame(item.scene, request.group, request.speed_link)
@@ -330,7 +338,7 @@ def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
 def _joined(
     scene: PlanningScene, items: list[_Item], blends: list[Blend | None]
 ) -> tuple[JointTrajectory, dict]:
-    """Concatenate a sequence's motions and blends to one trajectory.
+    """Join the motions and blends of a sequence to one trajectory.
 
     Return it with the start and end [s] of each motion and blend.
     """

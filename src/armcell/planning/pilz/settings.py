@@ -21,7 +21,7 @@ FILE_KEY = "cartesian_limits"  # of pilz_cartesian_limits.yaml
 
 @dataclass(frozen=True)
 class CartesianLimits:
-    """Settings of Cartesian limits for LIN and CIRC, defaults as in pilz_cartesian_limits.yaml."""
+    """Cartesian limits for LIN and CIRC motions, with the default values of pilz_cartesian_limits.yaml."""
 
     max_trans_vel: float = 1.0  # [m/s]
     max_trans_acc: float = 2.25  # [m/s^2]
@@ -30,7 +30,7 @@ class CartesianLimits:
 
     @property
     def equivalent_radius(self) -> float:
-        """Path length [m] that LIN and CIRC settings equate with a rotation by one radian.
+        """Path length [m] that LIN and CIRC motions treat like a rotation by one radian.
 
         With it, a motion reaches both speed limits together.
         """
@@ -51,7 +51,7 @@ class PilzSettings:
 def settings_from_request(
     planner_id: str, parameters: Mapping[str, Any], planner_configs: Mapping[str, Any]
 ) -> tuple[PilzSettings, tuple[str, ...]]:
-    """Read the settings of a PTP, LIN or CIRC planner, and the names of values without effect.
+    """Read the settings of a PTP, LIN or CIRC motion, and list the names of values that have no effect.
 
     Args:
         parameters: by name; they override the file's values.

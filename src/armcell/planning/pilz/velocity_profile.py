@@ -30,7 +30,9 @@ class Trapezoid:
 
     @staticmethod
     def fastest(distance: float, velocity: float, acceleration: float, deceleration: float) -> Trapezoid:
-        """Create the fastest trapezoidal profile over a distance > 0, without flat phase if short."""
+        """Create the fastest trapezoidal velocity profile over a distance > 0; a short distance has no phase
+        of constant speed.
+        """
         half = 0.5 / acceleration + 0.5 / deceleration
         speed = min(velocity, float(np.sqrt(distance / half)))
         flat = max(distance / speed - speed * half, 0.0)
@@ -45,7 +47,8 @@ class Trapezoid:
         return self.speed * (self.up / 2 + self.flat + self.down / 2)
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate a trapezoidal profile: integral of position, position and speed at times (m,).
+        """Evaluate a trapezoidal velocity profile at times (m,): the integral of the position, the position
+        and the speed.
 
         The profile is at rest before its start and after its end.
         """
@@ -67,7 +70,8 @@ class Trapezoid:
 
 @dataclass(frozen=True)
 class Profile:
-    """Pilz velocity profile: a trapezoid whose corners a moving average over a time window rounds.
+    """Velocity profile of a Pilz motion: a trapezoid whose corners are rounded by a moving average over a
+    time window.
 
     The averaged profile is never faster, has no higher acceleration, and is longer by `window` [s], because
     an average of values within a limit stays within it. Its acceleration is piecewise linear.
@@ -81,14 +85,14 @@ class Profile:
         return self.trapezoid.duration + self.window
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate position, speed and acceleration of the averaged velocity profile at times (m,)."""
+        """Evaluate the position, speed and acceleration of an averaged velocity profile at times (m,)."""
         t = np.asarray(t, dtype=float)
         now, then = self.trapezoid.at(t), self.trapezoid.at(t - self.window)
         place, speed, acceleration = ((a - b) / self.window for a, b in zip(now, then, strict=True))
         return place, speed, acceleration
 
     def times(self) -> Array:
-        """Compute the times of trajectory points for the averaged velocity profile.
+        """Return the times at which a trajectory with an averaged velocity profile should have points.
 
         Points are at the corners of the acceleration and, between them, at most `SAMPLE_TIME` apart.
         """

@@ -41,7 +41,7 @@ SHORTEST = 1e-4
 
 @dataclass(frozen=True)
 class AnytimeSettings:
-    """Settings of the anytime planner AORRTC.
+    """Settings of AORRTC, an anytime planner that keeps improving its path.
 
     Only a budget of iterations makes results reproducible by seed.
     """
@@ -57,7 +57,8 @@ class AnytimeSettings:
 
 @dataclass(frozen=True, eq=False)
 class AnytimeResult:
-    """Result of AORRTC: the shortest path found, every edge proven free, or None.
+    """Result of the planner AORRTC: the shortest path that was found, whose edges are all proven
+    collision-free, or None.
 
     Attributes:
         history: (seconds of wall time, iterations, cost [rad]) of every improvement, beginning with the
@@ -74,7 +75,7 @@ class AnytimeResult:
 
 
 class AnytimePlanner:
-    """Anytime planner that shortens the paths of a native planner by AORRTC.
+    """Anytime planner that shortens the path of another native planner by the algorithm AORRTC.
 
     Use one instance per thread.
     """
@@ -91,7 +92,8 @@ class AnytimePlanner:
         self, start: Array, goals: Array, lower: Array, upper: Array, seed: int = 0,
         stop: NDArray[np.int64] | None = None,
     ) -> AnytimeResult:  # fmt: skip
-        """Run AORRTC; return the shortest path found until `stop` is set or the iterations are used up.
+        """Run AORRTC until `stop` is set or all iterations are used, and return the shortest path that was
+        found.
 
         Args:
             goals: (g, dof). stop: an int64 array (1,) that another thread writes to.
@@ -147,7 +149,8 @@ class AnytimePlanner:
         return AnytimeResult(best, history, iterations, most, rounds)
 
     def improve(self, roots, lower, upper, bound, random, stop, iterations) -> tuple[int, int, int]:
-        """Search by AORRTC for a path shorter than `bound` [rad]; write it to the native planner's `path`.
+        """Search by AORRTC for a path that is shorter than `bound` [rad], and write it to the `path` of the
+        native planner.
 
         See `aorrtc`.
 
@@ -161,7 +164,7 @@ class AnytimePlanner:
         )  # fmt: skip
 
     def _polished(self, path: Array, rng: np.random.Generator, stop: NDArray[np.int64]) -> Array | None:
-        """Cut the edges of AORRTC's path at random points and simplify the path again.
+        """Divide the edges of a path from AORRTC at random points, and simplify the path again.
 
         Return None if the path gets too long.
         """
@@ -177,13 +180,15 @@ class AnytimePlanner:
 
 
 def length(path: Array) -> float:
-    """Compute the length [rad] that AORRTC minimizes: the sum of a path's edge norms in joint space."""
+    """Return the length [rad] of a path in joint space, the sum of the lengths of its edges, which AORRTC
+    minimizes.
+    """
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 @pipelines["native"].register("AORRTC")
 def plan_aorrtc(problem: Problem) -> PlannerResult:
-    """Plan by AORRTC: return the shortest path found in the whole planning time.
+    """Plan a path by AORRTC: use the whole planning time, and return the shortest path that was found.
 
     `cost_over_time` lists (s, rad) pairs.
     """
@@ -208,7 +213,9 @@ settings_parsers[plan_aorrtc] = settings_parser("AORRTC", AnytimeSettings)
 
 @lru_cache(maxsize=1)
 def warm_up_anytime() -> None:
-    """Compile AORRTC's kernels before the first use, so that compilation takes no planning time."""
+    """Compile the kernels of AORRTC before their first use, so that compilation does not consume planning
+    time.
+    """
     checker, a, b = small_problem()
     planner, stop = AnytimePlanner(NativePlanner(checker)), np.zeros(1, np.int64)
     announce_compilation("AORRTC", aorrtc)

@@ -53,7 +53,7 @@ def optimize_chomp(
     cost: ObstacleCost, path: Array, lower: Array, upper: Array, settings: CHOMPSettings,
     is_free: Callable[[Array], bool], stopped: Callable[[], bool], at_least: int = 0,
 ) -> Descent:  # fmt: skip
-    """Optimize a path (m, n) by CHOMP's gradient descent with fixed ends.
+    """Optimize a path (m, n) with fixed ends by CHOMP, a gradient descent on smoothness and obstacle cost.
 
     Args:
         lower, upper: (n,) joint limits.
@@ -86,7 +86,7 @@ AT_LEAST = 40  # iterations
 
 
 def smooth_with_chomp(problem: Problem, waypoints: Array, is_free: Callable[[Array], bool]) -> Array | None:
-    """Smooth another planner's waypoints (k, n) by CHOMP into a path (m, n).
+    """Smooth the waypoints (k, n) of another planner by CHOMP, and return a path (m, n).
 
     Return None if no free path was found.
     """
@@ -105,7 +105,7 @@ pipelines["chomp"] = Registry("planner of pipeline 'chomp'", GROUP)
 
 @pipelines["chomp"].register("CHOMP")
 def chomp(problem: Problem) -> PlannerResult:
-    """Plan a smooth path that keeps away from obstacles, by CHOMP."""
+    """Plan a smooth path that keeps a distance from obstacles by CHOMP."""
     settings: CHOMPSettings = problem.settings or CHOMPSettings()
     cost = ObstacleCost(problem.checker, settings.collision_clearance)
 

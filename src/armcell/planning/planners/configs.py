@@ -26,7 +26,9 @@ WITHOUT_EFFECT = {
 
 @dataclass(frozen=True, eq=False)
 class PlannerChoice:
-    """A planner chosen by configuration: planner, settings, and configuration keys without effect."""
+    """Planner that a configuration selects, with its settings and the configuration keys that have no
+    effect.
+    """
 
     planner: Planner
     planner_id: str
@@ -37,7 +39,7 @@ class PlannerChoice:
 
 
 def choose_planner(request: PlanRequest) -> PlannerChoice:
-    """Select the planner that a request specifies, directly or by a planner configuration.
+    """Select the planner that a request specifies by its name or by a planner configuration.
 
     Raises:
         UnknownNameError: no such pipeline, planner, configuration or parameter; there is no silent
@@ -74,7 +76,8 @@ def _mapping(value: Any, what: str) -> Mapping[str, Any]:
 
 
 def _config(request: PlanRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return the request's planner configuration (ompl_planning.yaml) and the group's own keys.
+    """Return the planner configuration of a request (ompl_planning.yaml), and the keys that belong to the
+    planning group.
 
     Both are empty if the request has no configuration.
     """
@@ -107,7 +110,9 @@ def _config(request: PlanRequest) -> tuple[Mapping[str, Any], Mapping[str, Any]]
 
 
 def _options(values: Mapping[str, Any]) -> tuple[SpaceOptions, set[str], dict[str, Any]]:
-    """Split a planner configuration's values into space options, ignored keys and planner parameters."""
+    """Divide the values of a planner configuration into options of the search space, ignored keys and
+    parameters of the planner.
+    """
     rest = dict(values)
     ignored = {key for key in rest if key in WITHOUT_EFFECT}
     for key in ignored:
@@ -135,7 +140,7 @@ def _number(key: str, value: Any) -> float:
 
 
 def _projection(text: Any) -> tuple[str, ...]:
-    """Parse the joints of a planner configuration's projection evaluator `joints(a,b)`."""
+    """Parse the joints that a planner configuration names in its projection evaluator `joints(a,b)`."""
     if not text:
         return ()
     if not isinstance(text, str) or not (text.startswith("joints(") and text.endswith(")")):

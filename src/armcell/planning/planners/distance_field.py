@@ -27,7 +27,7 @@ MOST_POINTS = 4_000_000
 
 
 class DistanceField:
-    """Signed distance field: distances [m] to objects on a grid; negative inside the objects.
+    """Signed distance field: a grid of distances [m] to objects, which are negative inside the objects.
 
     Attributes:
         low: the first grid point (3,) in the world [m]. step: distance between grid points [m].
@@ -35,7 +35,7 @@ class DistanceField:
     """
 
     def __init__(self, objects: tuple[CollisionObject, ...], low: Array, high: Array):
-        """Build the distance field for points between the corners low and high (3,) [m].
+        """Build a distance field that covers the box between the corners `low` and `high` (3,) [m].
 
         Args:
             objects: objects to measure distances from.
@@ -70,11 +70,13 @@ class DistanceField:
         np.minimum(part, distance.astype(np.float32), out=part)
 
     def distances(self, points: F32) -> F32:
-        """Interpolate the distance field at points (m, 3) [m] linearly; clamp points to the grid."""
+        """Interpolate a distance field linearly at points (m, 3) [m]. Points outside the grid get the value
+        at its border.
+        """
         return self._look(points, False)[0]
 
     def gradients(self, points: F32) -> tuple[F32, F32]:
-        """Interpolate the distance field (m,) and its gradients (m, 3) at points."""
+        """Interpolate a distance field at points; return the distances (m,) and their gradients (m, 3)."""
         return self._look(points, True)
 
     def _look(self, points: F32, gradient: bool) -> tuple[F32, F32]:
@@ -106,7 +108,7 @@ _fields: LruCache[DistanceField] = LruCache(8)
 
 
 def distance_field(objects: tuple[CollisionObject, ...], low: Array, high: Array) -> DistanceField:
-    """Return the signed distance field of objects; the fields of the last few worlds are cached."""
+    """Return the signed distance field of objects. The fields of the last few worlds are cached."""
     key = (objects, low.tobytes(), high.tobytes())
     return _fields.get(key, lambda: DistanceField(objects, low, high))
 
@@ -119,7 +121,9 @@ def _bounds(T_world_shape, shape: Shape) -> tuple[Array, Array]:
 
 
 def _outside(over: Array) -> Array:
-    """Combine the distances beyond each face (..., k) [m] of a solid to a distance field's value."""
+    """Compute the signed distance [m] of points from a solid for a distance field, given their signed
+    distances from its faces (..., k).
+    """
     return np.linalg.norm(np.maximum(over, 0.0), axis=-1) + np.minimum(over.max(axis=-1), 0.0)
 
 
@@ -143,7 +147,7 @@ _EXACT: dict[type, Callable[..., Array]] = {
 
 
 def _drawn(shape: Shape, T: Array, low: Array, step: float, counts: tuple[int, ...]) -> Array:
-    """Rasterize a shape into a part of the distance field's grid and compute distances to it."""
+    """Draw the surface of a shape into a part of a distance field's grid, and compute the distances to it."""
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
     points, room = _surface(shape, step)
@@ -161,7 +165,8 @@ def _drawn(shape: Shape, T: Array, low: Array, step: float, counts: tuple[int, .
 
 
 def _surface(shape: Shape, step: float) -> tuple[Array, float]:
-    """Sample a shape's surface densely enough to reach every distance field cell on it.
+    """Sample the surface of a shape so densely that every cell of the distance field on the surface contains
+    a sample.
 
     Return points (k, 3) and a radius [m].
     """

@@ -27,7 +27,7 @@ CHECK_STEP = 1 / 32  # [rad] between validity checks along an edge; the result i
 
 @dataclass(frozen=True)
 class ESTSettings:
-    """Settings of the planner EST, with OMPL's names and defaults."""
+    """Settings of the planner EST, with the names and defaults that OMPL uses."""
 
     range: float | None = None  # [rad] longest edge; None, or 0 as in MoveIt's files: a fifth of the diagonal
     goal_bias: float = 0.05  # share of the extensions that aim at a goal
@@ -38,7 +38,7 @@ class ESTSettings:
 
 
 class _Tree:
-    """EST's search tree: nodes with their parents and neighbor counts."""
+    """Search tree of the planner EST: nodes with their parents and the number of their neighbors."""
 
     def __init__(self, root: Array, size: int, radius: float):
         self._q = np.empty((size, len(root)))
@@ -55,7 +55,7 @@ class _Tree:
         self.size += 1
 
     def draw(self, rng: np.random.Generator) -> int:
-        """Draw a node of EST's tree with probability inversely proportional to its neighbor count."""
+        """Draw a random node of the EST search tree; nodes with fewer neighbors are more likely."""
         chances = np.cumsum(1.0 / (self._neighbors[: self.size] + 1.0))
         return int(np.searchsorted(chances, rng.random() * chances[-1]))
 
@@ -63,7 +63,7 @@ class _Tree:
         return self._q[i]
 
     def path_to(self, i: int) -> list[Array]:
-        """Return the path from the root of EST's tree to a node."""
+        """Return the path from the root of the EST search tree to a node."""
         path = []
         while i >= 0:
             path.append(self._q[i].copy())
@@ -73,7 +73,7 @@ class _Tree:
 
 @pipelines["native"].register("EST")
 def est(problem: Problem) -> PlannerResult:
-    """Plan by EST (expansive space trees) and return the first path found.
+    """Plan by EST (expansive space trees), and return the first path that is found.
 
     The pipeline simplifies and certifies the path.
     """

@@ -13,7 +13,7 @@ F32 = NDArray[np.float32]
 
 
 class RobotSpheres:
-    """Spheres for the obstacle cost that approximate the bodies a planning group moves.
+    """Spheres that approximate the bodies which a planning group moves, to compute the obstacle cost.
 
     The spheres come from the kernel's pack. Shapes use s for spheres and m for configurations.
 
@@ -56,7 +56,9 @@ class RobotSpheres:
         self._of_frame = [np.flatnonzero(self.frame == f) for f in range(self.frames)]
 
     def frame_poses(self, q: Array) -> tuple[Array, Array]:
-        """Compute frame rotations (m, f, 3, 3) and origins (m, f, 3) at q (m, n) for the obstacle cost."""
+        """Compute the rotations (m, f, 3, 3) and origins (m, f, 3) of the robot's frames at positions q (m,
+        n), for the obstacle cost.
+        """
         m = len(q)
         R, o = np.empty((m, self.frames, 3, 3)), np.empty((m, self.frames, 3))
         R[:, 0], o[:, 0] = np.eye(3), 0.0
@@ -76,11 +78,13 @@ class RobotSpheres:
         return R, o
 
     def centers(self, R: Array, o: Array) -> F32:
-        """Compute world positions (m, s, 3) [m] of the robot spheres of the obstacle cost."""
+        """Compute the world positions (m, s, 3) [m] of the robot's spheres, for the obstacle cost."""
         return self._placed(R, o, self.center, self.frame)
 
     def group_centers(self, R: Array, o: Array) -> F32:
-        """Compute world positions (m, g, 3) [m] of the obstacle cost's balls around sphere groups."""
+        """Compute the world positions (m, g, 3) [m] of the balls that enclose groups of the robot's spheres,
+        for the obstacle cost.
+        """
         return self._placed(R, o, self._group_center, self._group_frame)
 
     def _placed(self, R: Array, o: Array, points: F32, frame: NDArray) -> F32:
@@ -92,7 +96,8 @@ class RobotSpheres:
         return out
 
     def joint_gradient(self, R: Array, o: Array, x: F32, pull: F32) -> Array:
-        """Map the obstacle cost's forces on spheres (m, s, 3) at x (m, s, 3) to joint gradients (m, n).
+        """Convert forces (m, s, 3) that the obstacle cost exerts on spheres at x (m, s, 3) to gradients by
+        joints (m, n).
 
         The result is the sum of J^T f over the spheres.
         """
@@ -115,7 +120,9 @@ class RobotSpheres:
 
 
 class SelfCollisionPairs:
-    """Pairs of the robot's sphere groups for the self-collision part of the obstacle cost."""
+    """Pairs of sphere groups on the robot that could collide with each other; the obstacle cost includes such
+    self-collisions.
+    """
 
     def __init__(self, checker: KernelChecker, spheres: RobotSpheres):
         p = checker.pack
@@ -126,7 +133,8 @@ class SelfCollisionPairs:
     def nearest(
         self, R: Array, o: Array, x: F32, within: float
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], F32]:
-        """Find the nearest spheres of each self-collision pair closer than `within` [m], for the cost.
+        """Find for each self-collision pair the two nearest spheres, if they are closer than `within` [m], to
+        compute the obstacle cost.
 
         Return configurations, spheres of both groups and gaps [m].
         """
@@ -154,7 +162,8 @@ STILL = 1e-6  # [m] smallest motion per step with a direction
 
 
 class ObstacleCost:
-    """Obstacle cost of a planning group's configurations, from signed distances of the spheres.
+    """Obstacle cost of a planning group's configurations, computed from the signed distances between the
+    robot's spheres and the obstacles.
 
     Args:
         clearance: [m] distance beyond the padding below which an obstacle adds cost.
@@ -181,7 +190,7 @@ class ObstacleCost:
                 self._fields.append((field, mine, (s.radius[mine] + pad).astype(np.float32)))
 
     def of_paths(self, paths: Array) -> Array:
-        """Compute the obstacle cost (k, m) at each waypoint of paths (k, m, n).
+        """Compute the obstacle cost (k, m) at every waypoint of several paths (k, m, n).
 
         The cost is the sum of sphere costs times sphere speeds. Only sphere groups near an obstacle are
         evaluated sphere by sphere. A configuration that the checker rejects for another reason costs REFUSED
@@ -210,7 +219,7 @@ class ObstacleCost:
         return total.reshape(k, m)
 
     def gradient(self, path: Array) -> tuple[float, Array, float]:
-        """Compute CHOMP's functional gradient of the obstacle cost of a path (m, n).
+        """Compute the functional gradient of the obstacle cost for a path (m, n), as defined for CHOMP.
 
         Return cost, gradient (m, n) and smallest distance [m].
 
@@ -252,7 +261,7 @@ class ObstacleCost:
 
 
 def _hinge(d: F32, clearance: float) -> tuple[F32, F32]:
-    """Compute the obstacle cost at signed distances d [m] and its slope.
+    """Compute the obstacle cost of signed distances d [m], and its slope.
 
     The cost is linear inside the obstacle, parabolic up to the clearance, then 0.
     """
@@ -262,7 +271,9 @@ def _hinge(d: F32, clearance: float) -> tuple[F32, F32]:
 
 
 def _moved(x: NDArray) -> NDArray:
-    """Compute the obstacle cost's sphere motion (k, m, s, 3) per step, by central differences."""
+    """Compute by central differences how far each sphere moves per step of a path (k, m, s, 3); the obstacle
+    cost is weighted by this motion.
+    """
     out = np.empty_like(x)
     out[:, 1:-1] = 0.5 * (x[:, 2:] - x[:, :-2])
     out[:, 0], out[:, -1] = x[:, 1] - x[:, 0], x[:, -1] - x[:, -2]

@@ -50,14 +50,16 @@ UNDECLARED = {"AORRTC": {"range": "0"}}  # parameters with a method that OMPL do
 
 
 def declared(planner: ob.Planner, name: str) -> dict[str, str]:
-    """Read an OMPL planner's parameters and current values from its printed settings."""
+    """Read the parameters of an OMPL planner and their current values from the settings that the planner
+    prints.
+    """
     lines = planner.printSettings().splitlines()[1:]
     pairs = (line.split(" = ", 1) for line in lines if " = " in line)
     return {key.strip(): value.strip() for key, value in pairs} | UNDECLARED.get(name, {})
 
 
 def settings_maker(name: str) -> SettingsParser:
-    """Create a parser of OMPL planner parameters that checks them on a trial planner.
+    """Create a parser for the parameters of an OMPL planner, which checks the values on a trial planner.
 
     The settings are the parameters.
     """
@@ -77,7 +79,7 @@ def settings_maker(name: str) -> SettingsParser:
 
 @contextmanager
 def trial_planner(name: str) -> Iterator[ob.Planner]:
-    """Create an OMPL planner in a two-dimensional space, only to read and check parameters."""
+    """Create an OMPL planner in a two-dimensional space that serves only to read and check its parameters."""
     ou.setLogLevel(ou.LOG_NONE)
     space = ob.RealVectorStateSpace(2)
     bounds = ob.RealVectorBounds(2)
@@ -94,7 +96,7 @@ def trial_planner(name: str) -> Iterator[ob.Planner]:
 
 
 def set_parameters(planner: ob.Planner, name: str, parameters: Mapping[str, Any]) -> None:
-    """Set the parameters of an OMPL planner.
+    """Set parameters of an OMPL planner.
 
     Raises:
         UnknownParameterError: OMPL declares no such parameter for the planner; the error lists the declared
@@ -136,7 +138,7 @@ def _text(value: Any) -> str:
 
 
 def _converted(kind: type, value: Any, what: str) -> Any:
-    """Convert a value to the type of an OMPL planner parameter; accepts text from files."""
+    """Convert a value, which may be text from a file, to the type of an OMPL planner parameter."""
     if kind is str:
         return str(value)
     text = str(value).strip().lower()
@@ -175,7 +177,7 @@ _one_at_a_time = threading.Lock()
 
 
 class _Edges(ob.MotionValidator):
-    """OMPL motion validator that checks whole edges, 16 configurations at a time."""
+    """Motion validator for OMPL that checks whole edges, 16 configurations at a time."""
 
     def __init__(self, info: ob.SpaceInformation, problem: Problem, step: float):
         super().__init__(info)
@@ -268,7 +270,7 @@ def _search(name: str, problem: Problem) -> PlannerResult:
 def _solve_without_python(
     setup: og.SimpleSetup, planner: ob.Planner, space: ob.RealVectorStateSpace, problem: Problem
 ) -> None:
-    """Solve with an OMPL planner that has a second thread, without Python callbacks.
+    """Solve a planning problem without Python callbacks, for OMPL planners that use a second thread.
 
     The second thread asks for the end of the time limit and for the validity of further goals. A Python
     callback would wait there for the interpreter lock, which the first thread holds while it waits for the
@@ -291,13 +293,15 @@ def _solve_without_python(
 
 
 def _time_for(name: str, problem: Problem) -> float:
-    """Compute the time [s] that an OMPL planner gets before its solution is read."""
+    """Return how much time [s] an OMPL planner gets before its solution is read."""
     left = max(problem.deadline - time.monotonic(), 0.0)
     return min(left, ASYMPTOTIC_TIME) if name in ASYMPTOTIC else left
 
 
 def _project(space: ob.RealVectorStateSpace, problem: Problem) -> None:
-    """Register the joints that span the cells of OMPL's (B)KPIECE, if the request names them."""
+    """Register the joints that define the grid cells of the OMPL planners KPIECE and BKPIECE, if the request
+    names them.
+    """
     joints = problem.options.projection_evaluator
     if not joints:
         return

@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PRMSettings:
-    """Settings of the PRM planner."""
+    """Settings of the planner PRM."""
 
     max_vertices: int = 16_384  # a multiple of 16
     blocks: int = 4  # blocks of 16 samples by which the roadmap grows when a query finds no path
@@ -59,7 +59,8 @@ class PRMSettings:
 
 @dataclass(frozen=True, eq=False)
 class PRMResult:
-    """Result of a PRM query: waypoints (k, dof) proven free, or None, with statistics.
+    """Result of a query to the planner PRM: waypoints (k, dof) that are proven collision-free, or None, with
+    statistics.
 
     Attributes:
         vertex_checks, edge_checks: number of checks in this query.
@@ -79,7 +80,7 @@ class PRMResult:
 
 
 class Roadmap:
-    """PRM roadmap of one joint group, kept between queries and valid for any scene.
+    """PRM roadmap for one group of joints. It is kept between queries and can be used in any scene.
 
     Hold `lock` during a query.
     """
@@ -117,7 +118,9 @@ class Roadmap:
         )  # fmt: skip
 
     def enter(self, checker: KernelChecker, stop: NDArray[np.int64]) -> None:
-        """Check every PRM roadmap vertex in the checker's scene, unless the last query had this scene."""
+        """Check every vertex of a PRM roadmap in the scene of the checker, unless the last query used the
+        same scene.
+        """
         digest = hashlib.blake2b(digest_size=16)
         for array in checker.flat:
             digest.update(array.data)
@@ -129,14 +132,14 @@ class Roadmap:
         )
 
     def grow(self, checker: KernelChecker, lower: Array, upper: Array, blocks: int, stop) -> None:
-        """Grow the PRM roadmap by the collision-free configurations of `blocks` times 16 samples."""
+        """Extend a PRM roadmap: sample `blocks` times 16 configurations, and add the collision-free ones."""
         compiled.grow(
             checker.handle, self.no_room, *self._graph, *self.near, self.stamp, lower, upper, self.steps,
             self.sample, self.block, blocks, stop,
         )  # fmt: skip
 
     def insert(self, path: Array, joined: bool) -> NDArray[np.int32]:
-        """Add free configurations, and optionally the edges between them, to the PRM roadmap.
+        """Add collision-free configurations, and optionally the edges between them, to a PRM roadmap.
 
         Return the numbers of the vertices.
         """
@@ -146,7 +149,7 @@ class Roadmap:
         return numbers
 
     def query(self, checker, start: int, goals, step: float, path: Array, route, stop) -> int:
-        """Query the PRM roadmap for the shortest collision-free path.
+        """Find the shortest collision-free path on a PRM roadmap.
 
         See native.roadmap.query.
         """
@@ -159,7 +162,8 @@ def plan_with_roadmap(
     roadmap: Roadmap, planner: NativePlanner, start: Array, goals: Array, lower: Array, upper: Array,
     seed: int = 0, stop: NDArray[np.int64] | None = None,
 ) -> PRMResult:  # fmt: skip
-    """Plan by PRM on a kept roadmap, every edge proven free, and extend the roadmap with the path.
+    """Plan by PRM on a roadmap from earlier queries, with every edge proven collision-free, and extend the
+    roadmap by the new path.
 
     The result depends on earlier queries; the same queries in the same order give the same results.
 
@@ -224,7 +228,7 @@ _lock = threading.Lock()
 def roadmap_of(
     model: RobotModel, joint_names: tuple[str, ...], settings: PRMSettings = PRMSettings()
 ) -> Roadmap:
-    """Return PRM's roadmap for a model, group and settings; the first request creates it."""
+    """Return the PRM roadmap for a robot model, a group and settings. The first call creates it."""
     with _lock:
         kept = _roadmaps.setdefault(model, {})
         key = (joint_names, settings)
@@ -235,7 +239,7 @@ def roadmap_of(
 
 @pipelines["native"].register("PRM")
 def plan_prm(problem: Problem) -> PlannerResult:
-    """Plan by PRM: find a path over the roadmap, prove it free and simplify it.
+    """Plan by PRM: find a path on the roadmap, prove that it is collision-free, and simplify it.
 
     Every query extends the roadmap.
     """
@@ -267,7 +271,7 @@ def plan_prm(problem: Problem) -> PlannerResult:
 
 @lru_cache(maxsize=1)
 def warm_up_roadmap() -> None:
-    """Compile the PRM kernels before their first use."""
+    """Compile the kernels of the planner PRM before their first use."""
     checker, a, b = small_problem()
     planner, roadmap, stop = NativePlanner(checker), Roadmap(1), np.zeros(1, np.int64)
     announce_compilation("PRM", query)

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SpaceOptions:
-    """Space options of a planning problem, besides the planner's parameters."""
+    """Options of a planning problem that concern the search space instead of the planner."""
 
     longest_valid_segment_fraction: float | None = None  # check step: share of the space's extent
     projection_evaluator: tuple[str, ...] = ()  # joints whose values span the cells of (B)KPIECE
@@ -28,7 +28,9 @@ class SpaceOptions:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Problem that every planner receives: start, goals (n,), bounds, checker and deadline."""
+    """Planning problem that every planner receives: a start (n,), goals (n,), bounds, a collision checker and
+    a deadline.
+    """
 
     checker: KernelChecker
     start: Array
@@ -46,7 +48,9 @@ class Problem:
 
     @property
     def stopped(self) -> bool:
-        """Whether the planner of a problem must stop: the request is canceled or its time is up."""
+        """Whether a planner must stop working on the problem, because the request is canceled or its time is
+        up.
+        """
         return self.cancel.is_set() or time.monotonic() > self.deadline
 
     @property
@@ -56,7 +60,9 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class PlannerResult:
-    """Result of a planning problem: waypoints (k, n) from start to goal, or None with a message."""
+    """Result of a planner for a planning problem: waypoints (k, n) from the start to a goal, or None with a
+    message.
+    """
 
     waypoints: Array | None
     message: str = ""
@@ -70,7 +76,8 @@ Planner = Callable[[Problem], PlannerResult]
 def sampling_bounds(
     model: RobotModel, joint_names: tuple[str, ...], start: Array, goals: Sequence[Array]
 ) -> tuple[Array, Array]:
-    """Compute a planning problem's sampling bounds (n,), lower and upper.
+    """Compute the lower and upper bounds (n,) between which planners sample joint positions for a planning
+    problem.
 
     The bounds are the joint limits, or one turn around start and goals for joints with wider limits.
     """

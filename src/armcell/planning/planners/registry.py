@@ -24,7 +24,7 @@ SettingsParser = Callable[[Mapping[str, Any]], Any]
 
 
 class UnknownParameterError(UnknownNameError):
-    """Error for a parameter that a planner in the registry does not have.
+    """Error for a parameter that the selected planner in the registry does not have.
 
     The message lists the planner's parameters with their current values.
     """
@@ -41,7 +41,8 @@ class UnknownParameterError(UnknownNameError):
 
 
 def settings_parser(planner: str, cls: type) -> SettingsParser:
-    """Create a parser from a request's parameters to the settings of a planner in the registry.
+    """Create a function that converts the parameters of a request to the settings of a planner in the
+    registry.
 
     Raises:
         UnknownParameterError: no such parameter. InputError: a value of the wrong type.
@@ -69,14 +70,14 @@ logger = logging.getLogger(__name__)
 
 
 def announce_compilation(planner: str, function: Any) -> None:
-    """Log that a planner in the registry will be compiled, unless it is loaded or cached."""
+    """Log that a planner in the registry is about to be compiled, unless it is already loaded or cached."""
     if function.signatures or _cached(function):
         return
     logger.info("compiling planner %s, which is kept for later runs", planner)
 
 
 def _cached(function: Any) -> bool:
-    """Return whether Numba's cache has an index file for a registered planner's function."""
+    """Return whether Numba's cache contains an index file for the function of a planner in the registry."""
     folder, code = Path(os.environ["NUMBA_CACHE_DIR"]), function.py_func.__code__
     pattern = f"{Path(code.co_filename).stem}.{code.co_name}-{code.co_firstlineno}.*.nbi"
     return any(folder.rglob(pattern))
@@ -106,7 +107,8 @@ first_use_hooks: dict[Planner, Callable[[], object]] = {}
 
 
 def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str, Any]) -> Any:
-    """Convert a request's parameters to a registered planner's settings; None without parameters.
+    """Convert the parameters of a request to the settings of a planner in the registry. Return None if there
+    are no parameters.
 
     Raises:
         UnknownParameterError: the planner has no such parameter; the error lists its parameters.
@@ -120,7 +122,7 @@ def planner_settings(planner: Planner, planner_id: str, parameters: Mapping[str,
 
 
 def planner_defaults(pipeline_id: str, planner_id: str) -> dict[str, Any]:
-    """List the parameters with default values of a planner in the registry.
+    """List the parameters of a planner in the registry with their default values.
 
     Raises:
         UnknownNameError: no such pipeline or planner.
@@ -145,12 +147,14 @@ SIMILAR_PLANNERS = {
 
 
 def normalized_pipeline_id(pipeline_id: str) -> str:
-    """Convert a pipeline's name to the registry's name; an empty name means the default pipeline."""
+    """Convert the name of a planning pipeline to the name used in the planner registry. An empty name means
+    the default pipeline.
+    """
     return PIPELINE_ALIASES.get(pipeline_id, pipeline_id)
 
 
 class UnknownPlannerError(UnknownNameError):
-    """Error for a planner name that no registered pipeline has.
+    """Error for a planner name that no pipeline in the planner registry has.
 
     The message names the pipeline that has the planner, or the most similar planners.
     """
@@ -176,13 +180,13 @@ class UnknownPlannerError(UnknownNameError):
 
 
 def _name_in(pipeline_id: str, name: str) -> str | None:
-    """Return the name under which the registry has a pipeline's planner, or None."""
+    """Return the name under which the registry lists a planner of a pipeline, or None if it does not."""
     table = pipelines[pipeline_id]
     return next((n for n in (name, ALIASES.get(name)) if n in table), None)
 
 
 def pipeline_for(pipeline_id: str, planner_id: str) -> str:
-    """Select the planning pipeline of a request in the planner registry.
+    """Select the planning pipeline for a request from the planner registry.
 
     Without a pipeline name, it is the first pipeline that has the planner.
     """
@@ -193,7 +197,8 @@ def pipeline_for(pipeline_id: str, planner_id: str) -> str:
 
 
 def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
-    """Look up in the registry the name and function of a planner by pipeline name and planner name.
+    """Find a planner in the registry by the names of its pipeline and planner, and return its name and its
+    function.
 
     Without a pipeline name, the first pipeline that has the planner is used.
 
@@ -215,12 +220,12 @@ def named_planner(pipeline_id: str, planner_id: str) -> tuple[str, Planner]:
 
 
 def find_planner(pipeline_id: str, planner_id: str) -> Planner:
-    """Look up a planner's function in the registry by pipeline and planner name."""
+    """Find a planner in the registry by the names of its pipeline and planner, and return its function."""
     return named_planner(pipeline_id, planner_id)[1]
 
 
 def normalized_planner_id(planner_id: str) -> str:
-    """Convert MoveIt's planner names to those in armcell's planner registry.
+    """Convert a planner name that MoveIt uses to the name in armcell's planner registry.
 
     Examples: `geometric::RRTConnect`, `RRTConnectkConfigDefault`, `arm[RRTConnect]`.
     """

@@ -51,7 +51,8 @@ class NativeSettings:
 
 @dataclass(frozen=True, eq=False)
 class NativeResult:
-    """Result of RRT-Connect or another native planner: waypoints (k, dof) proven free, or None.
+    """Result of RRT-Connect or another native planner: waypoints (k, dof) that are proven collision-free, or
+    None.
 
     Times are seconds of this thread's CPU time.
     """
@@ -68,7 +69,7 @@ class NativeResult:
 
 
 class NativePlanner:
-    """Native RRT-Connect planner with path simplification for one collision checker.
+    """Native planner for one collision checker, which searches by RRT-Connect and then simplifies the path.
 
     The planner keeps its trees between calls. Use one instance per thread.
     """
@@ -98,7 +99,7 @@ class NativePlanner:
         iterations: int | None = None,
         go_on: bool = False,
     ) -> tuple[int, int, int]:
-        """Run one RRT-Connect search, or continue the last one; write the path to `self.path`.
+        """Run one search by RRT-Connect, or continue the last one, and write the path to `self.path`.
 
         With `go_on`, the last search continues for another `iterations`.
 
@@ -128,7 +129,7 @@ class NativePlanner:
         )
 
     def add_goal(self, q: Array, number: int) -> None:
-        """Add a goal as another tree root to a running RRT-Connect search.
+        """Add another goal to a running RRT-Connect search, as a further root of the goal tree.
 
         The goal becomes row `number` of the goals.
         """
@@ -142,7 +143,8 @@ class NativePlanner:
         self.found[NODES_1] += 1
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:
-        """Prove waypoints path[:count] free and shorten them in place with the native RRT-Connect planner.
+        """Prove that the path through the waypoints path[:count] is collision-free, and shorten it in place
+        with the native RRT-Connect planner.
 
         Return the new count, or 0 if a proof fails.
         """
@@ -150,7 +152,8 @@ class NativePlanner:
         return simplify_path(c.handle, self.path, count, self.space, self.index, self.slack, PADDED, stop)
 
     def shortened(self, waypoints: Array, stop: NDArray[np.int64]) -> Array | None:
-        """Simplify a path (m, dof) with the native RRT-Connect planner to proven waypoints (k, dof).
+        """Simplify a path (m, dof) with the native RRT-Connect planner, and return waypoints (k, dof) that
+        are proven collision-free.
 
         Return None if an edge cannot be proven.
         """
@@ -167,7 +170,8 @@ class NativePlanner:
 
     @property
     def closest(self) -> Array | None:
-        """Closest approach of RRT-Connect's two trees in the last search: its two ends (2, dof).
+        """Closest approach of the two trees in the last RRT-Connect search: the two configurations (2, dof)
+        that were nearest to each other.
 
         See `NativeResult`.
         """
@@ -186,7 +190,7 @@ class NativePlanner:
         rounds: int = 5,
         more_goals: Iterator[Array] | None = None,
     ) -> NativeResult:
-        """Plan a path by RRT-Connect with every edge proven free.
+        """Plan a path by RRT-Connect in which every edge is proven collision-free.
 
         The result has no waypoints if none was found.
 
@@ -235,7 +239,7 @@ class NativePlanner:
     def _in_slices(
         self, start: Array, goals: Array, ask: tuple, more_goals: Iterator[Array]
     ) -> tuple[int, int, int, Array]:
-        """Run RRT-Connect in slices of iterations, with one more goal after each slice.
+        """Run RRT-Connect in several slices of iterations, and add one more goal after each slice.
 
         Return the search result and all goals.
         """
@@ -257,7 +261,8 @@ class NativePlanner:
 
 
 def nearest_roots(start: Array, goals: Array) -> Array:
-    """Return the start and its nearest goal (2, dof), RRT-Connect's nearest pair of roots.
+    """Return the start and the goal nearest to it (2, dof), the first pair of roots that RRT-Connect can
+    connect.
 
     This pair is the closest approach of the trees before any search.
     """
@@ -265,7 +270,9 @@ def nearest_roots(start: Array, goals: Array) -> Array:
 
 
 def shorter(known: Array, other: Array | None) -> Array:
-    """Return the closer of two connections (2, dof) between RRT-Connect's trees, by distance [rad]."""
+    """Return the shorter of two connections (2, dof) between the trees of RRT-Connect, measured in joint
+    space [rad].
+    """
     return known if other is None or _length(known) <= _length(other) else other
 
 
@@ -279,7 +286,7 @@ FINE = 0.01  # [rad] between samples of a blocked connection
 
 @pipelines["native"].register("RRTConnect")
 def plan_rrt_connect(problem: Problem) -> PlannerResult:
-    """Plan by RRT-Connect: return a simplified path with every edge proven free."""
+    """Plan by RRT-Connect, and return a simplified path in which every edge is proven collision-free."""
     planner = planner_of(problem.checker, problem.settings)
     with stopping(problem) as stop:
         answer = planner.plan(
@@ -306,7 +313,7 @@ settings_parsers[plan_rrt_connect] = settings_parser("RRTConnect", NativeSetting
 def unsolved(
     planner: str, problem: Problem, iterations: int, closest: NDArray[np.float64] | None, statistics: dict
 ) -> PlannerResult:
-    """Build the planner result of a failed RRT-Connect search.
+    """Create the result of an RRT-Connect search that found no path.
 
     The result reports how near the trees came and which contacts blocked them.
 
@@ -332,7 +339,9 @@ def unsolved(
 
 
 def _in_the_way(problem: Problem, closest: NDArray[np.float64]) -> list:
-    """Find the contacts that block RRT-Connect's failed connection, at its first blocked configuration."""
+    """Find the contacts that block the shortest failed connection of RRT-Connect, at its first blocked
+    configuration.
+    """
     a, b = closest
     for t in np.linspace(0.0, 1.0, max(int(np.linalg.norm(b - a) / FINE), 2)):
         q = a + t * (b - a)
@@ -345,7 +354,8 @@ _of_thread = threading.local()
 
 
 def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -> NativePlanner:
-    """Return the current thread's native RRT-Connect planner for the checker's number of joints.
+    """Return the native RRT-Connect planner of the current thread for the number of joints that the checker
+    has.
 
     Planners are reused because their trees are large. Other settings create a new planner.
     """
@@ -361,7 +371,9 @@ def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -
 
 @contextmanager
 def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
-    """Provide a stop flag for RRT-Connect and other compiled searches, set at deadline or cancel."""
+    """Provide a stop flag for RRT-Connect and other compiled searches, which is set at the deadline or when
+    the request is canceled.
+    """
     stop, done = np.zeros(1, np.int64), threading.Event()
 
     def watch() -> None:
@@ -380,7 +392,8 @@ def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
 
 
 def simplify(problem: Problem, waypoints: Array) -> Array | None:
-    """Simplify another planner's path (m, n) by the native RRT-Connect planner, with the same ends.
+    """Simplify the path (m, n) of another planner with the native RRT-Connect planner; the ends of the path
+    remain.
 
     Return None if an edge cannot be proven.
 

@@ -50,7 +50,7 @@ def optimize_stomp(
     cost: ObstacleCost, path: Array, lower: Array, upper: Array, settings: STOMPSettings,
     is_free: Callable[[Array], bool], stopped: Callable[[], bool], rng: np.random.Generator,
 ) -> Descent:  # fmt: skip
-    """Optimize a path (m, n) by STOMP until it is free; the path's ends stay fixed."""
+    """Optimize a path (m, n) by STOMP until it is collision-free; the ends of the path stay fixed."""
     path = path.copy()
     m, n = path.shape
     line = path[0] + np.linspace(0.0, 1.0, m)[:, None] * (path[-1] - path[0])
@@ -90,7 +90,7 @@ pipelines["stomp"] = Registry("planner of pipeline 'stomp'", GROUP)
 
 @pipelines["stomp"].register("STOMP")
 def stomp(problem: Problem) -> PlannerResult:
-    """Plan a rough path by STOMP (stochastic trajectory optimization).
+    """Plan a rough path by STOMP (stochastic trajectory optimization for motion planning).
 
     The pipeline simplifies the path.
     """

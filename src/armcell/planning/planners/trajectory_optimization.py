@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 @lru_cache(maxsize=16)
 def smooth_metric(count: int) -> tuple[Array, Array]:
-    """Compute the inverse smoothness metric (count, count) of trajectory optimization, and its root.
+    """Return the inverse (count, count) of the smoothness metric for trajectory optimization, and a matrix
+    root of the inverse.
 
     The metric is the squared acceleration of a path with both ends fixed and at rest. The inverse is scaled
     to a largest element of 1; the root times white noise is smooth noise.
@@ -35,14 +36,18 @@ def smooth_metric(count: int) -> tuple[Array, Array]:
 
 
 def resample_path(path: Array, count: int) -> Array:
-    """Resample a path (k, n) for trajectory optimization to count + 2 waypoints at equal distances."""
+    """Resample a path (k, n) at equal distances to count + 2 waypoints, as trajectory optimization
+    needs it.
+    """
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     at = np.linspace(0.0, way[-1], count + 2)
     return np.column_stack([np.interp(at, way, path[:, j]) for j in range(path.shape[1])])
 
 
 def path_validity(problem: Problem) -> Callable[[Array], bool]:
-    """Return a test for optimized paths (m, n): free with padding and proven free."""
+    """Return a function that tests optimized paths (m, n): they must respect the padding at samples and be
+    proven collision-free.
+    """
     checker = problem.checker
 
     def is_free(path: Array) -> bool:
@@ -55,7 +60,8 @@ def optimize_from_many_starts(
     name: str, problem: Problem, optimize: Callable[[Array, np.random.Generator], Descent], count: int,
     starts: int, detour: float, done: bool,
 ) -> PlannerResult:  # fmt: skip
-    """Optimize initial paths by CHOMP or STOMP until one is free: straight, then random detours.
+    """Optimize initial paths by CHOMP or STOMP, first a straight one, then random detours, until one becomes
+    collision-free.
 
     Args:
         done: whether the path keeps its shape and is not simplified later.
@@ -81,7 +87,7 @@ def optimize_from_many_starts(
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Result of a trajectory optimization by CHOMP or STOMP.
+    """Result of optimizing a trajectory by CHOMP or STOMP.
 
     `free` is the first free path (m, n) or None, `path` the last path.
     """
@@ -94,7 +100,7 @@ class Descent:
 
 
 def clamp_path(path: Array, lower: Array, upper: Array, inverse: Array) -> None:
-    """Bring an optimized path (m, n) within joint limits by smooth changes, in place.
+    """Bring an optimized path (m, n) within the joint limits by smooth changes, in place.
 
     The worst waypoint of each joint is corrected first.
     """
@@ -113,7 +119,8 @@ def initial_path(
     start: Array, goal: Array, count: int, lower: Array, upper: Array, number: int, detour: float,
     rng: np.random.Generator,
 ) -> Array:  # fmt: skip
-    """Create an initial path (count + 2, n) for trajectory optimization: straight or with a random detour.
+    """Create an initial path (count + 2, n) for trajectory optimization, either straight or with a random
+    detour.
 
     The size of the detour grows with `number`.
     """

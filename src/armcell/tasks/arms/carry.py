@@ -23,7 +23,7 @@ SLIP_EVERY = 10  # cycles between two measurements of the slip
 
 @dataclass
 class CarryRecord:
-    """Largest deviations of an object that two arms carry over all control cycles since the grasp."""
+    """Largest deviations, over all control cycles since the grasp, of an object that two arms carry."""
 
     off_m: float = 0.0
     turn_rad: float = 0.0
@@ -39,7 +39,8 @@ class CarryRecord:
 
 
 class Carrying:
-    """Two-arm carry task: grasp both ends of an object, move it, put it down, release.
+    """Task in which two arms carry an object: they grasp both of its ends,
+    move it, put it down and release it.
 
     Every method returns an `Outcome`; the first failure stops both arms.
 
@@ -62,7 +63,7 @@ class Carrying:
         return self.hands.hold
 
     def grasp(self, route: Sequence[SE3] = ()) -> Outcome:
-        """Move both arms of a carry task to the object's ends simultaneously and close the grippers.
+        """Move both arms of a carry task to the ends of the object at the same time, and close the grippers.
 
         Args:
             route: later poses of the object; grasps that cannot reach them are rejected. Grasps with
@@ -75,7 +76,7 @@ class Carrying:
         return outcome if outcome.ok else self._with_record(outcome)
 
     def move(self, *poses: SE3, name: str = "carry") -> Outcome:
-        """Carry an object with two arms through given poses (T_world_object) and stop at each pose.
+        """Carry an object with two arms through the given poses (T_world_object), with a stop at each pose.
 
         The path is straight if possible, else it avoids obstacles.
         """
@@ -99,12 +100,14 @@ class Carrying:
     def shift(
         self, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0, name: str = "carry"
     ):
-        """Carry an object with two arms by an offset [m] in world axes, and rotate it about the vertical."""
+        """Carry an object with two arms by an offset [m] along the world axes,
+        and rotate it about the vertical.
+        """
         here = self._object_pose(self._known())
         return self.move(shifted(here, x, y, z, turn_deg), name=name)
 
     def release(self) -> Outcome:
-        """Open both grippers of a two-arm carry and retreat straight from the object."""
+        """Open both grippers after two arms have carried an object, and retreat straight from the object."""
         self._known()
         widths = {}
         for group, gripper in self.hands.grippers.items():
@@ -137,7 +140,9 @@ class Carrying:
         return self._with_record(outcome)
 
     def _object_pose(self, held: PairHold) -> SE3:
-        """Return a two-arm carry's T_world_object at the commanded joints, from the first hand's grasp."""
+        """Return T_world_object of the object that two arms carry, computed from the commanded joint
+        positions and the first hand's grasp.
+        """
         first = self.hands.first
         return self.hands.tcp_poses_at(held.q)[first] @ held.carried.grasps[first].inv()
 
@@ -147,7 +152,9 @@ class Carrying:
         return self._held
 
     def squeeze(self) -> Array:
-        """Return the internal force (3,) [N] of two arms that carry an object: half the hands' difference."""
+        """Return the internal force (3,) [N] with which two arms squeeze the object that they carry: half the
+        difference of the forces at the two hands.
+        """
         first, second = (self.ctx.driver.wrench(self.hands.grippers[g].name)[:3] for g in self.hands.groups)
         return (second - first) / 2
 
@@ -156,7 +163,9 @@ class Carrying:
         return self._corrected(q, offset), v
 
     def _corrected(self, q: Array, offset: Array) -> Array:
-        """Return a two-arm carry's setpoints in which an offset (3,) [m] moves the second hand."""
+        """Return the joint setpoints of two arms that carry an object,
+        corrected so that the second hand moves by an offset (3,) [m].
+        """
         if not offset.any():
             return q
         group = self.hands.second
@@ -178,7 +187,8 @@ class Carrying:
         return held.T_first_object.distance_to(here)[0]
 
     def _watch(self) -> Outcome | None:
-        """Watch a two-arm carry: the hands' relative pose, the internal force, and that the object is held.
+        """Check, while two arms carry an object, that the hands keep their relative pose, that the internal
+        force stays below its limit, and that both hands still hold the object.
 
         The check runs in every control cycle.
         """
@@ -202,6 +212,8 @@ class Carrying:
 
 
 def shifted(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
-    """Return the pose of an object that two arms carry, moved in world axes and rotated vertically."""
+    """Return the pose of an object that two arms carry,
+    moved along the world axes and rotated about the vertical.
+    """
     turn = SO3.exp((0.0, 0.0, np.deg2rad(turn_deg)))
     return SE3(turn @ T.rotation, T.translation + np.array([x, y, z]))

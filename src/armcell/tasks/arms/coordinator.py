@@ -40,7 +40,8 @@ MOTION = "motion"
 
 
 class MotionCoordinator:
-    """Motion coordinator of two arms that work side by side: motions, reserved zones, yielding.
+    """Coordinator of the motions of two arms that work side by side: it decides when an arm may start to
+    move, reserves zones and lets one arm yield to the other.
 
     Only one of the two programs runs at a time, so the state needs no locks.
     """
@@ -65,7 +66,9 @@ class MotionCoordinator:
 
     # --- motions ---
     def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
-        """Wait in the coordinator until an arm's motion, or a detour to its goal, may start; return it."""
+        """Wait until the coordinator allows an arm's motion, or a detour to the same goal,
+        to start, and return the allowed motion.
+        """
         me, straight = ctx.group, motion.planner == "cartesian"
         began = ctx.driver.now
         while not ctx.cancel.is_set():
@@ -113,7 +116,8 @@ class MotionCoordinator:
         return found
 
     def _free(self, ctx, arms: Arms, scene: PlanningScene, wanted, other: RunningMotion, now: float) -> bool:
-        """Return whether the coordinator may start a motion of one arm beside the other arm.
+        """Return whether the coordinator may start a motion of one arm
+        while the other arm moves or rests beside it.
 
         Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
         pause and move during this check, so they are certified for any timing.
@@ -127,7 +131,9 @@ class MotionCoordinator:
         ).free  # fmt: skip
 
     def _clearance_now(self, arms: Arms, scene: PlanningScene, wanted: JointTrajectory) -> float:
-        """Return the coordinator's required clearance between arms, or slightly less than the present one."""
+        """Return the clearance that the coordinator requires between the arms, or slightly less than the
+        present distance if the arms are already closer than that.
+        """
         q = scene.state.reindexed(arms.joint_names).positions
         if arms.find_too_close(q[None], None, self.clearance) < 0:
             return self.clearance
@@ -153,7 +159,7 @@ class MotionCoordinator:
         return found if self._free(ctx, arms, scene, found, running, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
-        """Execute a motion of the motion coordinator itself, with which an arm yields or returns."""
+        """Execute a motion that the coordinator itself has planned, with which an arm yields or returns."""
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
         motion = ctx.gate.motion(trajectory, cancel=ctx.cancel)
@@ -173,14 +179,18 @@ class MotionCoordinator:
         return running.trajectory.duration == 0.0  # a real arm rests when its driver reports it
 
     def _has_lower_priority(self, me: str) -> bool:
-        """Return whether the coordinator's other arm also waits to move and started to wait earlier."""
+        """Return whether the coordinator gives the other arm priority,
+        because that arm has waited longer for its motion.
+        """
         mine, theirs = self.waits.get(me), self.waits.get(self.other(me))
         if mine is None or theirs is None or theirs[1] != MOTION:
             return False
         return (theirs[0], self.groups.index(self.other(me))) < (mine[0], self.groups.index(me))
 
     def _resolve_wait(self, ctx: ArmContext) -> None:
-        """Resolve a coordinator's deadlock: yield to an arm with priority, or ask an idle arm to yield."""
+        """Resolve a deadlock of two coordinated arms: yield to the other arm if it has priority,
+        or ask it to yield if it is idle.
+        """
         me, other = ctx.group, self.other(ctx.group)
         if self._has_lower_priority(me) or me in self.asked:
             self.yield_to_other(ctx)
@@ -188,7 +198,7 @@ class MotionCoordinator:
             self.asked.add(other)
 
     def yield_to_other(self, ctx: ArmContext) -> None:
-        """Let the coordinator move an arm to the home state to yield to the other, if possible.
+        """Let the coordinator move an arm to its home state, if possible, so that it yields to the other arm.
 
         An arm that is already there does not move.
         """
@@ -218,7 +228,7 @@ class MotionCoordinator:
 
     # --- zones and rendezvous ---
     def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Choose for a coordinated arm the first item whose zone the other arm does not use or approach.
+        """Choose for a coordinated arm the first item whose zone the other arm neither uses nor approaches.
 
         If there is none, return the first item.
 
@@ -234,7 +244,8 @@ class MotionCoordinator:
 
     @contextmanager
     def reserved(self, ctx: ArmContext, zone: str) -> Iterator[None]:
-        """Reserve a zone for one coordinated arm; arms receive the zone in the order of their requests.
+        """Reserve a zone for one of two coordinated arms.
+        Arms receive the zone in the order of their requests.
 
         Raises:
             InputError: the arm already holds a zone (two arms with a zone each could wait forever).
@@ -258,7 +269,9 @@ class MotionCoordinator:
             self._heading.pop(ctx.group, None)
 
     def rendezvous(self, ctx: ArmContext, name: str) -> None:
-        """Wait in a coordinated arm's program until the other one reaches the same rendezvous or ends."""
+        """Wait in the program of a coordinated arm until the other arm
+        reaches the same rendezvous or its program ends.
+        """
         here = self._arrived.setdefault(name, set())
         here.add(ctx.group)
         other = self.other(ctx.group)
@@ -268,7 +281,9 @@ class MotionCoordinator:
         self.waits.pop(ctx.group, None)
 
     def park(self, ctx: ArmContext) -> None:
-        """Keep a coordinated arm at rest after its program, but let it yield until the other program ends."""
+        """Keep a coordinated arm at rest after the end of its program.
+        Until the other program ends, the arm yields if asked to.
+        """
         ctx.ended = True
         while not self.contexts[self.other(ctx.group)].ended and not ctx.cancel.is_set():
             self.waits.setdefault(ctx.group, (ctx.driver.now, "the end"))

@@ -18,7 +18,7 @@ from armcell.tasks.steps import staged
 def move_together(
     ctx: TaskContext, both: str, goals: Mapping[str, Goal], name: str = "move together"
 ) -> Outcome:
-    """Move two coupled arms to one goal each: both start and arrive at the same time."""
+    """Move two coupled arms to one goal each, so that both start and arrive at the same time."""
     s, scene = ctx.settings, ctx.scene()
     template = PlanRequest(
         next(iter(goals)), (), planner_id=s.planner_id, planning_time=s.planning_time,
@@ -41,7 +41,7 @@ def play(
     evidence: Mapping[str, Any] = MappingProxyType({}), scene: Callable[[], PlanningScene] | None = None,
     planned_in: PlanningScene | None = None,
 ) -> Outcome:  # fmt: skip
-    """Execute a trajectory of two coupled arms as a stage.
+    """Execute a trajectory of two coupled arms as one stage of a task.
 
     Args:
         evidence: planning metadata for the record.

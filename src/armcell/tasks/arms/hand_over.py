@@ -25,7 +25,7 @@ RISES = (0.15, 0.3, 0.0)  # [m] above the object's present height
 
 
 def hand_over(ctx: TaskContext, item: str, receiver: Gripper, at: Sequence[SE3] = ()) -> Outcome:
-    """Hand an object from one arm's hand to another's; all motions are planned before the first starts.
+    """Hand an object over from one arm to another. All motions are planned before the first one starts.
 
     Args:
         at: candidate poses T_world_object, best first; default: half-way between the arms' bases.
@@ -62,7 +62,8 @@ def hand_over(ctx: TaskContext, item: str, receiver: Gripper, at: Sequence[SE3] 
 
 
 def _half_way(scene: PlanningScene, item: str, giver: Gripper, receiver: Gripper) -> tuple[SE3, ...]:
-    """Return candidate handover poses halfway between the arms' bases.
+    """Return candidate poses of an object at which one arm can hand it to another,
+    halfway between the bases of the two arms.
 
     The candidates have several rotations and heights.
     """
@@ -128,7 +129,9 @@ class OfferObject:
 @stage_types.register("open_giver")
 @dataclass(frozen=True, eq=False)
 class OpenGiver:
-    """Handover stage that opens the giver to retreat once the receiver holds the object."""
+    """Handover stage that opens the giver's gripper a little once the receiver holds the object,
+    so that the giver can retreat.
+    """
 
     object: str
     giver: Gripper

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class CarrySettings:
-    """Settings for a pair of hands that carries one object with two arms."""
+    """Settings for a pair of hands with which two arms carry one object."""
 
     velocity: float = 0.3  # scaling of the joint limits
     acceleration: float = 0.15
@@ -48,7 +48,7 @@ class CarrySettings:
 
 @dataclass
 class PairHold:
-    """State of a pair of hands since their grippers closed on the object."""
+    """State of a pair of hands, measured when the grippers closed on the object."""
 
     carried: CarriedObject  # grasps at the set points
     T_hands: SE3  # measured pose of the second hand in the first
@@ -58,7 +58,7 @@ class PairHold:
 
 
 class HandPair:
-    """Pair of hands of two arms, at the two ends of one object.
+    """Pair of hands with which two arms hold an object at its two ends.
 
     Args:
         both: the group of both arms' joints.
@@ -91,28 +91,32 @@ class HandPair:
         self.hold: PairHold | None = None
 
     def other(self, group: str) -> str:
-        """Return the planning group of the other arm in a pair of hands."""
+        """Return the planning group of the other arm, given the group of one arm in a pair of hands."""
         return next(g for g in self.groups if g != group)
 
     def tcp_poses_at(self, q: Array) -> dict[str, SE3]:
-        """Return T_world_tcp of both arms of a hand pair, by group, at both arms' joint positions (n,)."""
+        """Return T_world_tcp of both hands of a pair, by arm group,
+        at given joint positions (n,) of both arms.
+        """
         full = self.ctx.driver.joint_state().positions.copy()
         full[self.columns] = q
         return self._tcp_poses(full)
 
     def measured_tcp_poses(self) -> dict[str, SE3]:
-        """Return the measured T_world_tcp of both arms of a hand pair, by arm group."""
+        """Return the measured T_world_tcp of both hands of a pair, by arm group."""
         return self._tcp_poses(self.ctx.driver.joint_state().positions)
 
     def _tcp_poses(self, q: Array) -> dict[str, SE3]:
         return dict(zip(self.groups, self.tree.link_poses(q, tuple(self.tips.values())), strict=True))
 
     def supports(self, scene: PlanningScene) -> tuple[str, ...]:
-        """Return the supports of the object between a hand pair, now or at the time of the grasp."""
+        """Return the names of the bodies that support the object between a pair of hands, now or, once it is
+        held, at the time of the grasp.
+        """
         return self.hold.supports if self.hold is not None else tuple(neighbors(scene, self.item))
 
     def attached(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene in which a hand pair's object is attached to the first hand.
+        """Return the scene in which the object of a hand pair is attached to the first hand.
 
         Contacts of both hands and of the supports with the object are allowed.
         """
@@ -124,7 +128,8 @@ class HandPair:
     def plan(
         self, scene: PlanningScene, carried: CarriedObject, start: SE3, poses: Sequence[SE3], seconds: float
     ) -> PlanResult:
-        """Plan a hand pair's motion that carries the object from a pose through other poses.
+        """Plan a motion with which a pair of hands carries the object
+        from its start pose through further poses.
 
         With a planning time of 0 s, only straight paths are tried.
         """
@@ -172,7 +177,7 @@ class HandPair:
         correct: Callable | None = None, watch: Callable | None = None,
         evidence: Mapping[str, Any] = MappingProxyType({}), planned_in: PlanningScene | None = None,
     ) -> Outcome:  # fmt: skip
-        """Execute a trajectory of both arms of a hand pair as a stage, with `coupled.play`."""
+        """Execute a trajectory of both arms of a hand pair as one stage, by means of `coupled.play`."""
         report = report or StageReport(name, "cartesian")
         return play(
             self.ctx, trajectory.reindexed(self.names), report, correct, watch, evidence, self._touching,
@@ -180,7 +185,9 @@ class HandPair:
         )  # fmt: skip
 
     def _touching(self) -> PlanningScene:
-        """Return the measured scene with a hand pair's contacts allowed and the held object attached."""
+        """Return the measured scene in which both hands of a pair may touch the object.
+        If they hold it, it is attached.
+        """
         scene = self.ctx.scene()
         if self.hold is not None:
             return self.attached(scene)

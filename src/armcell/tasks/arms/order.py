@@ -35,7 +35,8 @@ def orders(
     settings: TaskSettings = TaskSettings(),
     cycle_times: CycleTimes = CycleTimes(),
 ) -> dict[str, list[str]]:
-    """Estimate the order of objects for each of two arms with which both finish and return earliest.
+    """Estimate, for two arms, the order of objects with which both
+    arms finish their work and return earliest.
 
     With up to four objects per arm, all orders are compared; otherwise a local search exchanges two objects
     or reverses an order. The given order wins ties.
@@ -100,9 +101,9 @@ def earliest(
 
 
 def _near(one: Order, two: Order) -> Iterable[tuple[Order, Order]]:
-    """Yield neighboring object orders of two arms for a local search.
+    """Yield the next object orders of two arms that a local search should try.
 
-    These are all orders if there are few, else single changes.
+    These are all orders if there are few, else those that differ by one change.
     """
     if max(len(one), len(two)) <= EXHAUSTIVE:
         return product(permutations(one), permutations(two))
@@ -117,7 +118,8 @@ def _changed(order: Order) -> Iterator[Order]:
 
 
 def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
-    """Schedule a given order of objects: each arm's tour segments [s]; a zone serves one arm at a time.
+    """Schedule arms that take objects in a given order: return the times [s] of each tour segment. Each zone
+    serves only one arm at a time.
 
     Arms get a zone in the order of their arrival.
     """
@@ -140,7 +142,9 @@ def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
 def detours(
     arms: tuple[Tour, Tour], tables: Sequence[Sequence[Span]], conflicts: ConflictCache
 ) -> list[float]:
-    """Return each arm's detour time [s] around the other arm at work, for an order of objects."""
+    """Return the time [s] that each arm loses by detours around the other arm at work,
+    if it takes the objects in a given order.
+    """
     lost = [0.0, 0.0]
     for k in (0, 1):
         for segment, (begin, there, _) in zip(arms[k], tables[k], strict=True):
@@ -165,16 +169,17 @@ DECIMALS = 3  # [rad] positions that agree to these decimals share a cache entry
 
 
 class ConflictCache:
-    """Cache of conflicts between one arm's motion and another's working pose, to search object orders."""
+    """Cache for the search of object orders: where the motion of one
+    arm conflicts with the working pose of the other.
+    """
 
     def __init__(self, scene: PlanningScene, groups: tuple[str, str]):
         self._arms = Arms(scene, groups)
         self._known: dict[tuple[int, bytes], tuple[float, float] | None] = {}
 
     def share(self, arm: int, segment: TourSegment, other: TourSegment) -> tuple[float, float] | None:
-        """Return the part (from, to in 0..1) of an arm's motion close to the other arm, for an object order.
-
-        The other arm is at its working pose.
+        """Return the section of an arm's motion (from, to, in 0..1) that is close to the other arm at work,
+        to compare object orders.
 
         Args:
             arm: index of the moving arm, 0 or 1.

@@ -39,7 +39,8 @@ class ScrewSettings:
 def screw(
     ctx: TaskContext, item: str, turns: float, force: float, settings: ScrewSettings = ScrewSettings()
 ) -> Outcome:
-    """Drive a held screw: rotate it clockwise about the tool axis and press along the axis.
+    """Drive a screw that the hand holds: press it along the tool axis
+    while rotating it clockwise about that axis.
 
     Args:
         turns: revolutions of the hand, within the last joint's range.
@@ -89,7 +90,7 @@ def screw(
 
 
 def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> JointTrajectory:
-    """Return a screw trajectory that waits `press_time`, then rotates the last joint smoothly.
+    """Return the trajectory that drives a screw: wait for `press_time`, then rotate the last joint smoothly.
 
     The rotation is a quintic polynomial of time.
     """
@@ -107,7 +108,9 @@ def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> J
 
 
 class _Turning:
-    """Admittance control of a screw's pressing force along the tool axis, measured every cycle."""
+    """Admittance control of the force that presses a screw along the tool axis.
+    The force is measured in every cycle.
+    """
 
     def __init__(self, ctx, item, force, settings, names, gripper, tip):
         self.ctx, self.item, self.force, self.settings = ctx, item, force, settings
@@ -122,7 +125,9 @@ class _Turning:
         self.angle, self._last = 0.0, self.began
 
     def _pose(self) -> SE3:
-        """Return the screw's pose, relative to the part with the thread if it is known."""
+        """Return the pose of the screw, relative to the body with the
+        thread if that body is known, else in the world.
+        """
         poses = self.ctx.driver.object_poses()
         return poses[self.item] if self.into not in poses else poses[self.into].inv() @ poses[self.item]
 

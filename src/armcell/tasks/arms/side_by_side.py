@@ -68,7 +68,9 @@ Program = Callable[[ArmContext], Outcome | None]
 
 @dataclass(frozen=True)
 class SideBySide(Outcome):
-    """Result of two arms' side-by-side programs: code, message of the first failure, statistics per arm."""
+    """Result of the programs of two arms side by side: the error code and message of the first failure,
+    and statistics for each arm.
+    """
 
     makespan: float = 0.0  # [s] of the driver's clock
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
@@ -83,7 +85,8 @@ def side_by_side(
     clearance: float = CLEARANCE,
     patience: float = PATIENCE,
 ) -> SideBySide:
-    """Run two arms side by side, one program per arm; if one fails, the other ends after its stage.
+    """Run two arms side by side, with one program per arm.
+    If one program fails, the other ends after its current stage.
 
     Raises:
         InputError: not exactly two groups without common joints.

@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CycleTimes:
-    """Cycle times for a tour's cost: estimated durations of grasping and placing.
+    """Cycle times for estimating the cost of a tour:
+    the estimated durations of grasping and of placing an object.
 
     The defaults are means of 64 picks and 64 placements of two UR10 at a task's default speeds.
     """
@@ -40,7 +41,7 @@ class CycleTimes:
 
 @dataclass(frozen=True, eq=False)
 class TourSegment:
-    """Segment of an arm's tour: one motion between positions (n,), and the work at its end."""
+    """Segment of an arm's tour: one motion between two joint positions (n,), followed by work at its end."""
 
     motion: float  # [s]
     work: float = 0.0  # [s]
@@ -49,7 +50,8 @@ class TourSegment:
 
 
 class TourEstimator:
-    """Estimator of a tour's cost: the time in which an arm carries objects in an order and returns.
+    """Estimator for the cost of a tour: the time in which an arm carries
+    objects to their destinations in a given order and returns.
 
     Unreachable objects contribute no travel time.
 
@@ -82,7 +84,9 @@ class TourEstimator:
         return (*segments, TourSegment(seconds, motion_ends=(q, self._start)))
 
     def _fetched(self, order: tuple[str, ...]) -> tuple[tuple[TourSegment, ...], Array]:
-        """Return the tour segments until the last object is placed, and the arm's positions (n,) then."""
+        """Return an arm's tour segments until the last object is placed,
+        and the joint positions (n,) at that time.
+        """
         if not order:
             return (), self._start
         (before, q), item, s = self._until(order[:-1]), order[-1], self.settings
@@ -99,7 +103,9 @@ class TourEstimator:
         ), there
 
     def _motions(self, item: str, q: Array) -> tuple[float, Array, Array] | None:
-        """Estimate an arm tour's motions: time [s] to above an object, positions above object and zone."""
+        """Estimate the motions of an arm's tour that fetch one object: the time [s] to reach it, and the
+        joint positions above the object and above its zone.
+        """
         s, pose = self.settings, self.scene.object(item).T_world_object
         near = self._reaching.nearest_first(pose, self._grasps[item], q, s.free)
         if not near or near[0].q is None:
@@ -109,7 +115,7 @@ class TourEstimator:
         return None if there is None else (near[0].seconds, near[0].q, there)
 
     def _on_zone(self, item: str) -> SE3:
-        """Return T_world_object of an object that an arm's tour has placed on its zone."""
+        """Return T_world_object of an object after an arm's tour has placed it on its zone."""
         body, zone = self.scene.object(item), self.scene.object(self.zone[item])
         try:
             return place_candidates(body, zone)[0].T_world_object

@@ -41,7 +41,7 @@ OPEN_SETTLE = 0.3  # [s] pause after opening both hands
 
 
 class PickWithTwoArms(Pick):
-    """Two-arm pick of one object by both ends; `Carrying.move` then lifts the object.
+    """Pick of one object by two arms, each at one end. `Carrying.move` lifts the object afterwards.
 
     Args:
         route: later poses of the object; grasps that cannot reach them are rejected.
@@ -74,7 +74,9 @@ class PickWithTwoArms(Pick):
 
 @dataclass(frozen=True, eq=False)
 class GraspPair:
-    """Pair of grasps for two arms at both ends of an object, with simultaneous straight approaches."""
+    """Pair of grasps with which two arms hold both ends of an object,
+    and the simultaneous straight approaches to them.
+    """
 
     approaches: tuple[JointTrajectory, ...]  # by arm, of equal duration
     at_grasp: JointState  # of both arms
@@ -84,7 +86,8 @@ class GraspPair:
 @stage_types.register("choose_grasp_pair")
 @dataclass(frozen=True, eq=False)
 class ChooseGraspPair:
-    """Two-arm pick's stage that proposes grasps of an object's ends from which a route is feasible.
+    """Stage of a two-arm pick that proposes grasps of the object's two
+    ends from which the arms can carry it along a route.
 
     Grasps with straight paths along the route come first, then grasps with detours around obstacles.
     """
@@ -126,7 +129,9 @@ class ChooseGraspPair:
         )  # fmt: skip
 
     def _along_route(self, scene: PlanningScene, pair: GraspPair, seconds: float) -> PlanResult:
-        """Plan a two-arm pick's carrying motion along the route with one pair of grasps."""
+        """Plan the motion that carries the object of a two-arm pick along the route,
+        held with a given pair of grasps.
+        """
         hands = self.hands
         trial = hands.attached(scene.with_state(pair.at_grasp))
         carried = CarriedObject(hands.item, dict(pair.Ts_object_tcp), hands.tips)
@@ -134,7 +139,9 @@ class ChooseGraspPair:
         return hands.plan(trial, carried, start, self.route, seconds)
 
     def _pairs(self, scene: PlanningScene, planning: Planning) -> Iterator[GraspPair]:
-        """Yield simultaneous approaches of both picking arms, nearest to the present state first."""
+        """Yield simultaneous approaches of both arms for a two-arm pick,
+        those nearest to the present state first.
+        """
         hands, item = self.hands, scene.object(self.hands.item)
         options = {}
         for group in hands.groups:
@@ -163,7 +170,9 @@ class ChooseGraspPair:
     def _approaches(
         self, scene: PlanningScene, group: str, T_world_object: SE3
     ) -> Iterator[tuple[JointTrajectory, SE3]]:
-        """Yield straight approaches of one of two picking arms to its object end, with T_object_tcp."""
+        """Yield straight approaches of one arm of a two-arm pick to its
+        end of the object, each with T_object_tcp.
+        """
         hands, gripper, s = self.hands, self.hands.grippers[group], self.hands.settings
         alone = without_arm(_with_open_hands(hands, scene), hands.other(group))
         alone = alone.with_allowed(hands.item, gripper.hand_links)
@@ -188,7 +197,9 @@ class ChooseGraspPair:
 @stage_types.register("connect_pair")
 @dataclass(frozen=True, eq=False)
 class ConnectPair:
-    """Two-arm pick's stage that moves both arms to their pre-grasps, planned after the hands opened."""
+    """Stage of a two-arm pick that moves both arms to their pre-grasps.
+    The motion is planned after the hands have opened.
+    """
 
     hands: HandPair
     name: str = "both to the ends"
@@ -207,7 +218,7 @@ class ConnectPair:
 @stage_types.register("close_pair")
 @dataclass(frozen=True, eq=False)
 class ClosePair:
-    """Two-arm pick's stage that closes both hands and checks that they hold the object."""
+    """Stage of a two-arm pick that closes both hands and then checks that they hold the object."""
 
     hands: HandPair
     name: str = "close"
@@ -265,7 +276,9 @@ class _Approach:
 
 @dataclass(frozen=True, eq=False)
 class _HoldWithBoth:
-    """Step of a two-arm pick that checks and measures that both hands hold the object."""
+    """Step of a two-arm pick that checks that both hands hold the object,
+    and records the poses of hands and object.
+    """
 
     hands: HandPair
     pair: GraspPair
@@ -303,7 +316,9 @@ def _with_open_hands(hands: HandPair, scene: PlanningScene) -> PlanningScene:
 
 
 def _opening(hands: HandPair, group: str) -> float:
-    """Return the width [m] to which a two-arm pick opens a gripper before it closes on its end."""
+    """Return the width [m] to which one gripper opens in a two-arm pick,
+    before it closes on its end of the object.
+    """
     item, gripper = hands.ctx.scene().object(hands.item), hands.grippers[group]
     width = item.extent(item.subframes[hands.ends[group]].rotation.matrix[:, 1])
     return pre_opening(width, gripper)

@@ -47,7 +47,7 @@ _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, E
 
 @dataclass
 class ClearCounts:
-    """Counters of picks and failures in a bin clearing run."""
+    """Counters for picks and failures while a bin is cleared."""
 
     picks: int = 0  # closed grasps
     put: int = 0  # objects released over the tray
@@ -71,7 +71,7 @@ def clear_bin(
     look_at_tray: Look,
     settings: ClearSettings = ClearSettings(),
 ) -> Outcome:
-    """Pick pieces from a bin and release them over a tray until the bin is empty.
+    """Pick objects from a bin, and release them over a tray, until the bin is empty.
 
     Uses only images and the gripper's readings. The next image shows dropped objects; objects beside bin or
     tray are picked up last.
@@ -98,7 +98,7 @@ def clear_bin(
 
 
 class _BinClearing:
-    """State of one bin clearing run: look, pick a piece, release it over the tray."""
+    """State of one run that clears a bin: the arm looks, picks an object and releases it over the tray."""
 
     def __init__(self, ctx: TaskContext, gripper: Gripper, bin: str, settings: ClearSettings):
         self.ctx, self.gripper, self.bin, self.settings = ctx, gripper, bin, settings
@@ -107,7 +107,7 @@ class _BinClearing:
     def run(
         self, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look, tray: WorkRegion
     ) -> Outcome:
-        """Clear a bin's work regions in order into the tray."""
+        """Clear the work regions of a bin one after the other, and put their objects into the tray."""
         ctx, s, counts = self.ctx, self.settings, self.counts
         while True:
             if ctx.cancel.is_set():
@@ -140,7 +140,8 @@ class _BinClearing:
         return Outcome(code, message, self.counts.as_dict())
 
     def retreat(self, opening: float) -> None:
-        """Bin clearing's retreat: open the fingers, move straight up as far as possible, leave the view.
+        """Retreat while clearing a bin: open the fingers, move straight up as far as possible,
+        and leave the camera's view.
 
         The fingers open only if they press on an object, and at most to their opening [m] before the grasp:
         the hand or the neighboring pieces may have moved since.
@@ -156,7 +157,9 @@ class _BinClearing:
         self._leave_view()
 
     def _try_straight(self, name: str, rise: float, allow: tuple[tuple[str, tuple[str, ...]], ...]) -> None:
-        """Move the hand straight up by `rise` [m] in bin clearing; stay if no motion is found."""
+        """Move the hand straight up by `rise` [m] while clearing a bin.
+        If no motion is found, the hand stays.
+        """
         gripper = self.gripper
         stage = Straight(
             name, gripper.arm_group, gripper.tcp_link, self.ctx.settings.near, (0.0, 0.0, rise), allow=allow
@@ -166,7 +169,9 @@ class _BinClearing:
             perform_all(self.ctx, solution.steps)
 
     def _leave_view(self) -> None:
-        """Move the bin clearing arm out of the camera's view, to its first reachable named state."""
+        """Move the arm that clears a bin out of the camera's view,
+        to the first named state that it can reach.
+        """
         ctx, group = self.ctx, self.gripper.arm_group
         for name in ctx.base.model.named_states.get(group, {}):
             stage = Connect(f"move to {name}", group, ctx.settings.free, goal=NamedGoal(name))
@@ -176,7 +181,9 @@ class _BinClearing:
                 return
 
     def _put(self, grasp: HeapGrasp, source: WorkRegion, tray: WorkRegion, look: Look) -> Outcome:
-        """Release a bin's picked object at the tray's lowest point; return FAILURE if the tray is full."""
+        """Release the object picked from a bin over the lowest point of the tray.
+        Return FAILURE if the tray is full.
+        """
         ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
         seen = look_at(ctx, look, tray, s)
         if isinstance(seen, Outcome):
@@ -210,14 +217,14 @@ class _BinClearing:
         return outcome
 
     def _put_back(self, grasp: HeapGrasp) -> None:
-        """Put an object back into the bin: lower it along the path of its lift, and release it."""
+        """Put an object back into the bin: lower it along the path on which it was lifted, and release it."""
         touching = ((HELD, (HEAP, self.bin)), (HEAP, self.gripper.hand_links))
         self._try_straight("lay back", self.settings.gap - self.settings.lift, touching)
         self.retreat(grasp.opening)
 
 
 class _PickFromHeap(Pick):
-    """Bin clearing's pick of one unknown piece from a heap that a camera sees.
+    """Pick of one unknown object from a heap in a bin that is cleared with a camera.
 
     After a failure, `clear_bin` takes a new image.
     """
@@ -252,7 +259,7 @@ class _PickFromHeap(Pick):
         return solution, outcome
 
     def _candidates(self) -> list[HeapGrasp]:
-        """Return candidate grasps of the visible pieces in a bin.
+        """Return candidate grasps of the visible objects in a bin.
 
         If there are none, the candidates near walls with a smaller margin around the hand are returned.
         """
@@ -279,7 +286,9 @@ class _PickFromHeap(Pick):
 
 
 def _closer(settings: AboveSettings, times: int) -> AboveSettings:
-    """Return bin clearing's grasp settings near a wall: less margin, more orientations, corners."""
+    """Return grasp settings for clearing a bin near its walls: a smaller margin,
+    more orientations, and grasps at corners.
+    """
     return replace(
         settings,
         room=settings.room / times,

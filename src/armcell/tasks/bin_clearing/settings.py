@@ -11,7 +11,7 @@ from armcell.grasping import AboveSettings
 @dataclass(frozen=True)
 @checked()
 class ClearSettings:
-    """Settings of bin clearing by camera; lengths in meters."""
+    """Settings for clearing a bin with a camera. All lengths are in meters."""
 
     force: float = 30.0  # [N] per finger, because weights are unknown
     lift: float = 0.20  # lift height above the grasp

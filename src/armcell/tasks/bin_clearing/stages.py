@@ -35,7 +35,8 @@ WIDEST = 0.06  # [m] largest assumed half length of a held object
 @stage_types.register("choose_from_heap")
 @dataclass(frozen=True, eq=False)
 class ChooseFromHeap:
-    """Bin clearing stage that proposes reachable grasps of heap pieces with straight descents.
+    """Stage of bin clearing that proposes reachable grasps of objects in a heap,
+    each with a straight descent.
 
     The order of the given grasps is kept.
     """
@@ -59,7 +60,7 @@ class ChooseFromHeap:
 @stage_types.register("close_on_heap")
 @dataclass(frozen=True, eq=False)
 class CloseOnHeap:
-    """Bin clearing stage that closes the hand on a heap and attaches the object in the fingers."""
+    """Stage of bin clearing that closes the hand in a heap and attaches the object between the fingers."""
 
     gripper: Gripper
     floor: float  # [m, world z] of the bin, lower bound of the object
@@ -86,16 +87,18 @@ class CloseOnHeap:
 
 
 def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return how far a heap's height [m, world] is below the TCP, for a bin clearing stage."""
+    """Return how far [m] a height in the heap (world z) is below the TCP at a grasp,
+    for the stages of bin clearing.
+    """
     return float(grasp.T_object_tcp.translation[2]) - z
 
 
 @stage_types.register("choose_release_point")
 @dataclass(frozen=True, eq=False)
 class ChooseReleasePoint:
-    """Bin clearing stage that proposes release points over the tray, in the given order.
+    """Stage of bin clearing that proposes the given release points over the tray, in their order.
 
-    A release point is x, y and the height of the content below.
+    A release point consists of x, y and the height of the tray's content below it.
     """
 
     spots: Sequence[tuple[float, float, float]]  # [m, world]
@@ -126,7 +129,7 @@ class ChooseReleasePoint:
 @stage_types.register("open_above")
 @dataclass(frozen=True, eq=False)
 class OpenAbove:
-    """Bin clearing stage that opens the hand above the tray and releases the held object."""
+    """Stage of bin clearing that opens the hand above the tray and so releases the held object."""
 
     gripper: Gripper
     margin: float  # [m] wider than now
@@ -152,7 +155,7 @@ class OpenAbove:
 # --- steps ---
 @dataclass(frozen=True, eq=False)
 class GripUntilForce:
-    """Bin clearing step that closes the fingers until they press with a force [N] or meet.
+    """Step of bin clearing that closes the fingers until they press with a given force [N] or meet.
 
     The step adds the gripped object to the planning scene.
     """
@@ -196,7 +199,7 @@ class GripUntilForce:
 
 @dataclass(frozen=True, eq=False)
 class StillThere:
-    """Bin clearing step that checks whether an object is still between the fingers."""
+    """Step of bin clearing that checks whether an object is still between the fingers."""
 
     gripper: Gripper
     thinnest: float  # [m]
@@ -210,7 +213,9 @@ class StillThere:
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """Bin clearing step that opens the fingers to a width [m] and removes the held object from the scene."""
+    """Step of bin clearing that opens the fingers to a width [m] and
+    removes the dropped object from the scene.
+    """
 
     gripper: Gripper
     width: float
@@ -223,12 +228,14 @@ class Drop:
 
 
 def holds(reading: GripperReading, thinnest: float) -> bool:
-    """Return whether an object keeps a gripper open that closes in the heap, in bin clearing stages."""
+    """Return whether an object in the heap keeps a closing gripper open,
+    so that the stages of bin clearing count it as held.
+    """
     return reading.width > thinnest and reading.force_per_finger > 1.0
 
 
 def detach_held(ctx: TaskContext) -> None:
-    """Remove a bin clearing hand's held object from the planning scene."""
+    """Detach the object that the hand holds in bin clearing, and remove it from the planning scene."""
 
     def without_held(scene: PlanningScene) -> PlanningScene:
         scene = scene.with_detached(HELD) if HELD in scene.attached else scene

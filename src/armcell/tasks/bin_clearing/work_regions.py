@@ -24,7 +24,7 @@ Rectangle = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True)
 class WorkRegion:
-    """Work region of bin clearing: a level area on which objects may lie."""
+    """Work region of bin clearing: a level area on which objects may rest."""
 
     name: str
     rectangle: Rectangle
@@ -34,7 +34,7 @@ class WorkRegion:
 
 @dataclass(frozen=True, eq=False)
 class RegionView:
-    """Result of one depth image of a bin clearing work region."""
+    """View of a work region of bin clearing in one depth image."""
 
     region: WorkRegion
     map: HeightMap
@@ -42,15 +42,15 @@ class RegionView:
 
     @property
     def count(self) -> int:
-        """Return the number of visible pieces in a work region.
+        """Return the number of objects that are visible in a work region.
 
-        Touching objects may count as one piece, and one object as several pieces.
+        Touching objects may count as one object, and one object as several.
         """
         return int(self.labels.max()) + 1
 
 
 def floor_of(scene: PlanningScene, name: str, settings: ClearSettings) -> WorkRegion:
-    """Return the floor of a bin or tray without its walls, as a work region.
+    """Return the floor of a bin or tray, without the walls, as a work region.
 
     Raises:
         InputError: it is not aligned with the world axes.
@@ -72,7 +72,9 @@ def floor_of(scene: PlanningScene, name: str, settings: ClearSettings) -> WorkRe
 def table_around(
     scene: PlanningScene, name: str, table: str, others: tuple[str, ...], s: ClearSettings
 ) -> WorkRegion:
-    """Return the table around a bin or tray, without the objects on the table, as a work region."""
+    """Return the table surface around a bin or tray as a work region,
+    without the areas of the other objects on the table.
+    """
     frame, size_x, size_y = support_surface(scene.object(table))
     half = np.abs(frame.rotation.matrix[:2, :2]) @ np.array([size_x, size_y]) / 2
     (x0, y0), (x1, y1) = _outline(scene.object(name), s.hand_room)
@@ -84,7 +86,9 @@ def table_around(
 
 
 def _outline(item: CollisionObject, room: float) -> Rectangle:
-    """Return a bin's or tray's world-frame rectangle for a work region, enlarged by a margin [m]."""
+    """Return the rectangle of a bin or tray in the world frame,
+    enlarged by a margin [m], to bound a work region.
+    """
     low, high = item.bounds()
     corners = np.array(
         [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
@@ -97,7 +101,7 @@ def _outline(item: CollisionObject, room: float) -> Rectangle:
 def first_not_empty(
     ctx: TaskContext, regions: Sequence[tuple[Look, WorkRegion]], s: ClearSettings
 ) -> RegionView | Outcome:
-    """Return the first work region with visible pieces.
+    """Return the view of the first work region in which objects are visible.
 
     Return an outcome instead if all regions are empty or an image is missing.
     """
@@ -109,7 +113,7 @@ def first_not_empty(
 
 
 def look_at(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) -> RegionView | Outcome:
-    """Return the view of a work region in a new image, or an outcome without a usable image."""
+    """Take a new image of a work region and return the view, or an outcome if the image is unusable."""
     report = StageReport(f"look {region.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     image = look()
@@ -130,7 +134,7 @@ def look_at(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) 
 
 
 def add_heap(ctx: TaskContext, seen: RegionView) -> None:
-    """Add the visible pieces of a work region to the planning scene as a point cloud."""
+    """Add the visible objects of a work region to the planning scene, as one point cloud."""
     points = seen.map.at(np.argwhere(seen.labels >= 0)[::3])
     cloud = CollisionObject.single(HEAP, PointCloud(points, 2 * seen.map.resolution))
 
@@ -142,7 +146,8 @@ def add_heap(ctx: TaskContext, seen: RegionView) -> None:
 
 
 def lowest_points(tray: RegionView, s: ClearSettings, count: int = 12) -> list[tuple[float, float, float]]:
-    """Return release points over a bin clearing tray's region (x, y, highest z nearby), lowest first.
+    """Return points (x, y, highest z nearby) over the tray at which
+    bin clearing may release an object, lowest first.
 
     Points of equal height are sorted by their distance from objects, farthest first.
     """

@@ -28,13 +28,17 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class GripperTranslation:
-    """Straight tip motion of an explicit grasp, as in moveit_msgs/GripperTranslation (world frame)."""
+    """Straight motion of the gripper before or after an explicit grasp, in the world frame, as in
+    moveit_msgs/GripperTranslation.
+    """
 
     desired: Vector  # [m] translation
     minimum: float = 0.0  # [m] shorter motions fail; 0: only the full translation succeeds
 
     def accepted(self, result: PlanResult) -> PlanResult:
-        """Accept an explicit grasp's straight motion if it covers at least the minimum distance."""
+        """Mark the straight motion of an explicit grasp as a success
+        if it covers at least the minimum distance.
+        """
         done = result.fraction * float(np.linalg.norm(self.desired))
         if result.trajectory is not None and 0 < self.minimum <= done + 1e-6:
             return replace(result, code=ErrorCode.SUCCESS)
@@ -52,7 +56,9 @@ class ExplicitGrasp(Grasp):
 @stage_types.register("use_grasps")
 @dataclass(frozen=True, eq=False)
 class UseGrasps:
-    """Stage that proposes the caller's reachable explicit grasps in list order, with free approaches."""
+    """Stage that proposes the caller's explicit grasps in list order,
+    if they are reachable and have a free approach.
+    """
 
     object: str
     gripper: Gripper
@@ -78,7 +84,7 @@ class UseGrasps:
 @stage_types.register("lift")
 @dataclass(frozen=True, eq=False)
 class Lift:
-    """Stage that lifts along the explicit grasp's retreat, away from the object's support."""
+    """Stage that lifts the object from its support along the retreat of the explicit grasp."""
 
     object: str
     gripper: Gripper
@@ -100,7 +106,8 @@ class Lift:
 
 @dataclass(frozen=True, eq=False)
 class ExplicitPlacement:
-    """Explicit placement that the caller specifies: target pose, motions before and after the release.
+    """Explicit placement that the caller specifies: the target pose,
+    and the motions before and after the release.
 
     Pose and motions are in the world frame.
     """
@@ -114,7 +121,9 @@ class ExplicitPlacement:
 @stage_types.register("use_placements")
 @dataclass(frozen=True, eq=False)
 class UsePlacements:
-    """Stage that proposes the caller's explicit placements in list order, if a straight descent is free."""
+    """Stage that proposes the caller's explicit placements in list order,
+    if a straight descent to them is free.
+    """
 
     object: str
     gripper: Gripper
@@ -157,9 +166,9 @@ class UsePlacements:
 @stage_types.register("retreat")
 @dataclass(frozen=True, eq=False)
 class Retreat:
-    """Stage that retreats from the object released at an explicit placement.
+    """Stage that retreats from an object after its release at an explicit placement.
 
-    The retreat is that of the placement, otherwise straight along the hand's axis.
+    It uses the retreat of the placement, or else moves straight along the hand's axis.
     """
 
     object: str
@@ -184,7 +193,7 @@ class Retreat:
 
 
 def standing_on(scene: PlanningScene, item: str, T_world_object: SE3) -> tuple[str, ...]:
-    """Return the bodies that a held object will touch at its explicit target pose."""
+    """Return the bodies that a held object will touch at the target pose of an explicit placement."""
     put = scene.with_detached(item).with_object_pose(item, T_world_object)
     return tuple(neighbors(put, item, UNDER))
 

@@ -22,7 +22,7 @@ from armcell.timing.chords import chords
 @dataclass(frozen=True, eq=False)
 @checked()
 class MoveGripper:
-    """Stage that moves a gripper's fingers to a width [m] while the arm rests.
+    """Stage that moves the fingers of a gripper to a width [m] while the arm rests.
 
     In a `Merger`, the arm may move meanwhile.
     """
@@ -48,7 +48,8 @@ class MoveGripper:
 def finger_collision(
     scene: PlanningScene, grips: Sequence[Grip], trajectory: JointTrajectory | None = None
 ) -> str:
-    """Return a possible contact of gripper fingers that move to their widths, as text.
+    """Describe a contact that gripper fingers may cause on their motion to the given widths.
+    The text is empty if there is none.
 
     The check holds for any finger speed and during an arm motion.
 

@@ -33,7 +33,9 @@ SECONDS_BESIDES = 3.0  # [s] of a pick that do not depend on the grasp (approach
 @stage_types.register("choose_grasp")
 @dataclass(frozen=True, eq=False)
 class ChooseGrasp:
-    """Stage of a pick that proposes grasps with a free straight approach, planned backward."""
+    """Stage of a pick that proposes grasps with a free straight approach,
+    which is planned backward from the grasp.
+    """
 
     object: str
     gripper: Gripper
@@ -84,7 +86,7 @@ class ChooseGrasp:
     def _proven(
         self, solution: PartialSolution, planning: Planning, item: CollisionObject, grasps: list[Grasp]
     ) -> tuple[list[Grasp], dict[str, Proof]]:
-        """Return a pick's reachable grasps with their physics proofs of success, best first.
+        """Return the reachable grasps for a pick, each with its proof of success in physics, best first.
 
         The order is by P(success) x reachability / time.
         """
@@ -128,7 +130,7 @@ def approaches(
     solution: PartialSolution, planning: Planning, stage: str, item: str, gripper: Gripper, grasp: Grasp,
     back: Callable[[PlanningScene, SE3], PlanResult],
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield pick solutions with a straight approach to a grasp, one per arm state.
+    """Yield solutions of a pick with a straight approach to a grasp, one for each arm state that reaches it.
 
     Arm states without an approach are rejected with a reason.
 
@@ -175,7 +177,7 @@ def approaches(
 @stage_types.register("append_planned_motion")
 @dataclass(frozen=True, eq=False)
 class AppendPlannedMotion:
-    """Stage that appends a motion planned by an earlier stage, such as a grasp's approach.
+    """Stage that appends a motion which an earlier stage has planned, such as the approach to a grasp.
 
     The motion is `data[motion]`; it leads to the scene `data[scene]`.
     """
@@ -195,7 +197,7 @@ class AppendPlannedMotion:
 @stage_types.register("close")
 @dataclass(frozen=True, eq=False)
 class Close:
-    """Stage of a pick that closes the hand on the object to grasp it, and attaches the object.
+    """Stage of a pick that closes the hand on the object and attaches the object to the hand.
 
     The object may then leave its supports.
     """
@@ -224,7 +226,9 @@ class Close:
 
 
 def _turned(proof: Proof) -> Iterator[Grasp]:
-    """Yield a grasp after the object has turned about the finger pads, as in its trials."""
+    """Yield a grasp after the object has turned between the finger pads
+    as in the simulated trials, in both directions.
+    """
     T = proof.grasp.T_object_tcp
     for angle in (-proof.turn, proof.turn):
         turn = SE3.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, angle, 0.0))
@@ -232,7 +236,9 @@ def _turned(proof: Proof) -> Iterator[Grasp]:
 
 
 def _seconds(scene: PlanningScene, arm: JointState) -> float:
-    """Return the least time [s] in which the arm reaches a grasp's state, ignoring obstacles."""
+    """Return the minimum time [s] in which the arm can reach its
+    state at a grasp if obstacles are ignored.
+    """
     columns = scene.model.columns(arm.joint_names)
     distance = np.abs(arm.positions - scene.positions[columns])
     return float(np.max(distance / scene.model.limits(arm.joint_names, "velocity")))
@@ -245,7 +251,9 @@ def finger_state(gripper: Gripper, width: float) -> JointState:
 def reachable(
     scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, planning: Planning, stage: str, candidate: str
 ) -> Iterator[JointState]:
-    """Yield collision-free arm states with the TCP at a grasp pose; reject others with a reason."""
+    """Yield collision-free arm states that put the TCP at a grasp pose.
+    States in collision are rejected with a reason.
+    """
     ik = ik_solver(scene.model, gripper.arm_group, gripper.tcp_link)
     checker = ExactChecker(scene, ik.joint_names)
     rng = np.random.default_rng(planning.seed)

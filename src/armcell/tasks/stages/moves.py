@@ -40,7 +40,7 @@ SEED_STEP = 1_000_003
 
 @dataclass(frozen=True)
 class Upright:
-    """Limit of a held object's tilt [rad] during a move, relative to its start orientation."""
+    """Limit on how far [rad] a held object may tilt from its initial orientation during a move."""
 
     object: str
     lean: float
@@ -49,7 +49,7 @@ class Upright:
         require(0 < self.lean < np.pi / 2, f"lean is {self.lean:g} rad, it must be above 0 and below pi / 2")
 
     def constraints(self, scene: PlanningScene) -> Constraints:
-        """Return path constraints of a move that keep the object's most vertical axis vertical."""
+        """Return path constraints for a move that keep the most vertical axis of the held object vertical."""
         R = scene.object(self.object).T_world_object.rotation.matrix
         k = int(np.argmax(np.abs(R[2])))
         axis, up = R[:, k], np.array([0.0, 0.0, np.sign(R[2, k])])
@@ -65,7 +65,7 @@ class Upright:
 @stage_types.register("connect")
 @dataclass(frozen=True, eq=False)
 class Connect:
-    """Stage that moves the arm collision-free to a goal or to joint positions `data[target]`."""
+    """Stage that moves the arm without collision to a goal, or to the joint positions `data[target]`."""
 
     name: str
     group: str
@@ -93,7 +93,7 @@ class Connect:
 
 
 def _asked(request: PlanRequest, goal: Goal) -> dict[str, Any]:
-    """Return the planning request of a move stage as data for the record."""
+    """Return the planning request of a move stage as data that a record can store."""
     return {
         "goal": goal_data(goal), "planner_id": request.planner_id, "seed": request.seed,
         "attempts": request.attempts, "planning_time_limit_s": request.planning_time,
@@ -101,7 +101,7 @@ def _asked(request: PlanRequest, goal: Goal) -> dict[str, Any]:
 
 
 def goal_data(goal: Goal) -> Any:
-    """Return the planning goal of a move stage as data for the record."""
+    """Return the goal of a move stage as data that a record can store."""
     match goal:
         case NamedGoal():
             return goal.name
@@ -116,7 +116,8 @@ def goal_data(goal: Goal) -> Any:
 def _planned(
     scene: PlanningScene, request: PlanRequest, planning: Planning
 ) -> tuple[PlanResult, PlanRequest]:
-    """Plan a stage's move within the request's CPU time; return the result and the last request.
+    """Plan the move of a stage within the CPU time of the request.
+    Return the result and the request of the last attempt.
 
     Planners stop by the wall clock, which also runs while other programs use the CPU. The remaining CPU time
     is therefore used for further attempts with other seeds.
@@ -193,7 +194,8 @@ def moved(
     outcome: Outcome | None = None, planned_in: PlanningScene | None = None,
     asked: Mapping[str, Any] = MappingProxyType({}),
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield the solution extended by a planned arm move, or reject the candidate without one.
+    """Yield the solution extended by a planned move of the arm.
+    If the plan failed, reject the candidate instead.
 
     Args:
         outcome: result of a motion from the robot's present state, for its code. Omit it for a motion from a

@@ -32,7 +32,7 @@ Vector = tuple[float, float, float]
 @stage_types.register("choose_placement")
 @dataclass(frozen=True, eq=False)
 class ChoosePlacement:
-    """Place stage that proposes placements that the arm reaches by a free straight descent.
+    """Stage that proposes placements of the held object which the arm reaches by a free straight descent.
 
     The descent follows the surface normal, or the vertical if that is impossible.
     """
@@ -67,7 +67,8 @@ class ChoosePlacement:
         return self.among or place_candidates(item, support, self.at, up=self.up)
 
     def why_not(self, scene: PlanningScene, most: int) -> Callable[[Grasp], str]:
-        """Return a placing test that rejects grasps whose hand would intersect the support.
+        """Return a test for placing an object that rejects grasps at
+        which the hand would intersect the support.
 
         Args:
             scene: the scene before the grasp, with the object's present orientation.
@@ -130,12 +131,14 @@ Surface = tuple[SE3, float, float]
 
 
 def surface_of_place(support: CollisionObject, placement: Placement) -> Surface:
-    """Return the support surface of a place stage's placement."""
+    """Return the surface of the support on which the stage places the object."""
     return support_surface(support, float(np.arccos(min(placement.normal[2], 1.0))) + 1e-6)
 
 
 def hand_in_support(hand: Hand, T_world_tcp: SE3, surface: Surface) -> float:
-    """Return how deep [m] the hand's lowest corner is below a placement's surface; <= 0 if above."""
+    """Return how deep [m] the lowest corner of the hand is below the surface on which it places an object.
+    The value is not positive if the hand is above.
+    """
     low, high = hand.boxes[:, :3], hand.boxes[:, 3:]
     corners = np.concatenate([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])
     frame, size_x, size_y = surface
@@ -148,7 +151,8 @@ def descents(
     solution: PartialSolution, planning: Planning, scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3,
     stage: str, candidate: str, up: Callable[[PlanningScene], PlanResult], *steps: Step, **data: Any,
 ) -> Iterator[PartialSolution]:  # fmt: skip
-    """Yield placing solutions with a straight descent to a placement, one per arm state.
+    """Yield solutions for placing an object by a straight descent,
+    one for each arm state that reaches the placement.
 
     Arm states without a descent are rejected with a reason.
 
@@ -184,7 +188,7 @@ def descents(
 @stage_types.register("open")
 @dataclass(frozen=True, eq=False)
 class Open:
-    """Place stage that opens the hand wide enough to retreat, and detaches the held object."""
+    """Stage that opens the hand after placing an object, wide enough to retreat, and detaches the object."""
 
     object: str
     support: str
@@ -218,7 +222,9 @@ class Open:
 @stage_types.register("expect_support")
 @dataclass(frozen=True, eq=False)
 class ExpectSupport:
-    """Place stage that checks that the hand holds the object, and allows contact with its support."""
+    """Stage before placing an object that checks that the hand holds it,
+    and allows contact with its support.
+    """
 
     object: str
     support: str

@@ -23,7 +23,8 @@ ALIKE = 0.02  # score difference below which grasps count as equally good
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Reach of a grasp: the arm's positions (n,) before the approach, and the travel time to them.
+    """Estimate of how an arm reaches a grasp: its joint positions (n,) before the approach,
+    and the travel time to them.
 
     The time ignores obstacles.
     """
@@ -35,7 +36,7 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class ReachEstimator:
-    """Estimator of the time an arm needs to reach grasps and placements, ignoring obstacles."""
+    """Estimator of the time that an arm needs to reach grasps and placements, without regard to obstacles."""
 
     scene: PlanningScene
     gripper: Gripper
@@ -49,7 +50,7 @@ class ReachEstimator:
     def nearest_first(
         self, T_world_object: SE3, grasps: Sequence[Grasp], q: Array, speed: Speed
     ) -> list[Reach]:
-        """Sort about equally good grasps by the arm's travel time to reach them, nearest first.
+        """Sort grasps of about equal quality by the time that the arm needs to reach them, nearest first.
 
         On a cube, for example, the grasps on its four sides are equally good.
 
@@ -66,7 +67,8 @@ class ReachEstimator:
         return sorted(found, key=lambda reach: reach.seconds)
 
     def to(self, T_world_tcp: SE3, q: Array) -> Array | None:
-        """Return joint positions (n,) near q (n,) that reach a grasp's TCP pose, or None.
+        """Return joint positions (n,) near q (n,) with which the arm
+        reaches the TCP pose of a grasp, or None.
 
         The result is None if the pose is unreachable.
         """
@@ -76,7 +78,9 @@ class ReachEstimator:
         return next(self.ik.solutions(T_world_tcp, reference, rng), None)
 
     def seconds(self, q: Array, to: Array, speed: Speed) -> float:
-        """Return the least time [s] to reach a grasp straight in joint space at given speed fractions."""
+        """Return the minimum time [s] in which the arm can reach a grasp straight in joint space, at given
+        fractions of its speed limits.
+        """
         if not np.any(to != q):
             return 0.0
         model, names = self.scene.model, self.ik.joint_names

@@ -22,7 +22,8 @@ _at_work: WeakKeyDictionary[TaskContext, Behaviour] = WeakKeyDictionary()
 
 
 class Act(Behaviour):
-    """Behavior tree node that runs a recipe: RUNNING, then SUCCESS, or FAILURE with the reason.
+    """Node of a behavior tree that runs a recipe.
+    Its status is RUNNING, then SUCCESS, or FAILURE with the reason.
 
     A tick ends after `tick` seconds of the driver's clock or when the recipe ends; planning takes no time of
     that clock. The recipe has its own thread, which runs only during ticks, so equal seeds give equal runs.
@@ -65,7 +66,9 @@ class Act(Behaviour):
         return Status.SUCCESS if outcome.ok else Status.FAILURE
 
     def terminate(self, new_status: Status) -> None:
-        """Clean up a behavior tree node's recipe at its end; stop it if the tree has left this branch."""
+        """Clean up when a behavior tree node ends.
+        If the tree has left this branch, stop the node's recipe.
+        """
         if self._turn is not None:
             self._turn.stop()
             self._turn = None
@@ -74,7 +77,9 @@ class Act(Behaviour):
 
 
 class Check(Behaviour):
-    """Behavior tree node with an immediate result: a query of the scene, or a camera look."""
+    """Node of a behavior tree whose result is immediate,
+    such as a query of the scene or a look with a camera.
+    """
 
     def __init__(self, name: str, ask: Callable[[], Outcome]):
         super().__init__(name)
@@ -88,7 +93,7 @@ class Check(Behaviour):
 
 
 class _Turn:
-    """Recipe of a behavior tree node in a thread that runs only during `step`.
+    """Recipe of a behavior tree node, in a thread that runs only during `step`.
 
     It observes its cell to follow the driver's clock.
     """
@@ -105,7 +110,7 @@ class _Turn:
         ctx.observers.append(self)
 
     def step(self, duration: float) -> Outcome | None:
-        """Run a behavior tree node's recipe for a duration [s of the driver's clock].
+        """Run the recipe of a behavior tree node for a duration [s] on the driver's clock.
 
         Returns:
             The recipe's outcome if it has ended, else None.
@@ -121,7 +126,7 @@ class _Turn:
         return self._outcome
 
     def stop(self) -> None:
-        """Cancel a behavior tree node's recipe and wait for its end."""
+        """Cancel the recipe of a behavior tree node, and wait until it has ended."""
         if not self._thread.is_alive():
             return
         cancelled = self._ctx.cancel.is_set()
@@ -159,7 +164,7 @@ class _Turn:
 
 
 def run(root: Behaviour, most_ticks: int = 100_000) -> Outcome:
-    """Tick the nodes of a behavior tree until it succeeds or fails.
+    """Tick the nodes of a behavior tree until the tree succeeds or fails.
 
     Returns:
         SUCCESS, FAILURE with the reasons of the failed nodes, or TIMED_OUT. Evidence: `ticks`.
@@ -180,17 +185,17 @@ def run(root: Behaviour, most_ticks: int = 100_000) -> Outcome:
 
 
 def drawn(root: Behaviour, status: bool = True) -> str:
-    """Return a behavior tree as text, with the status and feedback of each node."""
+    """Draw a behavior tree as text, with the status and feedback of each node."""
     return display.ascii_tree(root, show_status=status).rstrip("\n")
 
 
 def as_dot(root: Behaviour) -> str:
-    """Return behavior tree nodes as a graph in Graphviz format (for `dot -Tsvg`)."""
+    """Return the nodes of a behavior tree as a graph in the Graphviz format (for `dot -Tsvg`)."""
     return display.dot_tree(root).to_string()
 
 
 def reasons(root: Behaviour) -> list[str]:
-    """Return the feedback of all behavior tree nodes (leaves) that failed in the last run."""
+    """Return the feedback of all leaf nodes of a behavior tree that failed in the last run."""
     return [
         f"{node.name}: {node.feedback_message}"
         for node in root.iterate()

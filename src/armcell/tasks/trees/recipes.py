@@ -45,7 +45,9 @@ def moving_to(ctx: TaskContext, group: str, goal: Goal | str) -> Act:
 
 
 def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequence[Stage]]) -> Act:
-    """Return a behavior tree recipe that creates, plans and executes stages when it is reached."""
+    """Return a behavior tree node that creates, plans and executes
+    the stages of a recipe when the tree reaches it.
+    """
 
     def act(c: TaskContext) -> Outcome:
         solution, outcome = plan_stages(c, stages(c), name)
@@ -55,7 +57,7 @@ def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequ
 
 
 def looking(name: str, look: Look) -> Check:
-    """Return a behavior tree check for recipes that looks with a camera.
+    """Return a behavior tree node that looks with a camera, as a check between recipes.
 
     Example: `looking("look", lambda: cell.look("above"))`.
     """
@@ -63,7 +65,9 @@ def looking(name: str, look: Look) -> Check:
 
 
 def held(ctx: TaskContext, item: str) -> Check:
-    """Return a behavior tree check for recipes that an object is held, by the task and sensors."""
+    """Return a behavior tree node that checks, between recipes,
+    that both the task and the gripper's sensors report an object as held.
+    """
 
     def ask() -> Outcome:
         holding = ctx.holding.get(item)
@@ -77,7 +81,9 @@ def held(ctx: TaskContext, item: str) -> Check:
 def rests_on(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, tolerance: float = 0.015
 ) -> Check:
-    """Return a behavior tree check for recipes that an object rests on another one, near a point [m]."""
+    """Return a behavior tree node that checks, between recipes,
+    that an object rests on another one, near a given point [m].
+    """
 
     def ask() -> Outcome:
         scene = ctx.scene()
@@ -100,7 +106,8 @@ def transferring(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None = None,
     up: Vector | None = None, look: Look | None = None, settings: RecoverySettings = RecoverySettings(),
 ) -> Behaviour:  # fmt: skip
-    """Return a behavior tree that moves an object to its goal by recipes, like `transfer` with recovery.
+    """Return a behavior tree that brings an object to its goal by
+    recipes and recovers from failures, as `transfer` does.
 
     The tree makes up to `settings.tries` attempts. Between attempts objects come to rest and the open hand
     retreats.

@@ -21,7 +21,9 @@ HEADER = struct.Struct("<III")
 
 
 class Command(Enum):
-    """Franka command of any protocol version; `Protocol.code` gives the command's number on the wire."""
+    """Command to a Franka robot in any version of the protocol.
+    `Protocol.code` returns the number that encodes it.
+    """
 
     CONNECT = "connect"
     MOVE = "move"
@@ -72,7 +74,7 @@ class ConnectStatus(IntEnum):
 
 
 class SetterStatus(IntEnum):
-    """Status in the answer to a TCP command that sets a Franka robot's parameter."""
+    """Status in the answer to a TCP command that sets a parameter of a Franka robot."""
 
     SUCCESS = 0
     NOT_POSSIBLE = 1
@@ -123,7 +125,7 @@ class MoveController(IntEnum):
 
 
 class MoveGenerator(IntEnum):
-    """Motion generator in Franka's Move command; the state message counts from 1."""
+    """Motion generator in Franka's Move command. The numbers in the state message are one higher."""
 
     JOINT_POSITION = 0
     JOINT_VELOCITY = 1
@@ -143,7 +145,7 @@ _STATUSES: Mapping[Command, type[IntEnum]] = {
 
 @dataclass(frozen=True)
 class Protocol:
-    """Codes and layouts of one version of Franka's command protocol.
+    """Codes and layouts in one version of Franka's command protocol.
 
     Attributes:
         commands: all commands of the version, in the order of their codes.
@@ -163,11 +165,11 @@ class Protocol:
         return self.commands[code] if code < len(self.commands) else None
 
     def status_code(self, status: IntEnum) -> int:
-        """Return the code of a Franka command's status on the wire."""
+        """Return the number that encodes a status of a Franka command."""
         return self._statuses(type(status)).index(status)
 
     def status(self, command: Command, code: int) -> IntEnum:
-        """Decode the status in the answer to a Franka command.
+        """Decode the status contained in the answer to a Franka command.
 
         Raises:
             WireError: the version has no such status.
@@ -198,7 +200,7 @@ NEWEST = PROTOCOLS[10]
 
 @dataclass(frozen=True)
 class MoveRequest:
-    """Request of Franka's Move command, which starts a motion.
+    """Request for Franka's Move command, which starts a motion.
 
     Attributes:
         path_deviation, goal_deviation: largest translation [m], rotation [rad] and elbow angle [rad].
@@ -214,7 +216,9 @@ class MoveRequest:
     max_velocity: tuple[float, ...] = (0.0,) * 7
 
     def pack(self, protocol: Protocol = NEWEST) -> bytes:
-        """Encode Franka's Move command; versions without interpolation by the robot omit its fields."""
+        """Encode Franka's Move command.
+        The fields for interpolation are omitted if the protocol version does not have it.
+        """
         values = (
             self.controller, self.generator, *self.path_deviation, *self.goal_deviation,
             self.interpolate, *self.max_velocity,
@@ -234,16 +238,16 @@ class MoveRequest:
 
 
 def message(command: int, identifier: int, payload: bytes = b"") -> bytes:
-    """Encode a TCP command of the Franka Control Interface, or its answer, with its header."""
+    """Encode a TCP command of the Franka Control Interface, or an answer to it, including the header."""
     return HEADER.pack(command, identifier, HEADER.size + len(payload)) + payload
 
 
 class WireError(ValueError):
-    """Error for a TCP command or answer that does not follow Franka's protocol."""
+    """Error for a TCP command or answer that violates Franka's protocol."""
 
 
 def take_message(received: bytearray) -> tuple[int, int, bytes] | None:
-    """Remove and return the first complete Franka command or answer of a TCP buffer.
+    """Remove the first complete Franka command or answer from a buffer of TCP data, and return it.
 
     Returns:
         Command, identifier and payload; None if the buffer has no complete message.

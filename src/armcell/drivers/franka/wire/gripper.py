@@ -44,12 +44,14 @@ REQUESTS: dict[Command, struct.Struct] = {
 
 
 def message(command: int, identifier: int, payload: bytes = b"") -> bytes:
-    """Encode a gripper request or answer of the Franka Hand's protocol with its header."""
+    """Encode a request to a gripper, or its answer,
+    in the protocol of the Franka Hand, including the header.
+    """
     return HEADER.pack(command, identifier, HEADER.size + len(payload)) + payload
 
 
 def take_message(received: bytearray) -> tuple[int, int, bytes] | None:
-    """Remove and return the first complete message of a Franka Hand (gripper) buffer."""
+    """Remove the first complete message of the Franka Hand (gripper) from a buffer, and return it."""
     if len(received) < HEADER.size:
         return None
     command, identifier, size = HEADER.unpack_from(received)

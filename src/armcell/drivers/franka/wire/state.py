@@ -36,7 +36,7 @@ _MODES = struct.Struct("<BB")  # motion generator mode, controller mode
 
 
 class StateLayout:
-    """Layout of Franka's robot state message in one version of the protocol.
+    """Layout of the robot state message in one version of Franka's protocol.
 
     Attributes:
         count: numbers in the message; version 5 lacks the accelerometers at the end.
@@ -87,7 +87,7 @@ class RobotMode(IntEnum):
 
 
 class StateMessage:
-    """Franka's robot state message, written in place; `bytes(state)` returns the message.
+    """Robot state message of Franka, which is written in place. `bytes(state)` returns the message.
 
     Attributes:
         numbers: all numbers of the version; `FIELDS` names their positions.
@@ -105,7 +105,7 @@ class StateMessage:
         self.numbers[FIELDS[field]] = values
 
     def head(self, identifier: int, generator: int, controller: int, mode: int, success: float) -> None:
-        """Write the fields of Franka's robot state message that are not arrays."""
+        """Write those fields of Franka's robot state message that are not arrays."""
         layout = self._layout
         struct.pack_into("<Q", self._buffer, 0, identifier)
         _MODES.pack_into(self._buffer, layout.modes, generator, controller)
@@ -117,7 +117,7 @@ class StateMessage:
 
 @dataclass(frozen=True)
 class RobotState:
-    """Robot state, received from a Franka robot by UDP.
+    """State of a Franka robot, as received by UDP.
 
     Attributes:
         time: message identifier, which counts milliseconds.
@@ -139,7 +139,7 @@ class RobotState:
 
 
 def read_state(data: bytes) -> RobotState:
-    """Decode a Franka robot state message; its size tells the version.
+    """Decode the state message of a Franka robot. Its size determines the protocol version.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.
@@ -164,7 +164,7 @@ def read_state(data: bytes) -> RobotState:
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Franka motion command that answers one UDP state message.
+    """Motion command to a Franka robot that answers one of its UDP state messages.
 
     Only the fields of the motion's modes count.
     """
@@ -181,7 +181,7 @@ class RobotCommand:
     torque_finished: bool = False
 
     def pack(self, version: int = 10) -> bytes:
-        """Encode a Franka motion command; protocol version 5 cannot end the torque alone."""
+        """Encode a motion command to a Franka robot. Version 5 has no field that ends only the torque."""
         values = (
             self.time, *self.q, *self.dq, *self.O_T_EE, *self.O_dP_EE, *self.elbow, self.valid_elbow,
             self.motion_finished, *self.torque, self.torque_finished,
@@ -190,7 +190,7 @@ class RobotCommand:
 
 
 def read_command(data: bytes, version: int = 10) -> RobotCommand:
-    """Decode a Franka motion command message.
+    """Decode a message with a motion command to a Franka robot.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.

@@ -32,7 +32,9 @@ class ArmDynamics:
         self._centers = np.vstack((model.link_centers, np.asarray(cog, dtype=float)))
 
     def _jacobians(self, q: Array) -> Array:
-        """Return Jacobians (7, 3, 6) of link masses and payload for a UR arm's dynamics, base frame."""
+        """Return the Jacobians (7, 3, 6) of the link masses and the payload in the base frame,
+        for the dynamics of a UR arm.
+        """
         frames = frames_of(self._dh, q)
         axes, origins = frames[:6, :3, 2], frames[:6, :3, 3]
         links = np.vstack((frames[1:], frames[6:]))  # frame i moves with link i, the payload with link 6
@@ -44,12 +46,14 @@ class ArmDynamics:
         return (J * np.vstack((moved_by, np.ones(6)))[:, :, None]).transpose(0, 2, 1)
 
     def mass_matrix(self, q: ArrayLike) -> Array:
-        """Return the mass matrix (6, 6) [kg m^2] of a UR arm's dynamics at joint positions q (6,) [rad]."""
+        """Return the mass matrix (6, 6) [kg m^2] in the dynamics of a
+        UR arm at joint positions q (6,) [rad].
+        """
         J = self._jacobians(np.asarray(q, dtype=float))
         return np.einsum("n,nki,nkj->ij", self._masses, J, J) + ROTOR * np.eye(6)
 
     def velocity_torques(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return the Coriolis and centrifugal torques (6,) [Nm] of a UR arm's dynamics.
+        """Return the Coriolis and centrifugal torques (6,) [Nm] in the dynamics of a UR arm.
 
         The sum of m J^T (dJ/dt) v over the point masses, at positions q (6,) [rad] and speeds v (6,) [rad/s].
         """
@@ -60,11 +64,13 @@ class ArmDynamics:
 
 
 def tool_jacobian(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> Array:
-    """Return the TCP's geometric Jacobian (6, 6) for a UR arm's dynamics, in the base frame."""
+    """Return the geometric Jacobian (6, 6) of the TCP in the base frame, for the dynamics of a UR arm."""
     return jacobian(dh, q, forward(dh, q, tcp)[:3, 3])
 
 
 def jacobian_rate(dh: Kinematics, q: ArrayLike, v: ArrayLike, tcp: ArrayLike) -> Array:
-    """Return the TCP Jacobian's rate (6, 6) for a UR arm's dynamics at joint speeds v (6,) [rad/s]."""
+    """Return the rate of change (6, 6) of the TCP Jacobian for the
+    dynamics of a UR arm at joint speeds v (6,) [rad/s].
+    """
     q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
     return (tool_jacobian(dh, q + v * STEP, tcp) - tool_jacobian(dh, q - v * STEP, tcp)) / (2.0 * STEP)

@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 
 
 def frames_of(dh: Kinematics, q: ArrayLike) -> Array:
-    """Return T_base_i (7, 4, 4) of a UR arm's kinematics, base and six DH frames, read-only."""
+    """Return T_base_i (7, 4, 4) of the base and the six DH frames in the kinematics of a UR arm.
+    The array is read-only.
+    """
     return _frames_of(dh, np.asarray(q, dtype=float).tobytes())
 
 
@@ -38,7 +40,7 @@ def _frames_of(dh: Kinematics, q: bytes) -> Array:
 
 
 def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Array:
-    """Return the Jacobian (6, 6) of a UR arm's kinematics, for the flange or a point fixed to it.
+    """Return the Jacobian (6, 6) in the kinematics of a UR arm, for the flange or for a point fixed to it.
 
     The base frame is the reference.
 
@@ -56,18 +58,24 @@ def jacobian(dh: Kinematics, q: ArrayLike, tip: ArrayLike | None = None) -> Arra
 
 
 def cross(a: Iterable[float], b: Iterable[float]) -> Array:
-    """Return the cross product of vectors (3,) for UR kinematics, ten times faster than `numpy.cross`."""
+    """Return the cross product of two vectors (3,) for the kinematics of UR arms,
+    ten times faster than `numpy.cross`.
+    """
     (ax, ay, az), (bx, by, bz) = a, b
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
 def pose_of(T: Array) -> list[float]:
-    """Return a transform (4, 4) of UR kinematics as a UR pose: x, y, z [m], rotation vector [rad]."""
+    """Convert a transform (4, 4) in the kinematics of a UR arm to a UR pose:
+    x, y, z [m] and rotation vector [rad].
+    """
     return [*T[:3, 3].tolist(), *SO3(T[:3, :3]).log().tolist()]
 
 
 def matrix_of(pose: ArrayLike) -> Array:
-    """Return the transform (4, 4) of UR kinematics for a UR pose (x, y, z [m], rotation vector [rad])."""
+    """Convert a UR pose (x, y, z [m], rotation vector [rad]) to a transform (4, 4),
+    for the kinematics of a UR arm.
+    """
     return _matrix_of(np.asarray(pose, dtype=float).tobytes()).copy()
 
 
@@ -78,7 +86,9 @@ def _matrix_of(pose: bytes) -> Array:
 
 
 def forward(dh: Kinematics, q: ArrayLike, tcp: ArrayLike) -> Array:
-    """Return T_base_tcp (4, 4) by a UR arm's forward kinematics, the TCP given in the flange frame."""
+    """Return T_base_tcp (4, 4) by the forward kinematics of a UR arm,
+    with the TCP given in the flange frame.
+    """
     return _forward(dh, np.asarray(q, dtype=float).tobytes(), np.asarray(tcp, dtype=float).tobytes()).copy()
 
 
@@ -89,7 +99,8 @@ def _forward(dh: Kinematics, q: bytes, tcp: bytes) -> Array:
 
 def inverse(dh: Kinematics, T_base_tcp: Array, q_near: ArrayLike, tcp: ArrayLike,
             iterations: int = 50, tolerance: float = 1e-7) -> Array | None:  # fmt: skip
-    """Return joint positions (6,) [rad] of a UR arm's inverse kinematics, by damped Newton steps.
+    """Solve the inverse kinematics of a UR arm by damped Newton steps,
+    and return the joint positions (6,) [rad].
 
     Args:
         T_base_tcp: target (4, 4).

@@ -34,12 +34,12 @@ class UrModel:
 
     @property
     def frequency(self) -> float:
-        """Return the frequency [Hz] of a UR model's control loop and RTDE."""
+        """Return the frequency [Hz] at which the control loop and RTDE of a UR model run."""
         return 500.0 if self.e_series else 125.0
 
     @property
     def version(self) -> tuple[int, int, int, int]:
-        """Return the software version of a UR model's emulated controller, as four numbers.
+        """Return the software version of the emulated controller for a UR model, as four numbers.
 
         The numbers are major, minor, bugfix and build.
         """
@@ -48,7 +48,7 @@ class UrModel:
         return (5, 26, 0, 130216) if self.e_series else (3, 15, 8, 106339)
 
     def with_software(self, text: str) -> UrModel:
-        """Return the UR arm model with an older controller software, such as "3.4" or "5.11.1".
+        """Return the model of a UR arm with an older controller software, such as "3.4" or "5.11.1".
 
         Raises:
             InputError: the version is invalid or not emulated for this controller generation.
@@ -66,7 +66,7 @@ class UrModel:
 
     @property
     def cb3_version(self) -> tuple[int, int]:
-        """Return the CB3 software version of a UR model with the same client interfaces.
+        """Return the CB3 software version that has the same client interfaces as the software of a UR model.
 
         e-Series 5.0 corresponds to CB3 3.5, 5.10 to 3.15.
         """
@@ -75,7 +75,9 @@ class UrModel:
 
     @property
     def dashboard_name(self) -> str:
-        """Return the UR model name for the dashboard's `get robot model`, without the e of e-Series."""
+        """Return the name of a UR model as the dashboard command `get robot model` reports it,
+        without the e of e-Series.
+        """
         return self.name.removesuffix("e")
 
 
@@ -119,7 +121,9 @@ _SPEEDS = {
 def _model(
     name: str, dh: Kinematics, masses: tuple[float, ...], centers: tuple, size: str, torque: tuple[float, ...]
 ) -> UrModel:
-    """Return one UR arm model; `torque` [Nm] is that of shoulder joints, elbow and wrists."""
+    """Return the model of one UR arm. `torque` [Nm] contains the values for the shoulder joints,
+    the elbow and the wrists.
+    """
     high, middle, low = torque
     torques = (high, high, middle, low, low, low)
     return UrModel(name, name not in ("UR3", "UR5", "UR10"), dh, masses, centers, torques, _SPEEDS[size])

@@ -22,7 +22,7 @@ MAX_SIZE = 65536
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Kinematics of one UR robot in primary messages: its calibrated Denavit-Hartenberg parameters."""
+    """Kinematics of one UR robot in primary messages: the calibrated Denavit-Hartenberg parameters."""
 
     theta: tuple[float, ...]  # (6,) [rad]
     a: tuple[float, ...]  # (6,) [m]
@@ -45,14 +45,16 @@ class Kinematics:
         )  # fmt: skip
 
     def difference(self, other: Kinematics) -> tuple[float, float]:
-        """Return the largest difference of two UR geometries in primary messages: length [m], angle [rad]."""
+        """Return the largest differences between two UR geometries from primary messages:
+        in length [m] and in angle [rad].
+        """
         lengths = np.abs(np.subtract((self.a, self.d), (other.a, other.d)))
         angles = np.abs(np.subtract((self.theta, self.alpha), (other.theta, other.alpha)))
         return float(lengths.max()), float(angles.max())
 
 
 def package(kind: int, body: bytes) -> bytes:
-    """Encode a message of UR's primary interface, or a package inside a message.
+    """Encode a message of UR's primary interface, or a package inside such a message.
 
     Layout: int32 size, uint8 type, body.
     """
@@ -68,7 +70,7 @@ def mode_package(
     timestamp_us: int, powered: bool, emergency: bool, protective: bool, running: bool, paused: bool,
     robot_mode: int, speed_fraction: float, speed_scaling: float, cb3_version: tuple[int, int] = (3, 15),
 ) -> bytes:  # fmt: skip
-    """Encode the robot mode package of UR's primary interface: modes and speed.
+    """Encode the package with robot modes and speeds for the robot state message of UR's primary interface.
 
     Software before 3.5 sends no reserved byte at the end.
     """
@@ -82,7 +84,9 @@ ROBOT_TYPES = {"UR5": 1, "UR10": 2, "UR3": 3, "UR16": 4, "UR20": 7, "UR30": 8}
 
 
 def configuration_package(q_limits, v_max, a_max, kinematics: Kinematics, robot_type: int) -> bytes:
-    """Encode the configuration package of UR's primary interface: joint limits, geometry, robot type."""
+    """Encode the configuration package of UR's primary interface,
+    which contains joint limits, geometry and robot type.
+    """
     body = b"".join(struct.pack(">dd", low, high) for low, high in q_limits)
     body += b"".join(struct.pack(">dd", v, a) for v, a in zip(v_max, a_max, strict=True))
     body += struct.pack(">5d", 1.05, 1.4, 0.25, 1.2, 0.1)
@@ -91,7 +95,7 @@ def configuration_package(q_limits, v_max, a_max, kinematics: Kinematics, robot_
 
 
 def joint_package(rows: Iterable[tuple[float, float, float, float, float, float, int]]) -> bytes:
-    """Encode the joint data package of UR's primary robot state message.
+    """Encode the package with joint data for the robot state message of UR's primary interface.
 
     Args:
         rows: per joint the actual and target position [rad], speed [rad/s], current [A], voltage [V],
@@ -105,7 +109,7 @@ def joint_package(rows: Iterable[tuple[float, float, float, float, float, float,
 
 
 def tool_package(inputs: tuple[float, float], output_voltage: int, temperature: float, mode: int) -> bytes:
-    """Encode the tool data package of UR's primary robot state message.
+    """Encode the package with tool data for the robot state message of UR's primary interface.
 
     Args:
         inputs: analog inputs [V].
@@ -121,7 +125,8 @@ def masterboard_package(
     inputs: int, outputs: int, output_domains: tuple[int, int], analog_outputs: tuple[float, float],
     safety_mode: int, reduced: bool,
 ) -> bytes:  # fmt: skip
-    """Encode the masterboard data package of UR's primary robot state message, without Euromap 67.
+    """Encode the package with masterboard data, but without Euromap 67,
+    for the robot state message of UR's primary interface.
 
     Args:
         inputs, outputs: digital pins as bits.
@@ -135,7 +140,8 @@ def masterboard_package(
 
 
 def cartesian_package(tcp_pose: Sequence[float], tcp_offset: Sequence[float]) -> bytes:
-    """Encode the Cartesian data package of UR's primary robot state message: TCP pose and offset.
+    """Encode the package with Cartesian data (TCP pose and offset) for
+    the robot state message of UR's primary interface.
 
     The pose is in the base frame, the offset in the flange frame. Both are UR poses: x, y, z [m] and rotation
     vector [rad].
@@ -148,17 +154,23 @@ def force_mode_package(wrench: Sequence[float], dexterity: float) -> bytes:
 
 
 def additional_package(teaching: bool) -> bytes:
-    """Encode the additional data package of UR's primary robot state message: teach button, freedrive."""
+    """Encode the package with additional data (teach button and
+    freedrive) for UR's primary robot state message.
+    """
     return package(ADDITIONAL, struct.pack(">B??B", teaching, True, False, 0))
 
 
 def internal_packages() -> list[bytes]:
-    """Return the primary interface packages for UR's internal use, which clients skip by size."""
+    """Return the packages of the primary interface for UR's internal use,
+    which clients skip by their size.
+    """
     return [package(CALIBRATION, bytes(48)), package(SAFETY, bytes(38))]
 
 
 def tool_extras(output_mode: int) -> list[bytes]:
-    """Return the primary interface's e-Series tool packages: serial communication, output modes."""
+    """Return the packages for the tool of an e-Series arm in UR's primary interface:
+    serial communication and output modes.
+    """
     communication = struct.pack(">?iiiff", False, 115200, 0, 1, 1.5, 3.5)
     return [
         package(TOOL_COMMUNICATION, communication),
@@ -167,7 +179,8 @@ def tool_extras(output_mode: int) -> list[bytes]:
 
 
 def messages(buffer: bytearray) -> list[tuple[int, bytes]]:
-    """Remove and return the complete messages at the start of a buffer of UR's primary interface.
+    """Remove the complete messages at the start of a buffer with data
+    of UR's primary interface, and return them.
 
     Returns:
         The messages as (type, body).
@@ -187,7 +200,9 @@ def messages(buffer: bytearray) -> list[tuple[int, bytes]]:
 
 
 def packages(body: bytes) -> dict[int, bytes]:
-    """Split the body of UR's primary robot state message into packages, by package type."""
+    """Split the body of a robot state message of UR's primary
+    interface into its packages, by package type.
+    """
     found: dict[int, Any] = {}
     at = 0
     while at + 5 <= len(body):

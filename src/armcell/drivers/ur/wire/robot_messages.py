@@ -21,7 +21,7 @@ def _message(timestamp_us: int, source: int, kind: int, body: bytes) -> bytes:
 
 
 def _text(value: str, limit: int = 1000) -> bytes:
-    """Encode a UR robot message's text as ASCII, truncated to a length that clients accept."""
+    """Encode the text of a UR robot message as ASCII, and truncate it to a length that clients accept."""
     return value.encode("ascii", "replace")[:limit]
 
 
@@ -40,13 +40,13 @@ def text(timestamp_us: int, value: str) -> bytes:
 
 
 def popup(timestamp_us: int, title: str, value: str, warning: bool, error: bool, request: int) -> bytes:
-    """Encode a UR robot message for a popup that neither requests input nor blocks the robot program."""
+    """Encode a UR robot message for a popup that neither asks for input nor blocks the robot program."""
     head = struct.pack(">IB???", request, 0, warning, error, False)
     return _message(timestamp_us, CONTROLLER, POPUP, head + _short(title) + _text(value))
 
 
 def key(timestamp_us: int, title: str, value: str) -> bytes:
-    """Encode a UR key message, such as PROGRAM_XXX_STARTED, with the program's name."""
+    """Encode a key message of a UR robot, such as PROGRAM_XXX_STARTED, with the name of the program."""
     return _message(timestamp_us, CONTROLLER, KEY, struct.pack(">ii", 0, 0) + _short(title) + _text(value))
 
 
@@ -56,12 +56,14 @@ def safety_mode(timestamp_us: int, mode: int) -> bytes:
 
 
 def runtime_exception(timestamp_us: int, line: int, column: int, value: str) -> bytes:
-    """Encode UR's robot message of a runtime error in a program, with line and column from 1."""
+    """Encode the UR robot message for a runtime error in a program. Lines and columns count from 1."""
     body = struct.pack(">ii", line, column) + _text(value)
     return _message(timestamp_us, CONTROLLER, RUNTIME_EXCEPTION, body)
 
 
 def error_code(timestamp_us: int, code: int, argument: int, level: int, value: str) -> bytes:
-    """Encode UR's robot message of an error from its error list, such as C210 (connection is read-only)."""
+    """Encode the UR robot message for an error in UR's list of errors,
+    such as C210 (connection is read-only).
+    """
     body = struct.pack(">iiiII", code, argument, level, 0, 0) + _text(value)
     return _message(timestamp_us, CONTROLLER, ERROR_CODE, body)

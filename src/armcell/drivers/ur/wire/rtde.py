@@ -57,7 +57,7 @@ _OUTPUT_NAMES = {
 
 
 def _registers(direction: str) -> dict[str, str]:
-    """Return the RTDE wire registers that have individual names, as name -> type.
+    """Return those registers of the RTDE protocol that have individual names, as a mapping from name to type.
 
     Boolean registers 0 to 63 have no individual names: two 32-bit words transmit them.
     """
@@ -97,7 +97,7 @@ INPUTS: dict[str, str] = {
 
 
 class RtdeError(ArmcellError):
-    """Error for wire data that is not RTDE, or for an RTDE request that the other side refused."""
+    """Error for received data that is not RTDE, or for an RTDE request that the other side refused."""
 
 
 def frame(kind: int, payload: bytes = b"") -> bytes:
@@ -105,7 +105,7 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 
 
 def frames(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
-    """Remove the complete RTDE frames at the start of a wire buffer and yield (type, payload).
+    """Remove the complete RTDE frames at the start of a buffer with received data, and yield (type, payload).
 
     Raises:
         RtdeError: a frame has an invalid size.
@@ -122,7 +122,7 @@ def frames(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
 
 
 class Recipe:
-    """RTDE recipe on the wire: variable names, and the binary layout of their values."""
+    """Recipe of the RTDE protocol: the names of variables, and the binary layout of their values."""
 
     def __init__(self, names: Sequence[str], types: Sequence[str]):
         self.names, self.types = tuple(names), tuple(types)
@@ -131,11 +131,13 @@ class Recipe:
 
     @property
     def size(self) -> int:
-        """Return the size in bytes of an RTDE recipe's packed values."""
+        """Return the size in bytes of the packed values of an RTDE recipe."""
         return self._struct.size
 
     def pack(self, values: Iterable[Any]) -> bytes:
-        """Pack the values of an RTDE recipe for the wire in its order; vectors are sequences."""
+        """Pack the values of an RTDE recipe into bytes, in the order of the recipe.
+        Vectors are given as sequences.
+        """
         flat: list[Any] = []
         for value, width in zip(values, self._widths, strict=True):
             if width == 1:
@@ -145,7 +147,7 @@ class Recipe:
         return self._struct.pack(*flat)
 
     def unpack(self, payload: bytes) -> dict[str, Any]:
-        """Unpack an RTDE recipe's values from the wire into a dict by name; vectors are tuples.
+        """Unpack the values of an RTDE recipe from received bytes into a dict by name. Vectors become tuples.
 
         Raises:
             RtdeError: the payload has the wrong length.
@@ -160,7 +162,7 @@ class Recipe:
 
 
 def split_names(text: bytes) -> list[str]:
-    """Split a comma-separated list of RTDE variable names on the wire.
+    """Split the comma-separated list of variable names that an RTDE client has sent.
 
     A trailing comma, as ur_rtde sends it, is ignored.
     """
@@ -168,7 +170,7 @@ def split_names(text: bytes) -> list[str]:
 
 
 def message_text(payload: bytes) -> str:
-    """Return the text of a client's RTDE wire message, prefixed with its source.
+    """Return the text in a message of an RTDE client, prefixed with its source.
 
     Layout: uint8 length, text, uint8 length, source, uint8 level.
 

@@ -48,7 +48,8 @@ class _Scope:
 def compiled(
     statements: list[Node], blocking: Iterable[str], instant: Mapping[str, Callable[..., Any]]
 ) -> CodeType:
-    """Compile a URScript text to Python code that defines a generator `main(G, F, B, I, M)`.
+    """Compile the syntax tree of a URScript text to Python code that
+    defines a generator `main(G, F, B, I, M)`.
 
     Args:
         blocking: names of functions that take time, called as `B[name](...)`.
@@ -80,7 +81,9 @@ class _Compiler:
         self._lines.append("  " * depth + text)
 
     def _find(self, statements: list[Node], top: bool) -> None:
-        """Collect a URScript text's global names for the compiler: declared, or assigned in the body."""
+        """Collect the global names in a URScript text for the compiler:
+        those declared as global, or assigned in the body.
+        """
         for node in statements:
             if node[0] == "assign" and node[1][0] == "name" and (node[3] == "global" or top):
                 self._globals.add(node[1][1])

@@ -19,7 +19,7 @@ MAX_TURNS = 20_000  # largest number of loop iterations between two control step
 
 
 class ProgramError(ArmcellError):
-    """Runtime error in the URScript machine that stops a program.
+    """Runtime error in the URScript machine, which stops the program.
 
     Attributes:
         line: line in the script's text, from 1.
@@ -75,7 +75,7 @@ class Machine:
         self._next, self.running = 2, True
 
     def step(self) -> None:
-        """Let the URScript machine run every thread of the program to its next control step.
+        """Run every thread of the program in the URScript machine up to its next control step.
 
         Raises:
             ProgramError: a runtime error, with its line.

@@ -33,7 +33,7 @@ Node = tuple[Any, ...]
 
 
 class ScriptError(ArmcellError):
-    """Syntax error or compile error that the URScript parser or compiler finds.
+    """Syntax error or compile error in a URScript text, found by the parser or the compiler.
 
     Attributes:
         line, column: position in the text, from 1; 0 refers to the whole text.
@@ -98,7 +98,7 @@ class _Tokens:
 
 
 def parse(text: str) -> list[Node]:
-    """Parse a URScript text into a syntax tree and return its statements.
+    """Parse a URScript text into a syntax tree, and return the statements.
 
     Raises:
         ScriptError: a syntax error, with its line.
@@ -110,7 +110,8 @@ def parse(text: str) -> list[Node]:
 
 
 def depth_after(line: str, depth: int) -> int:
-    """Return how many URScript blocks the parser has open after one more line of a streamed text.
+    """Return the number of URScript blocks that are open for the
+    parser after one more line of a streamed text.
 
     Args:
         line: the new line.

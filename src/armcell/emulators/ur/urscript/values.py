@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Vec(list):
-    """URScript value: a list with item-by-item arithmetic."""
+    """URScript value that is a list with item-by-item arithmetic."""
 
     def _by_item(self, other: Any, act: Callable[[Any, Any], Any]) -> Vec:
         if isinstance(other, list):
@@ -41,11 +41,13 @@ class Vec(list):
 
 
 class Pose(Vec):
-    """URScript value: pose p[x, y, z, rx, ry, rz] of position [m] and rotation vector [rad]."""
+    """URScript value for a pose p[x, y, z, rx, ry, rz],
+    which consists of a position [m] and a rotation vector [rad].
+    """
 
 
 def copied(value: Any) -> Any:
-    """Return the value that URScript assignment stores: a copy of the list or pose value."""
+    """Return the value that is stored when URScript assigns a value: lists and poses are copied."""
     if isinstance(value, Vec):
         return type(value)(copied(v) for v in value)
     return value

@@ -35,7 +35,7 @@ GAIN = 1e-3  # [rad] smallest cost reduction for another parent of a node
 
 @inner_njit(forceinline=True)
 def uniform(random):
-    """Draw a random number in [0, 1) for AORRTC's kernel from the generator state random[0].
+    """Return a random number in [0, 1) for the AORRTC kernel; random[0] holds the state of the generator.
 
     The generator is splitmix64 (Steele, Lea and Flood 2014).
     """
@@ -57,7 +57,7 @@ def _apart(a, i, b, k, dof):
 
 @inner_njit
 def _to_go(roots, dof, first, last, q, at):
-    """Compute AORRTC's cost to go: the distance of configuration q[at:] from the nearest root."""
+    """Return the distance from configuration q[at:] to the nearest root, the cost to go that AORRTC uses."""
     least = 1e300
     for r in range(first, last):
         least = min(least, _apart(roots, r * dof, q, at, dof))
@@ -66,7 +66,9 @@ def _to_go(roots, dof, first, last, q, at):
 
 @inner_njit
 def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
-    """Sample uniformly from AORRTC's ellipsoid of configurations on paths below the cost bound."""
+    """Sample uniformly from the ellipsoid that contains all configurations on paths cheaper than the cost
+    bound of AORRTC.
+    """
     length = _apart(roots, 0, roots, goal * dof, dof)
     norm = 0.0
     for j in range(0, dof, 2):  # a direction from normal deviates (Box and Muller)
@@ -92,7 +94,8 @@ def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
 
 @inner_njit
 def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
-    """Sample a configuration for AORRTC that a path below the cost bound can pass, into q[at:].
+    """Sample a configuration that a path cheaper than the cost bound of AORRTC can pass, and write it to
+    q[at:].
 
     Return False if no sample was found.
     """
@@ -114,7 +117,7 @@ def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
 def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
             axis, nodes, parents, radii, leaves, leaf_ints, capacity, room, random, stop, max_iterations,
             found):  # fmt: skip
-    """Run AORRTC's compiled search on bare pointers.
+    """Run the compiled search of AORRTC on bare pointers.
 
     Nodes have dof + 1 coordinates; the last coordinate is the cost from their root.
     """
@@ -234,7 +237,8 @@ def aorrtc(
     max_iterations,
     path,
 ):
-    """AORRTC kernel: find a path shorter than `bound` [rad] and write its waypoints (m, dof).
+    """Search by AORRTC, in a compiled kernel, for a path that is shorter than `bound` [rad], and write its
+    waypoints (m, dof).
 
     Args:
         roots: (1 + g, dof) start and goals. reach: longest edge of the trees [rad].

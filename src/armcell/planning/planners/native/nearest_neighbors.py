@@ -52,7 +52,9 @@ JOINED, LEAVES, SIZES = 0, 1, 2
 
 
 def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
-    """Allocate nearest-neighbor leaves for two trees of `capacity` nodes with `dims` coordinates."""
+    """Allocate the leaves in which nearest neighbors are found, for two search trees of `capacity` nodes with
+    `dims` coordinates.
+    """
     most = _most(capacity)
     return (
         np.empty(2 * most * ((L + 2) * dims + 1), np.float32),
@@ -62,7 +64,8 @@ def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True)
 def _most(capacity):
-    """Compute the maximum number of nearest-neighbor leaves for a tree of `capacity` nodes.
+    """Return the largest number of leaves that the nearest-neighbor search needs for a tree of `capacity`
+    nodes.
 
     Each leaf holds at least half of L nodes.
     """
@@ -71,7 +74,7 @@ def _most(capacity):
 
 @inner_njit
 def reset_leaves(ints, capacity):
-    """Remove all nodes from the nearest-neighbor leaves of both trees."""
+    """Remove all nodes of both search trees from the leaves of the nearest-neighbor search."""
     size = SIZES + _most(capacity) * (L + 1) + capacity
     for tree in range(2):
         ints[tree * size + JOINED] = ints[tree * size + LEAVES] = 0
@@ -79,7 +82,7 @@ def reset_leaves(ints, capacity):
 
 @inner_njit
 def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, at, room):
-    """Find the nearest neighbor of q[at:] among the `count` nodes of a search tree.
+    """Find the nearest neighbor of q[at:] among the first `count` nodes of a search tree.
 
     New nodes join their leaves first.
 
@@ -125,7 +128,7 @@ def _clear(floats, ints, dims, f, boxes, i, leaf):
 
 @inner_njit
 def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, at):
-    """Append a node to a nearest-neighbor leaf that has a free lane.
+    """Append a node to a leaf of the nearest-neighbor search that still has a free slot (SIMD lane).
 
     The node's coordinates are source[at::L].
     """
@@ -143,7 +146,7 @@ def _put(floats, ints, dims, f, boxes, i, inside, leaf_of, leaf, node, source, a
 
 @inner_njit
 def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, node):
-    """Add a tree node to a nearest-neighbor leaf; split the leaf first if it is full."""
+    """Add a node of a search tree to a leaf of the nearest-neighbor search. A full leaf is split first."""
     at = ((first + node) // L) * dims * L + (first + node) % L
     if ints[i + SIZES + leaf] == L:
         box = boxes + (leaf // L) * 2 * dims * L + leaf % L
@@ -198,7 +201,9 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
 
 @inner_njit
 def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
-    """Find the lane (over all leaves) of the nearest neighbor of configuration q[at:]."""
+    """Find the slot (SIMD lane, counted over all leaves) that holds the nearest neighbor of configuration
+    q[at:].
+    """
     zero, least, first = splat(np.float32(0.0)), np.float32(FAR * FAR), 0
     blocks = (leaves + L - 1) // L
     for b in range(blocks):
@@ -239,7 +244,9 @@ def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
 
 @inner_njit(forceinline=True)
 def _look(floats, dims, f, leaf, q, at, best, where):
-    """Scan one more nearest-neighbor leaf: update each lane's best distance and the best leaf."""
+    """Scan one more leaf in a nearest-neighbor search, and update the smallest distance in each slot (SIMD
+    lane) and the leaf where it occurs.
+    """
     base, total = f + leaf * dims * L, splat(np.float32(0.0))
     for j in range(dims):
         d = load(floats, base + j * L) - splat(q[at + j])

@@ -30,7 +30,8 @@ VERTICES, EDGES, VERTEX_CHECKS, EDGE_CHECKS, SEARCHES, COUNTS = range(6)
 
 @inner_njit
 def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
-    """Find the k vertices of the PRM kernel's roadmap nearest to q[at:], nearest first.
+    """Find in a compiled kernel the k vertices of a PRM roadmap that are nearest to q[at:], sorted by
+    distance.
 
     Write their numbers to ids and their squared distances to near. Return the count.
     """
@@ -61,7 +62,7 @@ def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
 
 @inner_njit
 def _link(a, b, length, stamp, head, following, to, lengths, edge_stamps, counts):
-    """Add an edge between two vertices of the PRM kernel's roadmap.
+    """Add an edge between two vertices to a PRM roadmap, in the compiled kernel.
 
     Edge e is entry 2 e at vertex a and entry 2 e + 1 at vertex b.
     """
@@ -77,7 +78,8 @@ def _link(a, b, length, stamp, head, following, to, lengths, edge_stamps, counts
 @inner_njit
 def _add(nodes, dof, q, at, stamp, head, following, to, lengths, vertex_stamps, edge_stamps, counts, ids,
          near, room):  # fmt: skip
-    """Add a free vertex to the PRM kernel's roadmap and join it with its nearest vertices.
+    """Add a collision-free configuration as a vertex to a PRM roadmap, and connect it with its nearest
+    vertices.
 
     Return the number of the vertex (-1: the roadmap is full).
     """
@@ -101,7 +103,9 @@ def _add(nodes, dof, q, at, stamp, head, following, to, lengths, vertex_stamps, 
 
 @inner_njit
 def _not_free(k, lanes):
-    """Return the SIMD lanes of the PRM kernel's lane buffer whose configurations are not free."""
+    """Return which configurations in the buffer of the PRM kernel are not collision-free, by their slots
+    (SIMD lanes).
+    """
     I, w = ints(k), lanes_of(k)
     for j in range(I[DOF]):
         store(w, rate_at(I, j), splat(np.float32(0.0)))
@@ -111,7 +115,8 @@ def _not_free(k, lanes):
 
 @njit(cache=True, nogil=True)
 def recheck(handle, no_room, nodes, vertex_stamps, stamp, counts, stop):
-    """Check every vertex of the PRM kernel's roadmap in the current scene; store the result as a stamp.
+    """Check every vertex of a PRM roadmap for collisions in the current scene, and store the result as a
+    stamp.
 
     no_room: zeros (dof,).
     """
@@ -141,7 +146,8 @@ def recheck(handle, no_room, nodes, vertex_stamps, stamp, counts, stop):
 def grow(handle, no_room, nodes, head, following, to, lengths, vertex_stamps,
          edge_stamps, counts, ids, near, room, stamp, lower, upper, steps, sample, block, blocks,
          stop):  # fmt: skip
-    """Grow the PRM kernel's roadmap by the free configurations of `blocks` times 16 samples.
+    """Extend a PRM roadmap in the compiled kernel: sample `blocks` times 16 configurations, and add the
+    collision-free ones.
 
     Args:
         steps, sample: (dof,), see rrt_connect.kronecker_steps. block: scratch (16, dof).
@@ -172,7 +178,8 @@ def grow(handle, no_room, nodes, head, following, to, lengths, vertex_stamps,
 @njit(cache=True, nogil=True)
 def insert(nodes, head, following, to, lengths, vertex_stamps, edge_stamps, counts, ids, near, room, stamp,
            path, numbers, joined):  # fmt: skip
-    """Add the free rows of a path (m, dof) as vertices of the PRM kernel's roadmap; return their numbers.
+    """Add the collision-free rows of a path (m, dof) as vertices to a PRM roadmap, and return the numbers of
+    these vertices.
 
     Args:
         joined: whether the path's edges are also known to be free.
@@ -205,7 +212,9 @@ def _push(keys, items, n, key, item):
 
 @inner_njit
 def _pop(keys, items, n):
-    """Remove the smallest of n heap entries in the roadmap kernel's A* and write it behind the others."""
+    """Remove the smallest of n entries from the heap that A* uses on a roadmap, and store it behind the
+    remaining entries.
+    """
     top_key, top = keys[0], items[0]
     key, item, i = keys[n - 1], items[n - 1], 0
     while 2 * i + 1 < n - 1:
@@ -222,7 +231,7 @@ def _pop(keys, items, n):
 
 @inner_njit
 def _to_go(nodes, dof, v, goals, room):
-    """Compute the distance of roadmap vertex v from the nearest goal for A* (`room`: 2 dof doubles)."""
+    """Return the distance from vertex v of a roadmap to the nearest goal, the cost to go that A* uses."""
     least = np.inf
     get(nodes, dof, v, room, 0)
     for g in goals:
@@ -239,7 +248,7 @@ def _to_go(nodes, dof, v, goals, room):
 @inner_njit
 def _shortest(nodes, dof, head, following, to, lengths, vertex_stamps, edge_stamps, stamp, start, goals,
               number, mark, cost, came, keys, items, ends, stop):  # fmt: skip
-    """Find a shortest path on the PRM kernel's roadmap to a goal by A*; return the goal, or -1.
+    """Find a shortest path on a PRM roadmap to a goal by A*. Return the goal, or -1 if there is no path.
 
     Only edges that are known to be blocked are excluded.
     """
@@ -273,7 +282,8 @@ def _shortest(nodes, dof, head, following, to, lengths, vertex_stamps, edge_stam
 def query(handle, nodes, head, following, to, lengths, vertex_stamps,
           edge_stamps, counts, stamp, start, goals, step, mark, cost, came, keys, items, ends, route, path,
           stop):  # fmt: skip
-    """Query the PRM kernel's roadmap for the shortest free path; write it into path (m, dof).
+    """Find the shortest collision-free path on a PRM roadmap in a compiled kernel, and write it to `path` (m,
+    dof).
 
     The path is free at samples `step` [rad] apart.
 

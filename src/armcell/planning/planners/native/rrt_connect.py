@@ -31,7 +31,7 @@ FROM, TO, ITERATIONS, NODES, NODES_0, NODES_1, TURN, FOUND = range(8)
 
 
 def space_size(dof: int) -> int:
-    """Compute the size of the RRT-Connect kernel's scratch memory in doubles.
+    """Compute the size of the scratch memory that the RRT-Connect kernel needs, in doubles.
 
     Layout: [edge, sample], [sample steps], [sample], [closest approach].
     """
@@ -39,7 +39,8 @@ def space_size(dof: int) -> int:
 
 
 def closest_at(dof: int) -> int:
-    """Return the scratch offset of the closest approach of the RRT-Connect kernel's two trees.
+    """Return the position in scratch memory at which the RRT-Connect kernel stores the closest approach of
+    its two trees.
 
     The closest approach is a length [rad], then its two ends.
     """
@@ -48,7 +49,8 @@ def closest_at(dof: int) -> int:
 
 @njit(cache=True)
 def kronecker_steps(dof, out):
-    """Compute the steps of Roberts' R sequence, a low-discrepancy sequence for RRT-Connect's samples.
+    """Compute the steps of Roberts' R sequence, a low-discrepancy sequence from which RRT-Connect takes its
+    samples.
 
     The steps are powers of the root of 1/x^(d+1) = 1/x + 1. u + k * step modulo 1 is as even as Halton's
     points, at the cost of an addition.
@@ -66,7 +68,7 @@ def kronecker_steps(dof, out):
 def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
             nodes, parents, radii, leaves, leaf_ints, capacity, room, stop, max_iterations,
             found):  # fmt: skip
-    """Run the compiled RRT-Connect search on bare pointers.
+    """Run the compiled search of RRT-Connect on bare pointers.
 
     Tree 0 grows from the start, tree 1 from the goals. Node i of tree t is node t * capacity + i.
     """
@@ -173,7 +175,8 @@ def rrt_connect(
     max_iterations,
     path,
 ):
-    """RRT-Connect kernel: find a path from the start to one of the goals; write waypoints (m, dof).
+    """Search by RRT-Connect, in a compiled kernel, for a path from the start to one of the goals, and write
+    its waypoints (m, dof).
 
     Args:
         goals: (g, dof). shift: (dof,) in [0, 1), start of the sample sequence (the seed).

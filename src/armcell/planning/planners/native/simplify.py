@@ -42,7 +42,9 @@ def _copy(p, width, src, dst):
 
 @inner_njit
 def _shortcut(k, p, count, first, last, at, mode, stop):
-    """Shortcut a path in the simplification kernel: join vertices by the farthest proven straight line."""
+    """Simplify a path in the compiled kernel: connect each vertex with the farthest vertex to which the
+    straight line is proven collision-free.
+    """
     dof = ints(k)[DOF]
     width, i = dof + 1, 0
     while i < count - 2 and stop[0] == 0:
@@ -63,7 +65,8 @@ def _shortcut(k, p, count, first, last, at, mode, stop):
 
 @inner_njit
 def _round_corners(k, p, count, room, first, last, at, mode):
-    """Round a path's corners in the simplification kernel, if the new edges are proven free.
+    """Round the corners of a path in the kernel for path simplification, where the new edges are proven
+    collision-free.
 
     p: rows, count of them; behind `room` rows there is memory for three times as many tried rows and then
     for the new path. Returns count, changed.
@@ -121,7 +124,8 @@ def _round_corners(k, p, count, room, first, last, at, mode):
 
 @njit(cache=True, nogil=True)
 def simplify_path(handle, path, count, space, index, room, mode, stop):
-    """Path simplification kernel: shorten path[:count] in place; every edge is proven free.
+    """Shorten a path (path[:count]) in place, in a compiled kernel for path simplification; every edge is
+    proven collision-free.
 
     Args:
         path: (m, dof). space: float64 scratch of 6 m (dof + 1) + 2 m numbers. index: int64 scratch of 4 m.

@@ -24,7 +24,7 @@ FAR = 1e9
 
 
 def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Allocate storage of two native search trees of `capacity` nodes each (a multiple of L).
+    """Allocate the memory for two native search trees of `capacity` nodes each (a multiple of L).
 
     `put` fills them block by block.
 
@@ -41,7 +41,7 @@ def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 @inner_njit(forceinline=True)
 def put(nodes, dof, i, q, at):
-    """Store the configuration q[at:] as node i of a native search tree.
+    """Store configuration q[at:] as node i of a native search tree.
 
     Write nodes in ascending order. The rest of a new block is set far away.
     """
@@ -55,7 +55,7 @@ def put(nodes, dof, i, q, at):
 
 @inner_njit(forceinline=True)
 def get(nodes, dof, i, q, at):
-    """Read the configuration of a native search tree's node i into q[at:]."""
+    """Copy the configuration of node i in a native search tree to q[at:]."""
     base = (i // L) * dof * L + i % L
     for j in range(dof):
         q[at + j] = nodes[base + j * L]
@@ -63,7 +63,8 @@ def get(nodes, dof, i, q, at):
 
 @inner_njit
 def nearest(nodes, dof, first, count, q, at, room):
-    """Find the nearest node of a native search tree to q[at:] by brute force, `count` nodes from `first` on.
+    """Find the node of a native search tree that is nearest to q[at:] by comparing all `count` nodes from
+    `first` on.
 
     `first` is a multiple of L.
 
@@ -88,7 +89,8 @@ def nearest(nodes, dof, first, count, q, at, room):
 
 @inner_njit
 def trace(nodes, parents, dims, capacity, i, k, dof, row, path, most):
-    """Write a path through two native search trees: tree 0's root, node i, node k, tree 1's root.
+    """Write the path that connects two native search trees: from the root of tree 0 to node i, then from node
+    k to the root of tree 1.
 
     Args:
         row: scratch, dims numbers. path: rows of the first dof coordinates, at most `most`.
