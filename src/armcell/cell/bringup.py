@@ -37,7 +37,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a cell's bring-up, as the record stores it."""
+    """One step in the bring-up of a cell's real arms, as stored in the record."""
 
     name: str
     arm: str
@@ -47,7 +47,7 @@ class Step:
 
 
 class BringUp:
-    """Bring-up of a cell's real arms, step by step.
+    """Step-by-step bring-up of a cell's real arms.
 
     Args:
         confirm: called before each step with the step's name and a description; False ends the bring-up.
@@ -65,7 +65,7 @@ class BringUp:
         self._found: dict[str, RobotIdentity] = {}
 
     def run(self) -> bool:
-        """Run all bring-up steps; return False if the user declined a step or a step failed."""
+        """Run all steps of the bring-up. Return False if the user declined a step or a step failed."""
         arms = self.settings.arms
         steps: list[tuple[str, str, str, Callable[[], str]]] = []
         for name, arm in arms.items():
@@ -158,7 +158,8 @@ class BringUp:
         return kind_of(arm).power_on(name, arm)
 
     def _geometry(self, name: str) -> str:
-        """Compare the flange position by a robot's calibration with the cell's model, as a bring-up step.
+        """Compare the flange position according to the robot's calibration with that of the cell's model, as
+        a step of the bring-up.
 
         Both positions are computed for the same measured joint positions.
 

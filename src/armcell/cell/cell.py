@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 
 class Cell:
-    """A loaded, immutable cell; a seed selects one set of its randomized values."""
+    """A loaded, immutable cell. A seed selects one set of its randomized values."""
 
     def __init__(
         self,
@@ -99,17 +99,21 @@ class Cell:
         return settings
 
     def _sensors(self) -> Sensors3d | None:
-        """Load the 3D sensors (sensors_3d.yaml) of a `Cell`, or of the robot's MoveIt package."""
+        """Load the configuration of 3D sensors (sensors_3d.yaml) that the cell names, or else that of the
+        robot's MoveIt package.
+        """
         file = self._moveit_file(self.spec.ros.sensors, "sensors_3d.yaml")
         return None if file is None else load_sensors_3d(file)
 
     def _planner_configs(self) -> Mapping[str, Any]:
-        """Load the planner settings (ompl_planning.yaml) of a `Cell` or the robot's MoveIt package."""
+        """Load the planner settings (ompl_planning.yaml) that the cell names, or else those of the robot's
+        MoveIt package.
+        """
         file = self._moveit_file(self.spec.ros.planners, "ompl_planning.yaml")
         return {} if file is None else load_ompl_planning(file, self.model)
 
     def _moveit_file(self, named: str | None, name: str) -> Path | None:
-        """Return a configuration file that a `Cell` names, else that of the robot's MoveIt package."""
+        """Return a configuration file that the cell names, or else the one in the robot's MoveIt package."""
         if named is not None:
             return self.file.parent / named
         model = self.spec.robot.model
@@ -135,7 +139,8 @@ class Cell:
             raise self._fail(f"markers/{name}", error.reason, error.hint) from None
 
     def _check_names(self) -> None:
-        """Check the names in a `Cell`'s blocks randomize, start, perception, drop and task.
+        """Check that the names in a cell's blocks `randomize`, `start`, `perception`, `drop` and `task`
+        exist.
 
         Raises:
             UnknownNameError: a name does not exist.
@@ -192,7 +197,7 @@ class Cell:
 
     # --- the world ---
     def draw(self, seed: int) -> dict[str, dict[str, float]]:
-        """Return the random values that a seed selects for a `Cell`'s objects.
+        """Return the random values that a seed selects for the objects of a cell.
 
         Returns:
             Per object, those of dx, dy [m], yaw_deg [deg], mass [kg] and friction that are randomized.
@@ -205,7 +210,9 @@ class Cell:
         return values
 
     def scene(self, seed: int | None = None) -> PlanningScene:
-        """Return a `Cell`'s planning scene at the start of a run: randomized by a seed, else nominal."""
+        """Return a cell's planning scene at the start of a run, randomized by a seed, or nominal without a
+        seed.
+        """
         draw = self.draw(seed) if seed is not None else {}
         scene = PlanningScene.of(self.model).with_padding(self.spec.padding)
         for group, state in self.spec.start.items():
@@ -223,7 +230,7 @@ class Cell:
         return scene
 
     def moved_unseen(self, mode: str) -> list[str]:
-        """Return a cell's movable objects that a disturbance displaces without the planner's knowledge.
+        """Return the movable objects of a cell that a disturbance displaces without the planner's knowledge.
 
         The task uses their poses from the cell file until a camera or a gripper detects the displacement.
         """
@@ -241,7 +248,7 @@ class Cell:
         scene: PlanningScene | None = None,
         watch: bool = True,
     ) -> LiveCell:
-        """Connect a `Cell`: create a `LiveCell` for use in a `with` block, which connects the driver.
+        """Create a `LiveCell` for this cell. Its `with` block connects the driver.
 
         Args:
             mode: "sim" (physics), "fake" (joints follow commands exactly, no physics) or "real" (the arms of
@@ -285,7 +292,7 @@ class Cell:
 
 
 def _with_screwed(scene: PlanningScene, item: CollisionObject) -> PlanningScene:
-    """Return a cell's scene with an added object that is screwed into another object.
+    """Return the cell's scene with one more object, which is screwed into another object.
 
     The pose of the added object is in the frame of the other object. Contact between both is allowed.
     """
@@ -308,7 +315,9 @@ def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
 
 
 def _with_friction(material: Material, static: float | None) -> Material:
-    """Return a cell object's material with another static friction; its ratio to dynamic friction stays."""
+    """Return the material of a cell's object with another static friction; the ratio of static to dynamic
+    friction stays the same.
+    """
     if static is None:
         return material
     if material.dynamic_friction is None or material.friction == 0:

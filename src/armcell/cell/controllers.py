@@ -26,7 +26,7 @@ ENDINGS = {
 
 @dataclass(frozen=True)
 class Controller:
-    """External trajectory controller (ros2_control, vendor) that moves some of the robot's joints.
+    """External trajectory controller (from ros2_control or a vendor) that moves some of the robot's joints.
 
     Attributes:
         name: the name in the cell file.
@@ -80,7 +80,7 @@ def controllers_of(
 
 
 def _joints_of(name: str, spec: ControllerSpec, model: RobotModel, where: dict[str, Any]) -> tuple[str, ...]:
-    """Return the joints of a cell's external controllers by controller name.
+    """Return the joints that each external controller of a cell moves, by controller name.
 
     A group or gripper with the same name has priority; otherwise the joints of the only arm or gripper.
 

@@ -23,7 +23,8 @@ FENCES = ("fence 1", "fence 2", "fence 3", "fence 4", "shelf")
 
 
 def dropped(scene: PlanningScene, names: Sequence[str], into: str, seed: int) -> PlanningScene:
-    """Return the scene with objects at rest in a bin, after physics dropped each at a random pose.
+    """Return the scene with objects at rest in a bin, after physics has dropped each of them at a random
+    pose.
 
     The poses are cached on disk per seed.
 
@@ -95,7 +96,7 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
 
 
 def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
-    """Return a fence above a bin's edges, and a shelf for objects before their drop.
+    """Return a fence on the edges of a bin, and a shelf that holds the objects before they are dropped.
 
     Args:
         frame: center of the rectangle, T_world_frame.
@@ -114,7 +115,7 @@ def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
 
 
 def _above(item: CollisionObject, frame: SE3, half: np.ndarray, top: float, rng: np.random.Generator) -> SE3:
-    """Return a random drop pose above the objects that are already in the bin.
+    """Return a random pose above the objects that are already in the bin, from which to drop the next object.
 
     Args:
         frame: center of the bin's floor, T_world_frame.
@@ -139,7 +140,7 @@ def _top(item: CollisionObject, T: SE3) -> float:
 
 
 def _is_in(item: CollisionObject, T: SE3, frame: SE3, half: np.ndarray) -> bool:
-    """Return whether the center of an object at pose `T` dropped into a bin is above its floor rectangle."""
+    """Return whether the center of a dropped object at pose `T` is above the floor rectangle of a bin."""
     low, high = item.bounds()
     local = frame.inv().apply(T.apply((low + high) / 2))
     return bool(np.all(np.abs(local[:2]) < half) and local[2] > 0)

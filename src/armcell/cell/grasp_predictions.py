@@ -32,7 +32,9 @@ IN_VAIN = 3  # draws per wanted trial: some grasps are unreachable
 
 @dataclass(frozen=True)
 class Held:
-    """Result of one simulated pick for a grasp prediction: whether and how firmly the object was held."""
+    """Result of a simulated pick that tests a grasp prediction: whether and how firmly the gripper held the
+    object.
+    """
 
     to_the_end: bool
     slip_m: float | None = None  # of the object's point between the pads, since the hand closed
@@ -41,7 +43,9 @@ class Held:
 
     @property
     def firmly(self) -> bool:
-        """Return whether a prediction's object was held to the end, within the slip and turn limits."""
+        """Return whether the object was held to the end without exceeding the limits for slip and turn, to
+        test a grasp prediction.
+        """
         if not self.to_the_end or self.slip_m is None or self.turn_rad is None:
             return False
         return self.slip_m <= MAX_SLIP and self.turn_rad <= MAX_TURN
@@ -49,7 +53,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction: the predicted success of one grasp and its observed result."""
+    """The success that was predicted for one grasp, and the result that was observed."""
 
     grasp: str
     probability: float  # predicted by trials of the hand alone
@@ -62,7 +66,8 @@ def predictions(
     scene: PlanningScene, item: CollisionObject, gripper: Gripper, grasps: Sequence[Grasp],
     settings: TaskSettings, count: int, duration: float, seed: Sequence[int],
 ) -> list[Prediction]:  # fmt: skip
-    """Validate grasp predictions: pick up to `count` times with random grasps; skip unreachable grasps.
+    """Pick up to `count` times with random grasps and compare the predicted success with the result.
+    Unreachable grasps are skipped.
 
     Args:
         scene: the believed planning scene, with the object.
@@ -89,7 +94,7 @@ def held_in_truth(
     scene: PlanningScene, truth: CollisionObject, gripper: Gripper, grasp: Grasp, settings: TaskSettings,
     duration: float,
 ) -> Held | None:  # fmt: skip
-    """Pick, lift and hold an object whose true properties the prediction does not know.
+    """Pick, lift and hold an object with true properties that the grasp prediction does not know.
 
     Like a real robot that relies on a camera, the simulated robot knows only the planning scene.
 
@@ -119,7 +124,7 @@ def held_in_truth(
 
 
 def _stages(ctx: TaskContext, item: str, gripper: Gripper, grasp: Grasp, hand: _Hand) -> list[Stage]:
-    """Return the stages of a pick with one given grasp, to validate its prediction.
+    """Return the stages of a pick with one given grasp, to test the prediction for this grasp.
 
     One step records the pose of the object in the hand.
     """
@@ -129,14 +134,16 @@ def _stages(ctx: TaskContext, item: str, gripper: Gripper, grasp: Grasp, hand: _
 
 
 class _Hand:
-    """Measurement of the true pose of an object in a hand, to validate a prediction."""
+    """Measurement of an object's true pose in the hand, to test a grasp prediction."""
 
     def __init__(self, world: SimWorld, gripper: Gripper, item: str):
         self._world, self._gripper, self._item = world, gripper, item
         self._closed: SE3 | None = None  # T_tcp_object
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        """Record an object's true pose in the hand as the reference for its predicted grasp."""
+        """Record the true pose of an object in the hand, from which slip is measured to test a grasp
+        prediction.
+        """
         self._closed = self._now()
         return DONE
 
@@ -144,7 +151,9 @@ class _Hand:
         return self._world.link_pose(self._gripper.tcp_link).inv() @ self._world.object_pose(self._item)
 
     def held(self, outcome: Outcome) -> Held:
-        """Return whether a predicted grasp held its object through lift and hold, with slip and turn."""
+        """Return whether the grasp held its object during lift and hold, and how far the object slipped and
+        turned. Used to test a prediction.
+        """
         if self._closed is None:
             return Held(False, reason=outcome.message)
         moved = self._now() @ self._closed.inv()  # in the TCP frame

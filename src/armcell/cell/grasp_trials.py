@@ -45,7 +45,7 @@ AT_REST = 5e-4  # [m] and 10 [rad] of motion in 0.5 s: an object below both is a
 
 @dataclass(frozen=True)
 class TrialOptions:
-    """Options of the grasp benchmark's trials in physics."""
+    """Options for the trials of the grasp benchmark in physics."""
 
     robot: str = "panda"
     candidates: int = 16  # grasps tried in physics before one is chosen
@@ -57,7 +57,9 @@ class TrialOptions:
 
 @dataclass
 class Row:
-    """Result row of one object in the grasp benchmark's trials: grasps, attempts, predictions, times."""
+    """Results of all trials with one object in the grasp benchmark: grasps, attempts, predictions
+    and times.
+    """
 
     name: str
     scale: float
@@ -80,7 +82,9 @@ class Row:
 
 # --- objects ---
 def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
-    """Yield the library objects for the grasp benchmark's trials: name, object, scale 1."""
+    """Yield the objects of the library for trials in the grasp benchmark, each as name, object and
+    scale 1.
+    """
     for kind in object_names():
         yield kind, library_object(kind), 1.0
 
@@ -88,7 +92,8 @@ def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
 def objects_of(
     folder: Path, gripper: Gripper, count: int, scale: float = 1.0, skip: int = 0
 ) -> Iterator[tuple[str, CollisionObject | InputError, float]]:
-    """Yield objects for grasp trials from a folder's URDF or mesh files, scaled to fit the gripper.
+    """Yield objects for grasp trials from the URDF or mesh files in a folder, scaled such that the gripper
+    can grasp them.
 
     If the folder has URDFs, mesh files are ignored. An unreadable file yields its error as the object.
 
@@ -144,7 +149,7 @@ def _scaled(item: CollisionObject, scale: float) -> CollisionObject:
 
 # --- one object ---
 class Bench:
-    """Grasp benchmark in physics: a robot at a table picks and places one object after the other."""
+    """Grasp benchmark in physics, in which a robot at a table picks and places one object after the other."""
 
     def __init__(self, options: TrialOptions):
         self.options = options
@@ -161,7 +166,9 @@ class Bench:
         )  # fmt: skip
 
     def run(self, name: str, item: CollisionObject | InputError, scale: float) -> Row:
-        """Run the grasp trials of one object in the benchmark: grasps, attempts and predictions."""
+        """Run the trials of one object in the grasp benchmark: plan grasps, attempt picks and test
+        predictions.
+        """
         if isinstance(item, InputError):
             return Row(name, scale, False, str(item))
         began = time.process_time()
@@ -203,13 +210,17 @@ class Bench:
     def _predictions(
         self, scene: PlanningScene, item: CollisionObject, name: str, grasps: Sequence[Grasp]
     ) -> list[Prediction]:
-        """Run a benchmark object's grasp trials with random grasps; its name determines the seed."""
+        """Test grasp predictions for one object of the benchmark in trials with random grasps. The object's
+        name determines the seed.
+        """
         o, settings = self.options, replace(self.settings, prove_grasps=0)
         seed = o.seed, zlib.crc32(name.encode())
         return predictions(scene, item, self.gripper, grasps, settings, o.predictions, HOLD, seed)
 
     def _attempt(self, scene: PlanningScene, settings: TaskSettings, tries: int = 1) -> Outcome:
-        """Grasp trial of the benchmark: pick, lift, hold and place by friction only; return measurements."""
+        """Run one trial of the grasp benchmark: pick, lift, hold and place an object that only friction
+        holds. Return the measurements.
+        """
         driver = drivers["sim"](scene, DriverOptions(self.options.seed, physics=PhysicsSettings()))
         with LiveCell("grasp trial", scene, driver, settings, (), self.options.seed) as live:
             outcome = Outcome(ErrorCode.FAILURE, "not tried")
@@ -249,14 +260,16 @@ class Bench:
         return Outcome(ErrorCode.SUCCESS, "", evidence)
 
     def _picked(self, ctx: TaskContext) -> Outcome:
-        """Pick a grasp trial's object with a grasp that also reaches the goal, else with any grasp."""
+        """Pick the object of a grasp trial with a grasp that also reaches the goal or, if there is none, with
+        any grasp.
+        """
         s = self.settings
         goal = ChoosePlacement(OBJECT, TABLE, self.gripper, s.near, s.lower_distance, self.goal)
         picked = pick(ctx, OBJECT, self.gripper, ahead=[goal])
         return picked if picked.code is not ErrorCode.PLANNING_FAILED else pick(ctx, OBJECT, self.gripper)
 
     def _at_rest(self, item: CollisionObject) -> CollisionObject | None:
-        """Return a grasp trial's object at rest in physics, on one of its three most stable sides.
+        """Return the object of a grasp trial at rest in physics, on one of its three most stable sides.
 
         Returns:
             The object at rest; None if it rolls away from all three sides.
@@ -279,7 +292,8 @@ class Bench:
 
 # --- results ---
 def summary(rows: Sequence[Row], recovery: bool = True) -> dict[str, Any]:
-    """Summarize grasp trial rows: success rates with intervals, times, prediction scores.
+    """Summarize the results of grasp trials: success rates with confidence intervals, times and prediction
+    scores.
 
     Args:
         recovery: whether failed first attempts were repeated with recovery.

@@ -21,7 +21,7 @@ FORCE = 30.0  # [N] per finger, if the gripper has it
 
 @dataclass(frozen=True)
 class GripperProof:
-    """Gripper proof: the result of closing a detected gripper on a cube in physics.
+    """Proof that a gripper works: the result of a physics test in which it closes on a cube.
 
     Attributes:
         gripper: the gripper that was tried.
@@ -39,7 +39,9 @@ class GripperProof:
 
 
 def with_proven_grippers(model: RobotModel) -> tuple[RobotModel, tuple[GripperProof, ...]]:
-    """Return the robot without grippers that fail the proof (to hold a cube), and each gripper's proof."""
+    """Return the robot without those grippers that cannot hold a cube in physics, and the proof for each
+    gripper.
+    """
     proofs = tuple(prove(model, gripper) for gripper in model.grippers.values())
     held = {p.gripper.name: p.gripper for p in proofs if p.held}
     return replace(model, grippers=held), proofs

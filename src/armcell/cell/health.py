@@ -28,7 +28,8 @@ OK, WAITING = "ok", "waiting"
 
 
 class Health:
-    """Health: the start state of each layer of a cell: "waiting", "ok", or "failed: reason".
+    """Health of a cell while it starts: the state of each layer, which is "waiting", "ok", or "failed:
+    reason".
 
     Args:
         tell: receives one line for every layer that has started or failed.
@@ -40,7 +41,7 @@ class Health:
 
     @contextmanager
     def layer(self, name: str) -> Iterator[list[str]]:
-        """Start a cell's layer in a `with` block and report its health.
+        """Start one layer of a cell in a `with` block and report its health.
 
         Texts that the block appends to the yielded list become part of the report.
 
@@ -62,7 +63,7 @@ class Health:
         self.tell(f"{name}: ok" + (f" ({', '.join(said)})" if said else ""))
 
     def now(self, live: LiveCell) -> dict[str, str]:
-        """Return the health: the current state of each layer of a running cell.
+        """Return the health of a running cell: the current state of each of its layers.
 
         The state of "drivers" has the reason if the driver has stopped its arms.
         """
@@ -71,7 +72,8 @@ class Health:
 
 
 def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tuple[Cell, Health]:
-    """Start and report the health of the cell layers that need no connection: description, controllers.
+    """Start the layers of a cell that need no connection (description and controllers) and report their
+    health.
 
     Raises:
         InputError: see `check_description` and `check_controllers`.
@@ -89,7 +91,8 @@ def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tu
 
 
 def check_description(cell: Cell) -> str:
-    """Health check: summarize the robot model: name, number of joints and planning groups.
+    """Check a cell's health: summarize the robot model by its name and its numbers of joints and planning
+    groups.
 
     Raises:
         InputError: the model has no planning group with a tip, so nothing can be planned.
@@ -105,7 +108,7 @@ def check_description(cell: Cell) -> str:
 
 
 def check_controllers(cell: Cell, mode: str) -> str:
-    """Health check: summarize which controllers move the joints in a mode ("sim", "fake" or "real").
+    """Check a cell's health: summarize which controllers move the joints in a mode ("sim", "fake" or "real").
 
     Raises:
         UnknownNameError: the mode does not exist, or the block `real` names an arm that the model lacks.
@@ -128,7 +131,8 @@ def check_controllers(cell: Cell, mode: str) -> str:
 
 
 def check_driver(live: LiveCell) -> str:
-    """Health check: the driver reports finite positions of all joints; return a summary.
+    """Check that the driver reports finite positions of all joints, and return a summary for the health
+    report.
 
     Raises:
         InputError: a position is missing or not finite, or the driver has stopped its arms.
@@ -147,7 +151,8 @@ def check_driver(live: LiveCell) -> str:
 
 
 def check_planner(live: LiveCell) -> str:
-    """Health check: the planner can start from every arm's present state; return a summary.
+    """Check that the planner can start from the present state of every arm, and return a summary for the
+    health report.
 
     The check plans from the present state to the same state. Start states from which the planner cannot start
     are only reported, because a task may begin with steps that need no planner.
@@ -163,7 +168,7 @@ def check_planner(live: LiveCell) -> str:
 
 
 def check_task(cell: Cell) -> str:
-    """Health check: summarize the cell's task or script.
+    """Check a cell's health: summarize its task or script.
 
     Raises:
         InputError: the cell has no task, or its script cannot be loaded.

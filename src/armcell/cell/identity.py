@@ -23,7 +23,7 @@ REPORTED_PACKAGES = ("armcell", "mujoco", "coal", "ompl", "numpy", "numba")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that belong to a cell's identity."""
+    """Return the versions of Python and of the packages that are part of a cell's identity."""
     return {"python": platform.python_version(), **{name: _installed(name) for name in REPORTED_PACKAGES}}
 
 
@@ -39,7 +39,7 @@ ADDRESSES = ("host", "port", "own_host")  # network addresses of a real arm; no 
 
 
 def content_hashes(cell: Cell) -> dict[str, str]:
-    """Return, for a cell's identity, the content hash of every part that influences a run, by name.
+    """Return the content hash of every part that influences a run, by name. The hashes identify the cell.
 
     The names are the cell file's keys (`task`, `objects.cube`, `physics`), `robot` (with its meshes), `code`
     (armcell's source) and `versions.<library>`. The hash of a script includes the file content. The hashes
@@ -68,7 +68,7 @@ def content_hashes(cell: Cell) -> dict[str, str]:
 
 @cache
 def code_hash() -> str:
-    """Return the hash of armcell's own source code for a cell's identity."""
+    """Return the hash of armcell's own source code, which is part of a cell's identity."""
     root, digest = Path(armcell.__file__).parent, hashlib.sha256()
     for file in sorted(f for f in root.rglob("*") if f.suffix in (".py", ".script")):
         digest.update(f"{file.relative_to(root)} ".encode())
@@ -100,7 +100,7 @@ def _fields(value: Any) -> dict[str, Any]:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Feed the type and the content of a value into a cell's identity hash without ambiguity."""
+    """Feed the type and content of a value unambiguously into the hash of a cell's identity."""
     if isinstance(value, np.ndarray):
         digest.update(f"array {value.dtype} {value.shape} ".encode())
         digest.update(np.ascontiguousarray(value).tobytes())
@@ -124,7 +124,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value in a form that hashes equally in all processes, for a cell's identity.
+    """Convert a value to a form that has the same hash in all processes, for a cell's identity.
 
     Sets are sorted, and memory addresses are removed.
     """

@@ -75,7 +75,7 @@ class Arm:
         self._ctx, self.group = ctx, group
 
     def pick(self, item: str) -> Outcome:
-        """Grasp an object with an arm of a live cell and lift it."""
+        """Grasp an object with an arm of the live cell and lift it."""
         model = self._ctx.scene().model
         return pick(self._ctx, item, model.gripper(arm_group=self.group))
 
@@ -87,7 +87,7 @@ class Arm:
         up: tuple[float, float, float] | None = None,
         lean: float | None = None,
     ) -> Outcome:
-        """Place a held object on another object with an arm of a live cell.
+        """Place a held object on another object with an arm of the live cell.
 
         Args:
             on: the object that supports the placed object.
@@ -106,7 +106,8 @@ class Arm:
         look: Callable[[], Outcome] | None = None,
         settings: RecoverySettings = RecoverySettings(),
     ) -> Outcome:
-        """Transfer an object to another one with a live cell's arm; recover from failures such as a drop.
+        """Transfer an object onto another one with an arm of the live cell, and recover from failures such as
+        a dropped object.
 
         Args:
             on: the object that supports the placed object.
@@ -118,11 +119,13 @@ class Arm:
         return transfer(self._ctx, item, gripper, on, at, up, look, settings)
 
     def move_to(self, target: Target) -> Outcome:
-        """Move a live cell's arm to a named state, a tip pose (world frame), joint values or another goal."""
+        """Move an arm of the live cell to a named state, a tip pose in the world frame, joint values or
+        another goal.
+        """
         return move_to(self._ctx, self.group, goal_of(self._ctx.scene().model, self.group, target))
 
     def execute(self, motion: PlanResult | JointTrajectory) -> Outcome:
-        """Execute a planned motion of a live cell's arm, given as a `PlanResult` or a trajectory.
+        """Execute a planned motion, given as a `PlanResult` or a trajectory, with an arm of the live cell.
 
         The motion gate checks the motion against the current scene. If the motion would collide, the gate
         does not start it, and the outcome names the colliding pair, the place and the time.
@@ -140,27 +143,32 @@ class Arm:
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
-        """Grasp an object in constant motion, e.g. on a conveyor, with a live cell's arm, and lift it."""
+        """Grasp an object that moves at constant speed, for example on a conveyor, with an arm of the live
+        cell, and lift it.
+        """
         gripper = self._ctx.scene().model.gripper(arm_group=self.group)
         return pick_moving(self._ctx, item, gripper, settings)
 
     def grasp(self, item: str) -> Outcome:
-        """Grasp an object at its present pose with a live cell's arm, without lifting it."""
+        """Grasp an object at its present pose with an arm of the live cell, without lifting it."""
         return grasp(self._ctx, item, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def let_go(self, item: str) -> Outcome:
-        """Open a live cell's gripper that holds an object and retreat straight back."""
+        """Open the gripper of a live cell's arm that holds an object, and retreat straight back."""
         return let_go(self._ctx, item)
 
     def screw(
         self, item: str, turns: float, force: float = 8.0, settings: ScrewSettings = ScrewSettings()
     ) -> Outcome:
-        """Screw a held object: turn it clockwise about a live cell's tool axis, press with `force` [N]."""
+        """Screw in a held object with an arm of the live cell: turn it clockwise about the tool axis while
+        pressing with `force` [N].
+        """
         return screw(self._ctx, item, turns, force, settings)
 
     @property
     def joints(self) -> JointGoal:
-        """Return the measured joint positions of a live cell's arm as a goal for `move_to`.
+        """Return the measured joint positions of a live cell's arm, in a form that `move_to` accepts as a
+        goal.
 
         Example: `ready = arm.joints; ...; arm.move_to(ready)`
         """
@@ -168,7 +176,7 @@ class Arm:
         return JointGoal(self._ctx.driver.joint_state().reindexed(names))
 
     def open(self) -> Outcome:
-        """Open a live cell's gripper fully and release any held object."""
+        """Open the gripper of a live cell's arm fully and release the object that it holds, if any."""
         return release(self._ctx, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def hold(self, duration: float) -> Outcome:
@@ -176,7 +184,7 @@ class Arm:
         return hold(self._ctx, duration)
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """Reserve a zone for a live cell's arm: `with arm.reserve("bin"):` excludes the other arm."""
+        """Reserve a zone for an arm of the live cell: `with arm.reserve("bin"):` keeps the other arm out."""
         return self._ctx.reserve(zone)
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
@@ -187,12 +195,12 @@ class Arm:
         return self._ctx.choose(items, zone)
 
     def rendezvous(self, name: str) -> None:
-        """Wait in one arm's program of a live cell until the other arm reaches the same rendezvous."""
+        """Wait in the program of one arm of the live cell until the other arm reaches the same rendezvous."""
         self._ctx.rendezvous(name)
 
 
 class LiveCell:
-    """Live cell: a cell with a connected driver, used in a `with` block.
+    """A live cell: a cell with a connected driver, for use in a `with` block.
 
     Attributes:
         driver: the driver of the robot, simulated or real.
@@ -249,7 +257,7 @@ class LiveCell:
             self._inside.close()
 
     def release(self) -> None:
-        """Free the memory of a live cell's simulation; call it after the `with` block.
+        """Free the memory of a live cell's simulation. Call this method after the `with` block.
 
         The call is optional. Afterwards, the state of this cell cannot be read.
         """
@@ -258,14 +266,16 @@ class LiveCell:
 
     @property
     def arms(self) -> dict[str, Arm]:
-        """Return a live cell's arms by planning group: those with a gripper, or every chain without one."""
+        """Return a live cell's arms by planning group: those that carry a gripper or, if none does, every
+        chain.
+        """
         groups = [g.arm_group for g in self.model.grippers.values()]
         groups = groups or [g.name for g in self.model.groups.values() if g.tip_link]
         return {name: Arm(self.ctx, name) for name in groups}
 
     @property
     def arm(self) -> Arm:
-        """Return the only arm of the live cell.
+        """Return the arm of a live cell that has only one.
 
         Raises:
             InputError: the cell has no arm or several arms.
@@ -283,7 +293,8 @@ class LiveCell:
         return self.arms[group]
 
     def side_by_side(self, **programs: Callable[[Arm], Outcome | None]) -> SideBySide:
-        """Run one program (a function of its `Arm`) per arm of a live cell, each at its own pace.
+        """Run one program (a function that takes an `Arm`) for each arm of a live cell. Each arm proceeds at
+        its own pace.
 
         Example: `cell.side_by_side(left_arm=sort_left, right_arm=sort_right)`
         """
@@ -298,7 +309,8 @@ class LiveCell:
     def orders(
         self, to: Callable[[str], str], cycle_times: CycleTimes = CycleTimes(), **streams: Sequence[str]
     ) -> dict[str, list[str]]:  # fmt: skip
-        """Return an order of its objects for each arm of a live cell such that both arms finish early.
+        """Return for each arm of a live cell the order in which to handle its objects, such that both arms
+        finish early.
 
         With these orders, the arms rarely wait for each other at a zone.
 
@@ -313,7 +325,7 @@ class LiveCell:
         return orders(self.scene(), streams, to, self.ctx.settings, cycle_times)
 
     def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> Carrying:
-        """Return a live cell's `Carrying` task, with which two arms carry one object together.
+        """Return the `Carrying` task of a live cell, in which two arms carry one object together.
 
         Example: `cell.carry("rod", left_arm="left_end", right_arm="right_end")`
 
@@ -335,13 +347,13 @@ class LiveCell:
         return hand_over(self.ctx, item, self.model.gripper(arm_group=to), at)
 
     def move_together(self, **targets: Target) -> Outcome:
-        """Move two arms of a live cell to one target each, such that both start and arrive together."""
+        """Move two arms of a live cell to one target each. Both arms start and arrive at the same time."""
         scene = self.ctx.scene()
         goals = {group: goal_of(scene.model, group, target) for group, target in targets.items()}
         return move_together(self.ctx, self._both(targets), goals)
 
     def _both(self, groups: Iterable[str]) -> str:
-        """Return a live cell's planning group that contains exactly the joints of several groups.
+        """Return the planning group of a live cell that contains exactly the joints of the given groups.
 
         Raises:
             InputError: the model has no such group.
@@ -354,18 +366,18 @@ class LiveCell:
 
     @property
     def reports(self) -> list[StageReport]:
-        """Return the reports of all task stages performed so far in a live cell."""
+        """Return the reports of all task stages that a live cell has performed so far."""
         return self.ctx.reports
 
     def stop(self) -> None:
-        """Stop a live cell's motion; until `resume()`, every call returns PREEMPTED.
+        """Stop all motions of a live cell. Until `resume()` is called, every call returns PREEMPTED.
 
         Any thread may call this method.
         """
         self.ctx.cancel.set()
 
     def resume(self) -> Outcome:
-        """Make a stopped live cell ready for motions, after `stop()`, a fault or a lost connection.
+        """Make a live cell ready for motions again after `stop()`, a fault or a lost connection.
 
         Call it from any thread. It reconnects real arms whose connection was lost. It starts no motion and
         discards old goals. If the cell is not stopped, it does nothing, also during a motion.
@@ -386,11 +398,12 @@ class LiveCell:
         return Outcome(ErrorCode.SUCCESS)
 
     def scene(self) -> PlanningScene:
-        """Return a live cell's scene with the measured state; any thread may call this method."""
+        """Return a live cell's scene with the measured state. Any thread may call this method."""
         return self.ctx.scene()
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change a live cell's planning scene, from any thread and at any time, also during a motion.
+        """Change the planning scene of a live cell. Any thread may call this method at any time, even during
+        a motion.
 
         Later plans use the changed scene. If the change blocks the rest of a running motion, the motion stops
         with MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE and names the obstacle; other motions continue.
@@ -410,7 +423,7 @@ class LiveCell:
 
     # --- cameras ---
     def camera(self, name: str | None = None) -> LiveCamera:
-        """Return the camera of a live cell by name, or its only camera.
+        """Return a camera of the live cell by name, or its only camera.
 
         Raises:
             UnknownNameError: no camera has this name.
@@ -427,7 +440,7 @@ class LiveCell:
         return self.cameras[name]
 
     def look(self, camera: str | None = None, settings: LookSettings | None = None) -> Sight:
-        """Detect the movable objects with a live cell's camera and update the planning scene.
+        """Detect the movable objects with a camera of the live cell and update the planning scene.
 
         Objects whose poses come only from cameras are set to their detected poses. If an object is not found,
         the outcome states the reason.
@@ -442,7 +455,8 @@ class LiveCell:
         self, bin: str, into: str, table: str, camera: str, tray_camera: str,
         settings: ClearSettings = ClearSettings(),
     ) -> Outcome:  # fmt: skip
-        """Clear a bin in a live cell: move all objects into another container, found only by two cameras.
+        """Clear a bin in a live cell: move all objects into another container. Only two cameras locate the
+        objects.
 
         Args:
             into: the container for the objects.
@@ -460,7 +474,7 @@ class LiveCell:
         self, into: Mapping[str, str], camera: str, by: str | Kind = "color",
         settings: SortSettings = SortSettings(),
     ) -> Outcome:  # fmt: skip
-        """Place every object that a live cell's camera sees on the target for its color (or shape).
+        """Place every object that a camera of the live cell sees on the target for its color or shape.
 
         Example: `cell.sort({"red": "red_mat", "blue": "blue_mat"}, camera="above")`
         """
@@ -470,5 +484,5 @@ class LiveCell:
     def watch(
         self, camera: str | None = None, settings: MapSettings = MapSettings(), rate: float = 10.0
     ) -> CameraWatch:
-        """Keep a live cell's octomap up to date from a camera, at `rate` [Hz]."""
+        """Keep the octomap of a live cell up to date with images from a camera, at `rate` [Hz]."""
         return CameraWatch(self.ctx, self.camera(camera), settings, rate)

@@ -22,7 +22,8 @@ TOO_LATE = 0.25  # [s] a picture that took longer is taken once more; the first 
 
 
 class LiveCamera:
-    """Live camera of a connected cell, which takes images at its frame rate by the driver's clock.
+    """Camera of a connected (live) cell, which takes images at its frame rate according to the driver's
+    clock.
 
     Without physics, pictures show the joint positions and object poses that the driver reports. In lock-step,
     the calling thread draws. If the driver runs in real time, `ask` and `take` use another process that draws
@@ -49,13 +50,14 @@ class LiveCamera:
         return self.camera.name
 
     def due(self) -> bool:
-        """Return whether a live camera has an image newer than the last taken one."""
+        """Return whether a live camera has a newer image than the one last taken."""
         if self.frozen and self._newest is not None:
             return False
         return self._newest is None or self._number(self._driver.now) > self._number(self._newest.time)
 
     def ask(self, key: Hashable, give: Give, rgb: bool = True, depth: bool = True) -> None:
-        """Request a live camera's image of the present state for a function, without waiting for it.
+        """Request an image of the present state from a live camera and pass it to a function, without waiting
+        for it.
 
         In lock-step, `give` runs at once. In real time, `give` runs in another thread when the picture is
         drawn; a new request replaces a waiting one with the same key (`CellRenderer.ask`).
@@ -75,7 +77,8 @@ class LiveCamera:
         return gives
 
     def take(self, advance: Callable[[float], None], rgb: bool = True) -> CameraImage:
-        """Return a live camera's newest image; `advance` lets time pass while another process draws it.
+        """Return the newest image of a live camera. `advance` lets time pass while another process draws the
+        image.
 
         Args:
             advance: lets the given number of seconds pass, e.g. `TaskContext.advance`.
@@ -109,18 +112,22 @@ class LiveCamera:
         return found[0]
 
     def _lacks(self, rgb: bool) -> bool:
-        """Return whether a color image is requested but a live camera's newest image has only depth."""
+        """Return whether a color image is requested although the newest image of a live camera has only
+        depth.
+        """
         return rgb and not self.frozen and self._newest is not None and self._newest.rgb is None
 
     def image(self, rgb: bool = True) -> CameraImage:
-        """Return a live camera's newest image; draw it in this thread, at most once per camera period."""
+        """Return the newest image of a live camera. This thread draws it, at most once per period of the
+        camera.
+        """
         newest = self._newest
         if newest is None or self.due() or self._lacks(rgb):
             newest = self._newest = self.draw(rgb)
         return newest
 
     def draw(self, rgb: bool = True, depth: bool = True) -> CameraImage:
-        """Draw a live camera's image of the present state in the calling thread."""
+        """Draw an image of the present state for a live camera, in the calling thread."""
         image = take_image(self._world(), self.camera, rgb=rgb, depth=depth and self.camera.has_depth)
         return replace(image, time=self._driver.now)
 
@@ -170,12 +177,12 @@ class CameraWatch:
         self.ctx.observers.append(self)
 
     def close(self) -> None:
-        """Stop a live camera's octomap updates; the octomap stays in the scene."""
+        """Stop updating the octomap from a live camera. The octomap stays in the scene."""
         if self in self.ctx.observers:
             self.ctx.observers.remove(self)
 
     def update(self) -> MapUpdate:
-        """Update the octomap from a live camera now; if there is no new image, return the last update.
+        """Update the octomap from a live camera now. If there is no new image, return the last update.
 
         Each image is used only once: later, the robot is no longer at the position that the image shows, and
         would be mapped as an obstacle.
@@ -186,7 +193,7 @@ class CameraWatch:
         return self._use(self.camera.take(self.ctx.advance, rgb=False), scene)
 
     def _use(self, image: CameraImage, scene: PlanningScene) -> MapUpdate:
-        """Insert a live camera's depth image into the octomap and return the update.
+        """Insert the depth image of a live camera into the octomap and return the update.
 
         Args:
             scene: the scene when the picture was taken, to remove the robot from the picture.
@@ -211,7 +218,9 @@ class CameraWatch:
             self.ctx.emit("error", f"octomap: {message}", code=code)
 
     def _ask(self) -> None:
-        """Request a live camera's image of the present state, to insert it into the octomap when drawn."""
+        """Request an image of the present state from a live camera. It is inserted into the octomap when it
+        has been drawn.
+        """
         now, scene = self.ctx.driver.now, self.ctx.scene()
         self._since = min(self._since, now)
 
@@ -246,6 +255,6 @@ class CameraWatch:
 def live_cameras(
     cameras: Sequence[Camera], driver: Driver, scene: PlanningScene, decals: Sequence[Decal]
 ) -> dict[str, LiveCamera]:
-    """Return the live cameras of a cell by name; all share one renderer."""
+    """Return the live cameras of a cell by name. All of them share one renderer."""
     renderer = CellRenderer(driver, scene, decals)
     return {camera.name: LiveCamera(camera, driver, scene, decals, renderer) for camera in cameras}

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def load(cell: str | Path, allow_env: bool | None = None) -> Cell:
-    """Load a cell by the name of a built-in cell, by folder with cell.yaml, or by YAML file.
+    """Load a cell, given as the name of a built-in cell, a folder with a file cell.yaml, or a YAML file.
 
     Args:
         allow_env: lets the robot's xacro files read environment variables, see `load_robot`.

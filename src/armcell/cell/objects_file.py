@@ -37,7 +37,7 @@ from armcell.scene import (
 
 
 def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
-    """Return the scene object for an entry of a cell's objects file.
+    """Return the scene object that an entry of a cell's objects file describes.
 
     Args:
         folder: folder for relative file names in the entry.
@@ -67,7 +67,7 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
 
 
 def material_of(friction: float | FrictionSpec) -> Material:
-    """Return the material for the `friction` value of an entry in a cell's objects file.
+    """Return the material that the value `friction` of an entry in a cell's objects file describes.
 
     Raises:
         InputError: see `Material`.
@@ -90,7 +90,7 @@ def _shape(spec: ShapeSpec, folder: Path, movable: bool) -> Shape:
 
 
 def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
-    """Load the objects of a YAML file that contains only an `objects` block, as in a cell file.
+    """Load the objects from a YAML file that contains nothing but an `objects` block, as in a cell file.
 
     Raises:
         InputError: the file is invalid; the error has the file, the element and the reason.
@@ -113,7 +113,7 @@ def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
 
 
 def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> CollisionObject:
-    """Return an objects file's object with a screw thread, its pose converted to the world frame.
+    """Return an object of an objects file with a screw thread, with its pose converted to the world frame.
 
     The given pose is in the frame of the object into which it is screwed, as in a cell file.
 
@@ -133,7 +133,8 @@ def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> Col
 
 
 def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
-    """Write objects to an objects file (YAML), for `load_objects` or the block `objects` of a cell.
+    """Write objects to an objects file (YAML). `load_objects` can read it, or its content can serve as a
+    cell's block `objects`.
 
     Meshes and clouds are written to files in the same folder, named after the file, the object and the
     shape's index. Of a material, only the static and dynamic friction are written, as cell files have no
@@ -152,7 +153,7 @@ def objects_text(entries: Mapping[str, Any]) -> str:
 
 
 def object_entries(objects: Iterable[CollisionObject], file: Path) -> dict[str, Any]:
-    """Return scene objects as entries of an objects file; write each mesh and cloud once.
+    """Convert scene objects to entries of an objects file. Each mesh and each cloud is written only once.
 
     Meshes and clouds are written to the folder of `file`.
 
@@ -180,7 +181,7 @@ def _pose(T: SE3) -> Any:
 def _entry(
     item: CollisionObject, every: Mapping[str, CollisionObject], beside: Path, written: dict[int, Any]
 ) -> dict[str, Any]:
-    """Return a scene object as an entry of an objects file.
+    """Convert a scene object to an entry of an objects file.
 
     Args:
         every: all objects to write, by name.
@@ -228,7 +229,7 @@ def _friction_entry(material: Material) -> float | dict[str, float]:
 
 
 def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
-    """Return a shape as an entry of an objects file; write a mesh or point cloud to its own file.
+    """Convert a shape to an entry of an objects file. A mesh or point cloud is written to a file of its own.
 
     Args:
         beside: path of that file without the suffix.

@@ -22,7 +22,7 @@ _REACH = 0.03  # [m] largest distance from a closed gripper's TCP to the object 
 
 @dataclass
 class Seen:
-    """Detected poses of the objects that only a cell's cameras perceive.
+    """Detected poses of those objects that are perceived only by the cell's cameras.
 
     Attributes:
         known: the objects to detect, with their shapes, by name.
@@ -45,19 +45,21 @@ class Seen:
 
     @property
     def unknown(self) -> dict[str, CollisionObject]:
-        """Return the perceived objects without an initial pose, at their last detected poses."""
+        """Return the perceived objects that had no initial pose, at their last detected poses."""
         names = (n for n in self.known if n not in self.initial)
         return {n: self.known[n].at(self.poses.get(n, SE3.identity())) for n in names}
 
     def taken_from(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene without the objects that no camera has perceived."""
+        """Return the scene without those objects that no camera has perceived yet."""
         for name in self.known:
             if name in scene.objects and name not in self.poses:
                 scene = scene.without_object(name)
         return scene
 
     def put_into(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene with perceived objects at their detected poses; attached objects are unchanged."""
+        """Return the scene with perceived objects at their detected poses. Attached objects stay
+        unchanged.
+        """
         for name, T in self.poses.items():
             if name not in scene.attached:
                 scene = scene.with_object(self.known[name].at(T))
@@ -65,7 +67,8 @@ class Seen:
 
 
 class PerceivingDriver(DriverProxy):
-    """Driver with perceived objects at their last detected poses, or in the gripper holding them.
+    """Driver that reports perceived objects at their last detected poses or, while they are held, in the
+    gripper.
 
     As with a real gripper, the held object is inferred from the gripper's width and force and from the last
     detected poses.
@@ -105,7 +108,9 @@ class PerceivingDriver(DriverProxy):
         return replace(reading, held=held[0] if held else None)
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return T_world_object by object name: perceived poses, else the wrapped driver's."""
+        """Return the poses T_world_object by object name: those perceived and, for other objects, those from
+        the wrapped driver.
+        """
         self._follow()
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
         return {**others, **self._seen.poses}
@@ -115,7 +120,9 @@ class PerceivingDriver(DriverProxy):
             self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object
 
     def _near(self, gripper: str) -> str | None:
-        """Return the perceived object that contains a gripper's TCP or is nearest to it; None if too far."""
+        """Return the perceived object that contains the gripper's TCP or, if there is none, the nearest one;
+        None if that is too far away.
+        """
         tcp, best, found = self._tcp(gripper).translation, _REACH, None
         for name, T in self._seen.poses.items():
             low, high = self._seen.known[name].bounds()
@@ -133,7 +140,9 @@ class PerceivingDriver(DriverProxy):
 def look_with(
     camera: LiveCamera, ctx: TaskContext, seen: Seen | None, settings: LookSettings | None
 ) -> Sight:
-    """Perceive objects with a camera and update the planning scene; held objects are skipped."""
+    """Detect objects with a camera and update the planning scene with the perceived poses. Held objects are
+    skipped.
+    """
     scene = ctx.scene()
     settings = settings or LookSettings(surface=seen.surface if seen is not None else None)
     known = {n: o for n, o in scene.objects.items() if o.movable and n != OCTOMAP}

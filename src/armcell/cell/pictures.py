@@ -24,7 +24,7 @@ FIELD = 45.0  # [deg]
 
 
 def overview(scene: PlanningScene) -> Camera:
-    """Return a camera for pictures of a run, which shows the robot and all objects near it."""
+    """Return a camera for pictures of a run, placed such that it shows the robot and all objects near it."""
     middle, radius = extent(scene)
     away = 1.3 * radius / np.sin(np.deg2rad(FIELD / 2))
     eye = middle + away * FROM / np.linalg.norm(FROM)
@@ -32,7 +32,7 @@ def overview(scene: PlanningScene) -> Camera:
 
 
 class Pictures:
-    """Observer that takes pictures of a run for reports.
+    """Observer that takes pictures during a run, for reports.
 
     It uses the cell's first camera that is not mounted on a link; without such a camera, an overview from the
     side in front. If the driver runs in real time, another process draws the pictures and they arrive later,

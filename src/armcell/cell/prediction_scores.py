@@ -24,7 +24,8 @@ RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the l
 def scores(
     objects: Sequence[str], probability: Sequence[float], epsilon: Sequence[float], success: Sequence[bool]
 ) -> dict[str, Any]:
-    """Score three predictors of grasp success: P of proofs, quality epsilon alone, base rate.
+    """Score three predictors of grasp success against each other: P from proofs, the quality epsilon alone,
+    and the base rate.
 
     `brier_lead` is the Brier score of epsilon minus that of P, and `brier_lead_interval` its 95 % bootstrap
     interval over objects. An area under the curve is None without successes or without failures.
@@ -52,7 +53,9 @@ def scores(
 
 
 def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
-    """Return edges, count, mean prediction and success share of each non-empty bin of predicted P."""
+    """Return the edges, the count, the mean prediction and the observed success rate of each non-empty bin of
+    predicted P.
+    """
     rows = []
     bins = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
     for k in np.unique(bins):
@@ -67,7 +70,7 @@ def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
 
 
 def area_under_curve(score: Array, happened: Array) -> float | None:
-    """Return the probability (AUC of predictions) that a success has a higher score than a failure.
+    """Return the AUC of predictions: the probability that a success has a higher score than a failure.
 
     Ties count half. The result is None without successes or without failures.
     """
@@ -80,7 +83,9 @@ def area_under_curve(score: Array, happened: Array) -> float | None:
 
 
 def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
-    """Return the base-rate prediction of each trial: the success share of other objects (0.5 without any)."""
+    """Return the base-rate prediction of each trial: the success rate of all other objects, or 0.5 if there
+    are none.
+    """
     found = np.full(len(happened), 0.5)
     for name in np.unique(objects):
         own = objects == name
@@ -90,7 +95,9 @@ def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
 
 
 def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
-    """Predict P(success) of each trial from epsilon alone, by a logistic fit to other objects."""
+    """Predict P(success) of each trial from epsilon alone, with a logistic curve that is fitted to the other
+    objects.
+    """
     from scipy.optimize import minimize
 
     x = (epsilon - epsilon.mean()) / max(float(epsilon.std()), 1e-12)
@@ -108,7 +115,8 @@ def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -
 
 
 def _interval(objects: NDArray[np.str_], lead: Array) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of a mean prediction score lead over resampled objects.
+    """Return the 95 % bootstrap interval, over resampled objects, for the mean lead of one prediction score
+    over another.
 
     Each resampled object keeps all its trials.
     """

@@ -30,7 +30,7 @@ class _Request:
 
 
 class CellRenderer:
-    """Renderer of a real-time cell's camera images, in another process.
+    """Renderer that draws the camera images of a real-time cell in another process.
 
     The thread and the process start with the first request.
 
@@ -53,14 +53,14 @@ class CellRenderer:
 
     @property
     def pid(self) -> int | None:
-        """Return the process id of a cell's rendering process, or None if it does not run."""
+        """Return the process ID of a cell's rendering process, or None if it is not running."""
         return self._process.pid
 
     def ask(
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Request a rendering of a cell's camera image in another process, and return at once.
+        """Request an image of a cell's camera from the rendering process, and return without waiting for it.
 
         Call this method from the thread that steps the driver.
 
@@ -84,7 +84,7 @@ class CellRenderer:
             self._wake.notify()
 
     def close(self) -> None:
-        """End a cell's rendering process after it has drawn the waiting key moments."""
+        """End the rendering process of a cell after it has drawn the key moments that are still waiting."""
         with self._wake:
             self._closing = True
             self._waiting = {k: r for k, r in self._waiting.items() if r.keep}
@@ -111,7 +111,7 @@ class CellRenderer:
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 
     def _run(self) -> None:
-        """Draw the camera images that a real-time cell requested, in the renderer's own process.
+        """Draw the camera images that a real-time cell requests. This function runs in the rendering process.
 
         The process draws the next image while `give` handles the last one.
         """
@@ -127,7 +127,7 @@ class CellRenderer:
             self._process.close()
 
     def _next(self, wait: bool) -> _Request | None:
-        """Start to render a cell's oldest waiting camera image request and return the request.
+        """Begin to render the oldest waiting request for a camera image of the cell, and return this request.
 
         Args:
             wait: wait for a request.

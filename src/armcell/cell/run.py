@@ -20,7 +20,7 @@ from armcell.tasks import TaskFailed, make_stage, perform_stages
 
 
 def run_task(cell: Cell, live: LiveCell, seed: int | None, mode: str) -> dict[str, Any]:
-    """Run a connected cell's task and return the result.
+    """Run the task of a connected cell and return the result.
 
     Args:
         seed: the seed that the cell was connected with; None for the nominal cell.
@@ -87,7 +87,9 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
 
 
 def _move(live: LiveCell, state: str) -> Outcome:
-    """Move each arm that has a named state to that state at a run's start or end, one after the other."""
+    """Move each arm that has a named state to that state at the start or end of a run, one arm after the
+    other.
+    """
     tables = live.model.named_states
     arms = [arm for group, arm in live.arms.items() if state in tables.get(group, {})]
     outcome = Outcome(ErrorCode.SUCCESS)
@@ -102,7 +104,7 @@ def result_of(
     cell: Cell, live: LiveCell, seed: int | None, mode: str, outcome: Outcome, wall: float,
     placements: Sequence[tuple[str, Placement]] = (),
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the result of a run that another program controlled, in `run_task`'s format.
+    """Return the result of a run that another program controlled, in the same format as `run_task`.
 
     Args:
         live: the connected cell; call this function in the thread that steps it.
@@ -165,13 +167,15 @@ def result_of(
 
 
 def contact_in_words(contact: Mapping[str, Any]) -> str:
-    """Return a one-line description of an unwanted contact from a run's result."""
+    """Return a one-line description of an unwanted contact in the result of a run."""
     pair, time = f"{contact['body_a']} touched {contact['body_b']}", contact["time_s"]
     return f"{pair} at {time:.2f} s, {contact['depth_m'] * 1000:.1f} mm deep"
 
 
 def complaints(result: Mapping[str, Any]) -> list[str]:
-    """Return a run's failures that override a task's outcome: unwanted contacts and lost objects."""
+    """Return the failures of a run that override the outcome of its task: unwanted contacts and
+    lost objects.
+    """
     contacts = [f"unwanted contact: {contact_in_words(c)}" for c in result.get("unwanted_contacts", ())]
     return contacts + [f"lost object: {row['how']}" for row in result.get("lost", ())]
 
@@ -179,7 +183,7 @@ def complaints(result: Mapping[str, Any]) -> list[str]:
 def _failed_at(
     outcome: Outcome, reports: list[dict[str, Any]], unwanted: list[dict[str, Any]]
 ) -> dict[str, str]:
-    """Return the stage and the pair of bodies that caused the failure of a run's task, or empty texts.
+    """Return the stage and the pair of bodies at which the task of a run failed, or empty texts.
 
     After a planning failure: the stage without a solution and the contact at the start or goal. Otherwise:
     the last failed stage and the first unwanted contact.
@@ -199,7 +203,8 @@ def _judged(
     outcome: Outcome, errors: list[float], unwanted: list[dict[str, Any]], lost: list[dict[str, Any]],
     tolerance: float,
 ) -> Outcome:  # fmt: skip
-    """Return a cell run's outcome, or a failure for unwanted contacts, lost or misplaced objects.
+    """Return the outcome of a cell's run: a failure if there were unwanted contacts or lost or misplaced
+    objects.
 
     Args:
         errors: distances of placed objects from their goals [m], which must not exceed the tolerance [m].

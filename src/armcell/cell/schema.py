@@ -35,7 +35,9 @@ SHAPE_KEYS = (*_SIZED, "mesh", "cloud")
 
 
 def _value_type(kind: ShapeKind) -> Any:
-    """Return the cell file schema's type of a shape value: list of sizes [m], one size, or `true`."""
+    """Return the type of a shape's value in the cell file schema: a list of sizes [m], one size, or
+    `true`.
+    """
     if not kind.sizes:
         return Literal[True]
     return float if len(kind.sizes) == 1 else tuple[(float,) * len(kind.sizes)]
@@ -46,7 +48,7 @@ _Sized: Any = create_model("_Sized", __base__=Strict, **_SIZED_FIELDS)
 
 
 class SomeShape(_Sized, Strict):
-    """Cell file schema of at most one shape; armcell's shape names are its keys.
+    """Cell file schema for at most one shape, with armcell's shape names as keys.
 
     Attributes:
         package_shape: value by name of a shape of an installed package; cell files have the name as key.
@@ -70,12 +72,14 @@ class SomeShape(_Sized, Strict):
         return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
 
     def given(self) -> dict[str, Any]:
-        """Return the values of all shape keys in an entry, by the cell file's schema."""
+        """Return the values of all shape keys in an entry, as the schema of a cell file defines them."""
         own = {key: value for key in SHAPE_KEYS if (value := getattr(self, key)) is not None}
         return {**own, **self.package_shape}
 
     def sized(self) -> tuple[str, list[float]] | None:
-        """Return name and sizes [m] of a cell schema's shape; None for a mesh, a cloud or no shape."""
+        """Return name and sizes [m] of the shape in the cell file schema; None for a mesh, a cloud or no
+        shape.
+        """
         for name, value in self.given().items():
             if name in ("mesh", "cloud"):
                 return None
@@ -86,7 +90,9 @@ class SomeShape(_Sized, Strict):
 
 
 class ShapeSpec(SomeShape):
-    """Cell file schema of one shape of an object: exactly one shape key; full lengths in meters."""
+    """Cell file schema for one shape of an object. Exactly one shape key is given; lengths are full lengths
+    in meters.
+    """
 
     pose: Any = (0.0, 0.0, 0.0)
 
@@ -101,14 +107,16 @@ class ShapeSpec(SomeShape):
 
 
 class TypeSpec(Strict):
-    """Cell file schema of an object type: a key in a database, as in ROS's object_recognition_msgs."""
+    """Cell file schema for an object type: a key in a database, as in ROS's object_recognition_msgs."""
 
     key: str = ""
     db: str = ""
 
 
 class ThreadSpec(Strict):
-    """Cell file schema of a screw thread: the object turns about its z axis, `pitch` per turn."""
+    """Cell file schema for a screw thread: the object turns about its z axis and advances by `pitch` per
+    turn.
+    """
 
     into: str  # an object defined earlier in the file
     pitch: float = Field(gt=0)  # [m]
@@ -117,7 +125,7 @@ class ThreadSpec(Strict):
 
 
 class FrictionSpec(Strict):
-    """Cell file schema of Coulomb friction coefficients: static and dynamic."""
+    """Cell file schema for the coefficients of Coulomb friction: static and dynamic."""
 
     static: float = Field(ge=0)
     dynamic: float = Field(ge=0)
@@ -137,7 +145,9 @@ Friction = Annotated[
 
 
 class ObjectSpec(SomeShape):
-    """Cell file schema of an object: one shape, several under `shapes`, or a library object by `model`."""
+    """Cell file schema for an object with one shape, with several under `shapes`, or from the library under
+    `model`.
+    """
 
     shapes: list[ShapeSpec] = []
     model: str | None = None  # name of a library object
@@ -174,7 +184,8 @@ class ObjectSpec(SomeShape):
 
 
 class RandomSpec(Strict):
-    """Cell file schema of ranges [low, high] of an object's random values, drawn uniformly for each seed.
+    """Cell file schema for ranges [low, high] of random values of an object. Each seed draws from them
+    uniformly.
 
     The offsets are added to the object's pose.
     """
@@ -203,7 +214,7 @@ class RobotSpec(Strict):
 
 
 class IntrinsicsSpec(Strict):
-    """Cell file schema of camera intrinsics: focal lengths and principal point [px].
+    """Cell file schema for camera intrinsics: focal lengths and principal point [px].
 
     Pixel centers have integer coordinates.
     """
@@ -215,7 +226,7 @@ class IntrinsicsSpec(Strict):
 
 
 class NoiseSpec(Strict):
-    """Cell file schema of a camera's depth noise, with the fields of `sim.DepthNoise`."""
+    """Cell file schema for a camera's depth noise, with the fields of `sim.DepthNoise`."""
 
     floor: float = Field(0.0, ge=0)  # [m]
     growth: float = Field(0.0, ge=0)  # [1/m]
@@ -228,7 +239,7 @@ class NoiseSpec(Strict):
 
 
 class CameraSpec(Strict):
-    """Cell file schema of a camera, given by `eye` and `target` [m] or by a `pose`.
+    """Cell file schema for a camera, placed by `eye` and `target` [m] or by a `pose`.
 
     The pose is that of the optical frame (z forward, y down).
 
@@ -263,7 +274,7 @@ class CameraSpec(Strict):
 
 
 class MarkerSpec(Strict):
-    """Cell file schema of a visual marker for cameras: ArUco or AprilTag.
+    """Cell file schema for a visual marker that cameras detect: ArUco or AprilTag.
 
     Marker frame: x to the right and y up in the picture, z out of the picture.
     """
@@ -276,7 +287,9 @@ class MarkerSpec(Strict):
 
 
 class PerceptionSpec(Strict):
-    """Cell file schema of objects whose poses only a camera measures; unknown before the first `look`."""
+    """Cell file schema for objects whose poses only a camera measures. The poses are unknown before the first
+    `look`.
+    """
 
     camera: str
     objects: list[str] = Field(min_length=1)
@@ -284,7 +297,9 @@ class PerceptionSpec(Strict):
 
 
 class DropSpec(Strict):
-    """Cell file schema of objects that physics drops into a bin; the seed sets their poses."""
+    """Cell file schema for objects that are dropped into a bin in physics. The seed determines
+    their poses.
+    """
 
     into: str  # fixed object with a level floor
     objects: list[str] = Field(min_length=1)
@@ -302,7 +317,7 @@ class TransferSpec(PlaceSpec):
 
 
 class StepSpec(Strict):
-    """Cell file schema of one task step; exactly one of its keys must be given."""
+    """Cell file schema for one step of a task. Exactly one of its keys must be given."""
 
     pick: str | None = None
     place: PlaceSpec | None = None
@@ -321,17 +336,17 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """Return the placement that a task step in the cell file's schema must achieve, else None."""
+        """Return the placement that a task step in the cell file schema must achieve, or None."""
         return self.place or self.transfer
 
     @property
     def camera(self) -> str | None:
-        """Return the camera that a task step in the cell file's schema uses, or None."""
+        """Return the camera that a task step in the cell file schema uses, or None."""
         return self.transfer.look if self.transfer else self.look
 
 
 class PushSpec(Strict):
-    """Cell file schema of a disturbance by an external force on a link or movable object.
+    """Cell file schema for a disturbance in which an external force pushes a link or a movable object.
 
     The force acts at the center of mass, in world axes.
     """
@@ -343,7 +358,9 @@ class PushSpec(Strict):
 
 
 class MovedSpec(Strict):
-    """Cell file schema of a disturbance that moves an object at time `at` unknown to the planners."""
+    """Cell file schema for a disturbance that moves an object at time `at` without the planners'
+    knowledge.
+    """
 
     by: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in world axes
     turn_deg: float = 0.0  # about the vertical axis through the object's origin
@@ -351,7 +368,7 @@ class MovedSpec(Strict):
 
 
 class DisturbanceSpec(Strict):
-    """Cell file schema of disturbances: joint offsets, noise, latency, pushes, moved objects."""
+    """Cell file schema for disturbances: joint offsets, noise, latency, pushes and moved objects."""
 
     joint_offset_deg: dict[str, float] = {}  # joint -> true position minus measured position
     joint_noise_deg: float = Field(default=0.0, ge=0)  # standard deviation of measured positions
@@ -361,7 +378,9 @@ class DisturbanceSpec(Strict):
 
 
 class ControllerSpec(Strict):
-    """Cell file schema of an external controller for `serve --plan-only`, as in moveit_controllers.yaml."""
+    """Cell file schema for an external controller that `serve --plan-only` uses, as in
+    moveit_controllers.yaml.
+    """
 
     type: Literal["FollowJointTrajectory", "JointTrajectory", "GripperCommand"] = "FollowJointTrajectory"
     action_ns: str | None = None  # below the controller's name; default: as in ROS
@@ -371,7 +390,7 @@ class ControllerSpec(Strict):
 
 
 class RosSpec(Strict):
-    """Cell file schema of ROS names, sensors and planners, for Unity, ROS 1 and ROS 2 connections."""
+    """Cell file schema for names, sensors and planners in ROS, for connections to Unity, ROS 1 and ROS 2."""
 
     namespace: str = ""
     remap: dict[str, str] = {}  # armcell's names -> external names
@@ -380,7 +399,7 @@ class RosSpec(Strict):
 
 
 class CellSpec(Strict):
-    """Schema of a whole cell file (cell.yaml)."""
+    """Schema for a whole cell file (cell.yaml)."""
 
     description: str = ""
     robot: RobotSpec
@@ -415,7 +434,7 @@ class CellSpec(Strict):
 
 
 def validated(data: dict[str, Any], file: Path) -> CellSpec:
-    """Validate a parsed cell file by the schema and return the cell's specification.
+    """Validate a parsed cell file against the schema and return the cell's specification.
 
     Raises:
         InputError: the file is invalid; the error has the file, the key and the reason of the first fault.
@@ -443,7 +462,7 @@ def _shape_keys(model: type[SomeShape]) -> list[str]:
 
 
 def _known_keys(location: tuple) -> list[str]:
-    """Return the schema's valid keys at the location of an unknown key in a cell file."""
+    """Return the keys that the schema allows at the place in a cell file where an unknown key was found."""
     tables = {
         "randomize": RandomSpec,
         "cameras": CameraSpec,

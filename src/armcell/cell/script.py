@@ -28,7 +28,7 @@ _announced: set[Path] = set()
 
 
 def announce_code(cell: Cell, origin: str = "") -> None:
-    """Log once per process which Python task script of a cell will run; silent for built-in cells.
+    """Log once per process which Python script runs as the task of a cell. Built-in cells log nothing.
 
     Args:
         origin: the source of the cell, if another user created it.
@@ -39,7 +39,7 @@ def announce_code(cell: Cell, origin: str = "") -> None:
 
 
 def load_script(name: str, cell_file: Path) -> Script:
-    """Load a cell's task script and return its function `task`.
+    """Load the Python task script of a cell and return its function `task`.
 
     Loading runs the top-level code of the file, like an import.
 

@@ -39,7 +39,8 @@ LIMITS_NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Setup assistant's proposal for a robot: a model with groups, grippers, states and link pairs.
+    """Proposal of the setup assistant for a robot: a model with groups, grippers, named states and disabled
+    link pairs.
 
     `model` has the planning groups, end effectors, named states and the link pairs that are not checked.
     """
@@ -53,17 +54,19 @@ class Proposal:
 
     @property
     def loose_joints(self) -> tuple[str, ...]:
-        """Return a setup proposal's driven joints that belong to no planning group."""
+        """Return the driven joints that belong to no planning group in the setup assistant's proposal."""
         driven = {n for g in self.model.groups.values() for n in g.joint_names}
         return tuple(n for n in self.model.joint_names if n not in driven)
 
     def without(self, pair: frozenset[str]) -> Proposal:
-        """Return a setup proposal with collision checking of a link pair enabled."""
+        """Return the setup proposal with collision checking enabled for a link pair."""
         disabled = {p: why for p, why in self.model.disabled_collisions.items() if p != pair}
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
 
     def disabling(self, pair: frozenset[str]) -> Proposal:
-        """Return a setup proposal without collision checks of a link pair, at the user's request."""
+        """Return the setup proposal with collision checking disabled for a link pair, at the user's
+        request.
+        """
         found = next(p for p in self.pairs if p.links == pair)
         disabled = {**self.model.disabled_collisions, pair: found.reason or "User"}
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
@@ -76,7 +79,7 @@ def propose(
     name: str | None = None,
     progress: Callable[[str, int], None] | None = None,
 ) -> Proposal:
-    """Propose the setup of a robot, or of several robots combined into one model.
+    """Propose a setup for one robot, or for several robots that are combined into one model.
 
     Args:
         parts: URDF or xacro files with prefixes and poses.
@@ -108,7 +111,7 @@ def propose(
 
 
 def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
-    """Return the MJCF file of a setup's only robot, or None if all parts are URDF or xacro files.
+    """Return the MJCF file of the only robot in a setup, or None if all robots are URDF or xacro files.
 
     Raises:
         InputError: an MJCF file has a prefix or pose, or is one of several parts.
@@ -125,7 +128,8 @@ def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
 
 
 def propose_from_package(folder: Path) -> Proposal:
-    """Propose a cell for an existing MoveIt package, with its groups, states, pairs and limits (setup).
+    """Propose a cell for an existing MoveIt package, whose groups, states, link pairs and limits the setup
+    assistant keeps.
 
     Raises:
         InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type.
@@ -136,7 +140,8 @@ def propose_from_package(folder: Path) -> Proposal:
 
 
 def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
-    """Write the setup assistant's MoveIt package and cell into a folder atomically: all files or none.
+    """Write the MoveIt package and the cell of the setup assistant into a folder. Either all files are
+    written or none.
 
     Args:
         force: write into a folder that is not empty.
@@ -147,7 +152,9 @@ def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
 
 
 def cell_files(proposal: Proposal, package: str) -> dict[str, str]:
-    """Return the files that the setup assistant writes (MoveIt package and cell), by relative path."""
+    """Return the files of the MoveIt package and the cell that the setup assistant writes, by
+    relative path.
+    """
     model = proposal.model
     if proposal.package is not None:
         return {**proposal.package.texts(package), "cell.yaml": _cell_yaml(model)}
@@ -198,7 +205,9 @@ def _frame(joint: Joint) -> dict[str, Any]:
 
 
 def _gripper_entry(gripper: Gripper) -> dict[str, Any]:
-    """Return a gripper's entry that cell setup writes to robot.yaml: all fields but name and empty ones."""
+    """Return the entry for a gripper that the setup assistant writes to robot.yaml: all fields except the
+    name and empty ones.
+    """
     entry = {f.name: getattr(gripper, f.name) for f in fields(Gripper) if f.name != "name"}
     return {
         key: [list(v) if isinstance(v, tuple) else v for v in value] if isinstance(value, tuple) else value
@@ -231,7 +240,9 @@ def _cell_yaml(model: RobotModel) -> str:
 
 
 def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
-    """Return the setup assistant's task for a cell without objects: named states of all arms, or a hold."""
+    """Return the task that the setup assistant proposes for a cell without objects: move all arms to named
+    states, or hold.
+    """
     tables = [model.named_states.get(arm, {}) for arm in arms]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]
     names = [name for name in ("ready", "home") if name in shared] or shared[:2]

@@ -25,7 +25,7 @@ TURN = np.pi / 2  # [rad] largest offset of "ready" from the middle of a joint's
 
 
 def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
-    """Return the robot model with generated poses (named states): open, close, home and ready.
+    """Return the robot model with generated poses as named states: open, close, home and ready.
 
     Home is the first candidate with enough self-clearance, else the candidate with the largest. Candidates:
     the zero state, the middle of the joint ranges, the zero state with one or two joints turned by a quarter
@@ -51,7 +51,7 @@ def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
 
 
 def _hands(model: RobotModel) -> list[str]:
-    """Return the gripper groups with joints, for which to generate the poses open and close."""
+    """Return the gripper groups that have joints, for which the poses open and close are generated."""
     hands = {e.group for e in model.end_effectors.values()}
     chains = any(g.tip_link for g in model.groups.values())
     return [g.name for g in model.groups.values() if g.joint_names and (g.name in hands or not chains)]
@@ -63,7 +63,7 @@ def _checker(model: RobotModel) -> ExactChecker:
 
 
 def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]]:
-    """Return the generated poses "open" and "close" of a gripper: the two ends of its joint ranges.
+    """Return the generated poses "open" and "close" of a gripper, which are the two ends of its joint ranges.
 
     Open is the end with the larger mean gap between the moving links. Empty if a joint has no limits.
     """
@@ -102,7 +102,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
 
 
 def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
-    """Return whether a link moves with given joints or their mimic joints, to generate poses."""
+    """Return whether a link moves with the given joints or with joints that mimic them, to generate poses."""
     tree = kinematic_tree(model)
     columns = set(model.columns(names))
     return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
@@ -145,7 +145,7 @@ def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str,
 
 
 def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> Iterator[Array]:
-    """Yield candidate home poses: the zero state with one or two joints turned by a quarter turn."""
+    """Yield candidates for the home pose: the zero state with one or two joints turned by a quarter turn."""
     for count in (1, 2):
         for some in combinations(columns, count):
             for turns in product((-np.pi / 2, np.pi / 2), repeat=count):
@@ -156,7 +156,9 @@ def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> 
 
 
 class _Judge:
-    """Evaluator of candidate poses (named states): freedom from collision, and self-clearance."""
+    """Evaluator for candidate poses (named states), which checks that they are collision-free and measures
+    their self-clearance.
+    """
 
     def __init__(self, model: RobotModel, samples: Array):
         checker = _checker(model)
@@ -180,7 +182,8 @@ class _Judge:
         return self.checker.is_free(q)
 
     def room(self, q: Array) -> float:
-        """Return the distance [m] of the nearest link pair at a candidate pose (named state); < 0 in contact.
+        """Return the distance [m] of the nearest link pair in a candidate for a named state; negative if
+        links are in contact.
 
         Only pairs that can touch count. Distances above 1 m are not measured.
         """
@@ -191,7 +194,7 @@ class _Judge:
 
 
 def _dexterity(model: RobotModel, q: Array, groups: list) -> float:
-    """Return the smallest manipulability of groups at a candidate ready pose: sqrt(det(J J^T))."""
+    """Return the smallest manipulability sqrt(det(J J^T)) of the groups at a candidate for the ready pose."""
     tree = kinematic_tree(model)
     values = [1.0]
     for group in groups:

@@ -59,7 +59,8 @@ PICK = """  - pick: cube
 
 
 def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> Iterator[str]:
-    """Yield first (starter) cell files for a robot with collision-free start states, most comfortable first.
+    """Yield starter cell files (first cells for a new robot) with collision-free start states, most
+    comfortable first.
 
     A robot with a gripper gets a cube to pick; other robots move between their named states. The positions of
     the cube differ from file to file; `armcell check` tells whether the robot reaches it.
@@ -103,12 +104,14 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
 
 
 def _turning(model: RobotModel) -> bool:
-    """Return whether a gripper's jaws turn as they close."""
+    """Return whether the jaws of a gripper turn as they close, for the settings of a starter cell."""
     return any(gripper.curve for gripper in model.grippers.values())
 
 
 def _settings(reach: float) -> str:
-    """Return the block `settings` of a small arm's cell: straight motions of a tenth of its reach."""
+    """Return the block `settings` for the starter cell of a small arm: straight motions are a tenth of its
+    reach.
+    """
     if reach >= SMALL:
         return ""
     names = ("approach_distance", "lift_distance", "lower_distance", "retreat_distance")
@@ -126,14 +129,18 @@ def _inline(values: dict[str, str]) -> str:
 
 
 def _arms(model: RobotModel) -> list[Group]:
-    """Return the arms of a starter cell's task: those that carry a gripper, else all."""
+    """Return the arms that take part in a starter cell's task: those that carry a gripper or, if none does,
+    all.
+    """
     arms = [g for g in model.groups.values() if g.tip_link and g.joint_names]
     carrying = {g.arm_group for g in model.grippers.values()}
     return [g for g in arms if g.name in carrying] or arms
 
 
 def _reach(model: RobotModel) -> float:
-    """Return the horizontal reach [m] of an arm from the robot's base, to lay out a starter cell."""
+    """Return the horizontal reach [m] of an arm from the robot's base, which determines the layout of a
+    starter cell.
+    """
     tree, rng = kinematic_tree(model), np.random.default_rng(0)
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
@@ -147,7 +154,9 @@ def _reach(model: RobotModel) -> float:
 
 
 def _bottom(model: RobotModel) -> float:
-    """Return the lowest point [m] of unmoved links, or 0 without geometry, for a starter cell's table."""
+    """Return the lowest point [m] of the links that never move, to place the table of a starter cell; 0
+    without geometry.
+    """
     fixed = next(links for links in model.rigid_groups if model.root_link in links)
     tree, q, lowest = kinematic_tree(model), model.default_positions(), [0.0]
     for name in fixed:
@@ -159,7 +168,9 @@ def _bottom(model: RobotModel) -> float:
 
 
 def _choices(model: RobotModel) -> Iterator[dict[str, str]]:
-    """Yield candidate start states of a starter cell, as named states by group: home first, grippers open."""
+    """Yield candidates for the start state of a starter cell, as named states by group: home first, with
+    grippers open.
+    """
     arms = [arm.name for arm in _arms(model)]
     named = model.named_states
     others = [state for arm in arms for state in named.get(arm, {})]
@@ -185,7 +196,9 @@ def _free(model: RobotModel, states: dict[str, str], table: float, side: float) 
 
 
 def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str, str], float]:
-    """Return a starter cell's collision-free start states and the height [m] of the base above the table."""
+    """Return collision-free start states for a starter cell, and the height [m] of the robot's base above the
+    table.
+    """
     for height in HEIGHTS:
         for states in _choices(model):
             if _free(model, states, bottom - GAP - height, side):
@@ -194,7 +207,9 @@ def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str
 
 
 def _task_states(model: RobotModel, table: float, side: float) -> list[str]:
-    """Return the collision-free named states that all arms have, for a starter cell's task; "home" last."""
+    """Return the collision-free named states that all arms have, for the task of a starter cell. "home" comes
+    last.
+    """
     tables = [model.named_states.get(arm.name, {}) for arm in _arms(model)]
     shared = [s for s in (tables[0] if tables else {}) if all(s in t for t in tables)]
     free = [s for s in shared if _free(model, {a.name: s for a in _arms(model)}, table, side)]

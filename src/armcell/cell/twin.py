@@ -31,7 +31,9 @@ TRIES = 30  # random goals tried per motion
 
 
 def bands_file(cell: Cell) -> Path:
-    """Return the path of a cell's file with twin thresholds, which its simulated twin has learned."""
+    """Return the path of the file with a cell's twin thresholds: how far its real arms normally deviate from
+    the simulated twin.
+    """
     return cell.file.with_name(f"{cell.file.stem}.twin.json")
 
 
@@ -41,7 +43,7 @@ def twin_identity(cell: Cell) -> dict[str, str]:
 
 
 def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
-    """Return the twin guard that compares a cell's real arms with their twin.
+    """Return the twin guard, which compares a cell's real arms with their simulated twin.
 
     It compares only with `watch` and if thresholds were learned; with `watch` alone it logs a hint.
 
@@ -66,7 +68,7 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
 def learn_bands(
     cell: Cell, motions: int = 12, seed: int = 0, tell: Callable[[str], None] = lambda text: None
 ) -> TwinBands:
-    """Move every real arm and learn its normal deviation from its simulated twin.
+    """Move every real arm and learn how far it normally deviates from its simulated twin.
 
     Each arm first moves in a slow loop, then to random goals near home. All motions are planned in the cell's
     scene and dry-run in simulation first; nothing is gripped.
@@ -122,7 +124,9 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """Error for a goal of twin learning without a plannable motion, or whose motion the twin rejects."""
+    """Error in twin learning: no motion to a goal can be planned, or the simulated twin rejects the
+    motion.
+    """
 
 
 def _go(live: LiveCell, group: str, q: np.ndarray, speed: float, tell: Callable[[str], None]) -> None:

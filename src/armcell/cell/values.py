@@ -33,7 +33,8 @@ NOISES = ("none", "stereo")  # named noise models of a camera
 
 
 def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
-    """Return a cell with values changed by path, validated like a cell file.
+    """Return a cell in which values are changed, each given by its path. The result is validated like a cell
+    file.
 
     Args:
         values: new values by path. A path joins the keys of the cell file with dots; x, y, z, roll, pitch,
@@ -54,7 +55,7 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
 
 
 def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
-    """Return the cell values by path that set the joint gains to those of a gain set or gain file.
+    """Return the cell values, by path, that set the joint gains to those of a gain set or a gain file.
 
     The values contain the gains themselves, so a record of the run does not depend on the file.
 
@@ -68,7 +69,7 @@ def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
 
 
 def parsed(setting: str) -> tuple[str, Any]:
-    """Split a text `PATH=VALUE` of a cell value into path and value, parsed as YAML.
+    """Split a text `PATH=VALUE` for a cell value into its path and its value, which is parsed as YAML.
 
     Raises:
         InputError: the text has no '=', or the value is not valid YAML.
@@ -83,7 +84,9 @@ def parsed(setting: str) -> tuple[str, Any]:
 
 
 def place_of(path: str) -> tuple[str, ...]:
-    """Return the parts of a cell value's path in normal form: `pose.x` and `pose.0` become equal."""
+    """Split the path of a cell value into its parts in normal form, in which `pose.x` and `pose.0`
+    are equal.
+    """
     return tuple(str(COMPONENTS.get(part, part)) for part in path.split("."))
 
 
@@ -110,7 +113,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Expand a named or default value on a cell value's path, so that a part of it can be changed."""
+    """Expand a named or default value on the path to a cell value, so that a part of it can be changed."""
     match path.split("."):
         case ["cameras", name, "noise", _]:
             camera = _table(data, "cameras").get(name)
@@ -129,7 +132,7 @@ def _write_out(data: dict[str, Any], path: str) -> None:
 
 
 def _table(data: Any, *keys: str) -> dict[str, Any]:
-    """Return the mapping on a cell value's path of nested keys; create missing mappings.
+    """Return the mapping to which nested keys on the path of a cell value lead. Missing mappings are created.
 
     If a key holds another type, return an empty mapping.
     """
@@ -139,7 +142,9 @@ def _table(data: Any, *keys: str) -> dict[str, Any]:
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
-    """Pin a changed cell value in the random draw; the other random values of a seed do not change."""
+    """Fix a changed cell value that would be drawn at random. The other random values of a seed stay the
+    same.
+    """
     block, name, key, *more = [*path.split("."), "", ""]
     drawn = data.get("randomize", {}).get(name, {})
     if isinstance(value, Mapping):  # the draw replaces the static friction
@@ -163,7 +168,9 @@ def _index(at: list[Any], part: str, path: str) -> int:
 
 
 def _known(data: dict[str, Any]) -> Iterator[str]:
-    """Yield all valid paths of a cell's values: those in the cell file and those with a default value."""
+    """Yield all valid paths to values of a cell: those in the cell file and those that have a
+    default value.
+    """
     yield from _paths(data)
     yield "physics.gains"
     for block, settings in BLOCKS.items():
@@ -178,7 +185,7 @@ def _known(data: dict[str, Any]) -> Iterator[str]:
 
 
 def _paths(data: Any, before: str = "") -> Iterator[str]:
-    """Yield the dotted path of every cell value in nested mappings, such as `objects.cube.mass`."""
+    """Yield the dotted path, such as `objects.cube.mass`, of every cell value in nested mappings."""
     for key, value in data.items() if isinstance(data, dict) else ():
         yield f"{before}{key}"
         yield from _paths(value, f"{before}{key}.")

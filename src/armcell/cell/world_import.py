@@ -25,7 +25,7 @@ def import_world(
     prefix: str = "",
     T_cell_world: SE3 | None = None,
 ) -> SdfWorld:
-    """Load a Gazebo world and return it with its objects in the cell frame.
+    """Load a Gazebo world and convert the poses of its objects to the frame of the cell.
 
     Args:
         folders, skip: see `load_sdf`.
@@ -46,7 +46,8 @@ def import_world(
 def write_imported(
     objects: Iterable[CollisionObject], file: Path, robot: str | None, force: bool = False
 ) -> None:
-    """Write objects imported from Gazebo to a file: a cell with a robot, or else an objects file.
+    """Write objects that were imported from Gazebo to a file: a cell file if a robot is given, otherwise an
+    objects file.
 
     The file is written only if it can be loaded. Meshes are written to the same folder. `load_objects` reads
     an objects file.
@@ -64,7 +65,8 @@ def write_imported(
 
 
 def add_to_cell(objects: Sequence[CollisionObject], cell: str | Path) -> Path:
-    """Add a Gazebo world's objects to a cell file and return the file; other lines and comments stay.
+    """Add the objects of a Gazebo world to a cell file and return the file. Its other lines and comments stay
+    unchanged.
 
     Raises:
         InputError: the cell is built in or does not exist, or it already contains an object's name.
@@ -87,7 +89,7 @@ def add_to_cell(objects: Sequence[CollisionObject], cell: str | Path) -> Path:
 
 
 def with_objects(text: str, entries: dict) -> str:
-    """Return a cell file's text with imported objects as more entries at the end of its block `objects`."""
+    """Return the text of a cell file with the imported objects added at the end of its block `objects`."""
     block = objects_text(entries).partition("\n")[2]
     lines = text.splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
@@ -112,7 +114,7 @@ def with_objects(text: str, entries: dict) -> str:
 
 
 def _write_checked(file: Path, text_of, objects: Iterable[CollisionObject], is_cell: bool) -> None:
-    """Write imported objects to a temporary file, check that it loads, and rename it to the target.
+    """Write imported objects to a temporary file, check that it loads, and then rename it to the target file.
 
     Args:
         text_of: returns the text of the file for the entries of the objects.

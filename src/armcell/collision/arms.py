@@ -34,7 +34,9 @@ FINE = 0.01  # [rad] smallest boxes of joint positions in `certify_any_time`
 
 @lru_cache(maxsize=64)
 def moved_links(model: RobotModel, group: str) -> frozenset[str]:
-    """Return the links that an arm's joints move, with links mounted on them, to check arm against arm."""
+    """Return the links that an arm's joints move, including links mounted on them, for collision checks of
+    one arm against another.
+    """
     tree, columns = kinematic_tree(model), set(model.columns(model.group(group).joint_names))
     return frozenset(
         name
@@ -45,14 +47,18 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
-    """Return the model for two-arm collision checks, without those between given and other links."""
+    """Return a copy of the robot model without collision checks between the given links and all others. Used
+    by two-arm checks.
+    """
     pairs = {frozenset((a, b)): "Other arm" for a in links for b in model.links if a != b}
     return replace(model, disabled_collisions={**model.disabled_collisions, **pairs})
 
 
 @lru_cache(maxsize=64)
 def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> RobotModel:
-    """Return the model for two-arm collision checks, only between links of set a and of set b."""
+    """Return a copy of the robot model that only checks collisions between the links of set a and those of
+    set b. Used by two-arm checks.
+    """
     pairs = combinations(model.links, 2)
     never = {
         frozenset((p, q)): "One arm" for p, q in pairs if not ((p in a and q in b) or (p in b and q in a))
@@ -62,7 +68,8 @@ def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> R
 
 @lru_cache(maxsize=64)
 def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the arm groups in a planning group, for two-arm collision checks; empty for one arm.
+    """Return the arm groups that a planning group consists of, for collision checks between two arms. Empty
+    if the group is a single arm.
 
     The result has two or more groups, and no arm moves a link of another.
     """
@@ -77,7 +84,8 @@ def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
 
 
 def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
-    """Return for each body (link or held object) the arm that moves it, for two-arm collision checks.
+    """Return a mapping from each body (link or held object) to the arm that moves it, for collision checks
+    between two arms.
 
     Args:
         groups: the arms' groups; the result maps a body's name to an index of this tuple.
@@ -87,7 +95,8 @@ def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
 
 
 def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
-    """Return the nearest pair of bodies of two arms at q (n,), for two-arm collision checks.
+    """Return the nearest pair of bodies of two different arms at the configuration q (n,), to check the arms
+    against each other.
 
     Pairs whose contact the scene allows are ignored.
 
@@ -111,7 +120,9 @@ def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike)
 
 
 def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
-    """Check that the two groups of a two-arm check have joints and share none; else raise InputError."""
+    """Check that both groups of a two-arm collision check have joints and that they share none; raise an
+    InputError otherwise.
+    """
     names = [set(model.group(g).joint_names) for g in groups]
     if not all(names):
         raise InputError(f"group {groups[0] if not names[0] else groups[1]!r} has no joints")
@@ -120,7 +131,8 @@ def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
 
 
 def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
-    """Return the scene without one arm and its held objects, for collision checks of the other.
+    """Return the scene without one arm and the objects it holds, so that the other arm can be checked for
+    collisions alone.
 
     The arm is placed at its model's default state, so that cached data of one plan can be reused for the
     next, wherever the arm is.
@@ -140,14 +152,15 @@ def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Return the columns (indices) of the joints whose child is an arm's link, to check two arms."""
+    """Return the column indices of the joints that move the links of an arm, for two-arm collision checks."""
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
 
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """Collision checker for two arms of a robot and their held objects, against each other only.
+    """Collision checker that tests two arms of a robot and the objects they hold against each other, but not
+    against the world.
 
     Positions `q` are those of the first group followed by those of the second. The gripper fingers are
     assumed fully open, which is conservative.
@@ -190,11 +203,14 @@ class Arms:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """Return the exact (slow) checker of the body pairs between two arms, for single configurations."""
+        """Return the exact, slow collision checker for body pairs of two arms. It suits single
+        configurations.
+        """
         return ExactChecker(self._bare, self.joint_names)
 
     def find_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Return a position on a motion where two arms are closer than `clearance`, or -1.0.
+        """Return a position along a motion where two arms are closer than `clearance`, or -1.0 if there is
+        none.
 
         The position is counted in edges: 2.5 is the middle of the third edge. -1.0 is a certificate for the
         whole motion.
@@ -211,7 +227,8 @@ class Arms:
         return float(first_below_clearance(self.checker.handle, points, room, float(clearance)))
 
     def first_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Return the first position on a motion where two arms are closer than `clearance`, or -1.0.
+        """Return the first position along a motion where two arms are closer than `clearance`, or -1.0 if
+        there is none.
 
         Like `find_too_close`, but the position is on the first edge where the arms are too close.
         """
@@ -238,7 +255,8 @@ class Arms:
         until: float | None = None,
         evidence: bool = True,
     ) -> TimedCertificate:
-        """Certify that two motions on one clock keep the arms apart, or find the pair and time.
+        """Certify that two motions that start on a common clock keep the arms apart, or find the pair of
+        bodies that touches and the time.
 
         Each arm stays still before and after its motion.
 
@@ -272,7 +290,8 @@ class Arms:
     def certify_any_time(
         self, first: JointTrajectory, second: JointTrajectory, clearance: float = 0.0
     ) -> bool:
-        """Certify that two motions keep the arms apart at any start times and speeds.
+        """Certify that two motions keep the arms apart, no matter when each motion starts and how fast it
+        runs.
 
         The function tests every position of one motion against every position of the other: it tests boxes of
         joint positions of the second motion against the whole first motion, and splits boxes that are too
@@ -290,7 +309,8 @@ class Arms:
     def keeps_clearance_at_any_pace(
         self, a: Array, room_a: Array, b: Array, room_b: Array, clearance: float
     ) -> bool:
-        """Certify that two piecewise linear motions keep the arms apart at any relative timing.
+        """Certify that two arms that move along piecewise linear motions stay apart, whatever the relative
+        timing of the motions.
 
         Args:
             a, b: (k, n) waypoints of the first and of the second arm.

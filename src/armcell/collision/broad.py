@@ -11,7 +11,8 @@ from numba import njit
 
 @njit(cache=True)
 def world_boxes(Ts, link, center, R_half, is_static, out_center, out_half):
-    """Broad phase: compute the axis-aligned world boxes of geometries that move with their links.
+    """Compute the axis-aligned world bounding boxes of collision geometries that move with their links
+    (broad phase).
 
     Args:
         Ts: T_world_link (links, 4, 4).
@@ -36,7 +37,8 @@ def world_boxes(Ts, link, center, R_half, is_static, out_center, out_half):
 
 @njit(cache=True)
 def box_gaps(pairs, center, half, out):
-    """Broad phase: compute the distance between the boxes of each pair (p, 2), 0 where boxes overlap.
+    """Compute the distance between the bounding boxes of each pair (p, 2) in the broad phase; it is 0 where
+    boxes overlap.
 
     The distance is never above the true one.
     """

@@ -11,7 +11,7 @@ from armcell.core import Contact
 
 @dataclass(frozen=True)
 class Certificate:
-    """Certificate: the result of certifying that a motion is collision-free.
+    """Result of an attempt to certify that a motion is collision-free.
 
     Attributes:
         free: True if the motion is certified collision-free.

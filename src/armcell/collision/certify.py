@@ -27,7 +27,9 @@ MIN_INTERVAL_RAD = 2e-4
 
 
 class Measures(Protocol):
-    """Interface of a checker for certification: places bodies, and measures pairs of them."""
+    """Interface of a checker that the certification of motions uses: it places bodies and measures the
+    distances of body pairs.
+    """
 
     model: RobotModel
     tree: KinematicTree
@@ -43,7 +45,8 @@ class Measures(Protocol):
 
 
 class MotionBound:
-    """Motion bounds for certification: relative motion of geometry pairs, per unit of each joint [m/rad].
+    """Bounds for certification on how far two geometries of a pair can move relative to each other, per unit
+    of each joint [m/rad].
 
     Args:
         checker: the checker with the geometries and the group's joints.
@@ -83,7 +86,9 @@ class MotionBound:
                     self.per_joint[p, k] += levers[a][joint] + levers[b][joint]
 
     def along(self, dq: Array) -> Array:
-        """Return upper bounds (p,) [m] of each pair's motion for a joint change dq (n,), to certify it."""
+        """Return upper bounds (p,) [m] on the relative motion of each geometry pair during a joint change dq
+        (n,), for certification.
+        """
         moving = np.abs(dq) > 0  # avoids 0 * inf for levers of infinite length
         return self.per_joint[:, moving] @ np.abs(dq)[moving]
 

@@ -30,7 +30,7 @@ SHORT = 1e-3
 
 @dataclass(frozen=True)
 class TimedCertificate:
-    """Timed certificate: the result of certifying a timed motion against moving obstacles.
+    """Result of an attempt to certify a timed motion against moving obstacles.
 
     Attributes:
         free: True if the motion is certified collision-free.
@@ -51,7 +51,7 @@ def certify_timed(
     clearance: float = 0.0,
     until: float | None = None,
 ) -> TimedCertificate:
-    """Certify that a timed motion keeps its distance from moving obstacles, or find the contact.
+    """Certify that a timed motion keeps its distance from moving obstacles, or find the first contact.
 
     The certificate covers only pairs of a moving obstacle and the robot (or an object it holds); static
     obstacles must be certified separately. Contacts that the scene allows for an obstacle's name are ignored.
@@ -81,7 +81,9 @@ def certify_timed(
 
 
 class _Moving:
-    """Robot and moving obstacles at one time of a timed certification, with pairs and motion bounds."""
+    """The robot and the moving obstacles at one time of a motion to certify, with the pairs to check and
+    their motion bounds.
+    """
 
     def __init__(self, scene, trajectory, moving, start_time, clearance):
         others = {k: v for k, v in scene.objects.items() if k not in {m.name for m in moving}}
@@ -113,7 +115,9 @@ class _Moving:
             self.checker.place_object(i, item.pose(t) @ T)
 
     def joint_travel(self, a: float, b: float) -> Array:
-        """Return upper bounds (n,) of each joint's motion [rad or m] between two times, to certify it."""
+        """Return upper bounds (n,) on how far each joint moves [rad or m] between two times of a timed
+        motion, for its certification.
+        """
         times = np.array([a, b]) - self.start
         ends = np.array([np.interp(times, self.trajectory.times, row) for row in self.travelled.T])
         return ends[:, 1] - ends[:, 0]
@@ -154,7 +158,8 @@ class _Moving:
 
 
 def _travelled(trajectory: JointTrajectory) -> Array:
-    """Return upper bounds (k, n) of each joint's accumulated motion along a timed motion to certify.
+    """Return upper bounds (k, n) on the accumulated travel of each joint along a timed motion, for its
+    certification.
 
     On each segment, the Bernstein coefficients of a polynomial's derivative bound the derivative (Farouki,
     "The Bernstein polynomial basis: a centennial retrospective", CAGD 2012).

@@ -43,7 +43,9 @@ class _Reflex:
     weights: Array
 
     def below(self, plane: Array) -> _Reflex:
-        """Return the parts of a concave mesh's reflex edges below a cutting plane, with n x + d < 0."""
+        """Return the parts of a concave mesh's reflex edges that are below a cutting plane, where n x + d <
+        0.
+        """
         height = self.ends @ plane[:3] + plane[3]  # (e, 2)
         rows = height.min(1) < -1e-7
         ends, height = self.ends[rows], height[rows]
@@ -61,7 +63,7 @@ class _Reflex:
 
 @dataclass(eq=False)
 class _Piece:
-    """Part of a concave solid in a convex cell, produced by the decomposition along reflex edges.
+    """Piece of a concave solid inside a convex cell, made by decomposing the solid along its reflex edges.
 
     `caps` closes the surface for volumes only: its triangles may reach beyond the solid, where they cancel.
     """
@@ -79,25 +81,27 @@ class _Piece:
 
     @property
     def excess(self) -> float:
-        """Return the volume [m^3] of a concave piece's convex hull outside the solid."""
+        """Return the volume [m^3] by which the convex hull of a piece exceeds the concave solid."""
         return self.hull - _volume(self.triangles) - _volume(self.caps)
 
 
 class _Work:
-    """Working state of a concave solid's decomposition: the solid, and the remaining points."""
+    """Working state while a concave solid is decomposed: the solid itself and the remaining points."""
 
     def __init__(self, points: int, vertices: Array, faces: NDArray[np.int32]):
         self.left, self._vertices, self._faces = points, vertices, faces
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
-        """Return a mask of the points (n, 3) that are inside the concave solid to decompose."""
+        """Return a mask of the points (n, 3) that are inside the concave solid being decomposed."""
         if not len(points):
             return np.zeros(0, bool)
         self.left -= len(points) * len(self._faces) // 10
         return np.abs(winding_numbers(points, self._vertices, self._faces)) > 0.5
 
     def hull(self, points: Array) -> float:
-        """Return the volume [m^3] of a concave solid's piece: hull of points (n, 3), 0 if flat."""
+        """Return the volume [m^3] of the convex hull of points (n, 3) of a concave solid's piece; 0 if they
+        are coplanar.
+        """
         from scipy.spatial import ConvexHull, QhullError
 
         self.left -= len(points) + 150  # qhull's start takes as long as 150 points
@@ -110,7 +114,7 @@ class _Work:
 
 
 def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[Array]:
-    """Cut a closed concave mesh into pieces until their convex hulls fill little more than the mesh.
+    """Cut a closed concave mesh into pieces until their convex hulls together fill hardly more than the mesh.
 
     Args:
         vertices: (v, 3) [m].
@@ -152,7 +156,7 @@ def _volume(triangles: Array) -> float:
 
 
 def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:
-    """Return both sides of a concave piece's best cut along a reflex edge, or None.
+    """Find the best cut of a concave piece along one of its reflex edges. Return both sides, or None.
 
     The first cuts of a cup or a bin save no volume, because a ring has the same hull as its disk. The score
     therefore also counts how far the reflex edges are resolved and distributed.
@@ -189,7 +193,9 @@ def _half(piece: _Piece, plane: Array, work: _Work) -> _Piece:
 
 
 def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
-    """Return the corners (n, 3) of a concave solid's piece that are inside the solid after a cut."""
+    """Return the corners (n, 3) that a cut leaves on a piece of a concave solid and that are inside the
+    solid.
+    """
     cell, n = piece.cell, len(piece.cell)
     old = piece.corners[piece.corners @ plane[:3] + plane[3] < 0]
     pairs = np.array([(i, j) for i in range(n) for j in range(i)], int).reshape(-1, 2)
@@ -203,7 +209,9 @@ def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
 
 
 def _candidates(piece: _Piece) -> Array:
-    """Return candidate cutting planes (k, 4) of a concave piece: normal and offset, n x + d = 0."""
+    """Return the candidate cutting planes (k, 4) for a piece of a concave solid, as normal n and offset d
+    with n x + d = 0.
+    """
     points = piece.triangles.reshape(-1, 3)
     low, high = points.min(0), points.max(0)
     planes = [
@@ -226,7 +234,7 @@ def _candidates(piece: _Piece) -> Array:
 
 
 def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
-    """Return a concave mesh's reflex edges, at which the angle inside exceeds 180 degrees."""
+    """Return the reflex edges of a concave mesh: those at which the interior angle exceeds 180 degrees."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -256,7 +264,7 @@ def _reflex_edges(vertices: Array, faces: NDArray[np.int32]) -> _Reflex:
 
 
 def clip(triangles: Array, plane: Array) -> tuple[Array, Array]:
-    """Clip a concave solid's triangles (n, 3, 3) by a cutting plane (4,), normal and offset.
+    """Clip the triangles (n, 3, 3) of a concave solid at a cutting plane (4,), given as normal and offset.
 
     Returns:
         The part (k, 3, 3) with n x + d <= 0 without triangles in the plane, and the edges (e, 2, 3) of this

@@ -28,7 +28,7 @@ _FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 @lru_cache(maxsize=256)
 def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Decompose a mesh by axis-aligned cuts into convex meshes; a single one if it is nearly convex.
+    """Decompose a mesh by axis-aligned cuts into convex meshes. A nearly convex mesh yields a single piece.
 
     The result is deterministic and cached on disk.
 
@@ -40,7 +40,7 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def stored_pieces(key: str, make: Callable[[], tuple[Mesh, ...]]) -> tuple[Mesh, ...]:
-    """Return the convex pieces that are cached on disk under a key; make them if missing."""
+    """Return the convex pieces that are cached on disk under a key, or compute them if the cache has none."""
     stored = recall("pieces", key)
     if stored is None:
         pieces = make()
@@ -102,7 +102,8 @@ def convex_hull_mesh(triangles: Array) -> Mesh:
 
 
 def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
-    """Find the best cut into convex pieces along an axis: return the volume saved [m^3], two halves.
+    """Find the best cut of a mesh along one axis into two convex pieces. Return the volume saved [m^3] and
+    both halves.
 
     The halves are None if no cut saves volume.
     """
@@ -124,7 +125,8 @@ def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
 
 
 def _clip(triangles: Array, axis: int, at: float, side: float) -> Array:
-    """Clip triangles (n, 3, 3) by an axis-aligned plane for convex pieces; return one side (k, 3, 3).
+    """Clip triangles (n, 3, 3) at an axis-aligned plane and return one side (k, 3, 3), for the decomposition
+    into convex pieces.
 
     The part has side * (x[axis] - at) <= 0.
     """

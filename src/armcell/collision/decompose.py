@@ -28,7 +28,7 @@ VERSION = 2  # increase when the same mesh yields different pieces, to invalidat
 
 @lru_cache(maxsize=256)
 def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
-    """Decompose an object: return convex meshes whose union contains an object's mesh, cached on disk.
+    """Decompose an object's mesh into convex meshes whose union contains it; the result is cached on disk.
 
     The pieces of a closed mesh do not overlap. Their total volume exceeds the mesh's volume by at most
     `concave.EXCESS`, unless the budget of `concave.cut` ends first. An open mesh has no volume:
@@ -60,6 +60,6 @@ def _cut(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
 
 
 def _volume(piece: Mesh) -> float:
-    """Return the volume [m^3] of a closed mesh to decompose, with outward normals."""
+    """Return the volume [m^3] of a closed mesh with outward normals, before its convex decomposition."""
     a, b, c = (piece.vertices[piece.faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a - piece.vertices[0], np.cross(b - a, c - a))) / 6

@@ -20,7 +20,8 @@ Solids = tuple[tuple[Shape, SE3], ...]
 
 
 def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> float:
-    """Bound displacement: return how much closer [m] two bodies can be than in the planned scene.
+    """Return an upper bound on how much closer [m] two bodies may be than planned, because objects or joints
+    are displaced.
 
     The result is an upper bound: a motion that keeps this distance from everything in the planned scene is
     collision-free in the other scene.
@@ -65,7 +66,9 @@ def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> Array:
-    """Return upper bounds (links,) [m] of link displacements due to displaced joints outside the motion."""
+    """Return upper bounds (links,) [m] on how far links are displaced by joints that deviate but are not part
+    of the motion.
+    """
     model = scene.model
     q, columns = planned.positions.copy(), model.columns(joint_names)
     q[columns] = scene.positions[columns]
@@ -78,7 +81,9 @@ def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
-    """Return an upper bound [m] of the displacement of an object's points from planned to present pose."""
+    """Return an upper bound [m] on how far any point of an object moves when it is displaced from its planned
+    to its present pose.
+    """
     if before is now:
         return 0.0
     turned = (now.rotation.matrix - before.rotation.matrix).ravel().tolist()
@@ -88,7 +93,8 @@ def _moved(before: SE3, now: SE3, shapes: Solids) -> float:
 
 @lru_cache(maxsize=64)
 def _link_radii(model: RobotModel) -> Array:
-    """Return each link's distance (links,) [m] from its origin to its farthest point, to bound displacement.
+    """Return the distance (links,) [m] from each link's origin to its farthest point, which bounds the link's
+    displacement.
 
     The order is that of the kinematic tree.
     """
@@ -98,7 +104,9 @@ def _link_radii(model: RobotModel) -> Array:
 
 @lru_cache(maxsize=256)
 def _radius(shapes: Solids) -> float:
-    """Bound the distance [m] of an object's points from its origin, to bound its displacement."""
+    """Return an upper bound on the distance [m] from an object's origin to its points, which bounds the
+    object's displacement.
+    """
     reach = 0.0
     for shape, T in shapes:
         center, half = local_bounds(shape)

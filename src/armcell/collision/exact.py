@@ -26,7 +26,7 @@ MANY = 1000  # largest number of contacts of two surfaces among which the deepes
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Collision geometry of a body in the exact checker; `link` is -1 for an object in the world."""
+    """Collision geometry of one body in the exact checker. `link` is -1 for an object in the world."""
 
     body: str
     link: int
@@ -36,7 +36,7 @@ class Geometry:
 
 
 class ExactChecker:
-    """Exact collision and distance checker for one scene and the joints of one group.
+    """Exact collision and distance checker for one scene and for the joints of one group.
 
     Configurations `q` (n,) contain the group's joints; the other joints keep the scene's positions.
     `contacts` reports all pairs. `is_free`, which planners call, ignores pairs whose relative pose the group
@@ -119,12 +119,14 @@ class ExactChecker:
 
     # --- placing ---
     def full(self, q: ArrayLike) -> Array:
-        """Return all joint positions (dof,) of the exact checker, with the group's joints at q (n,)."""
+        """Return the positions (dof,) of all joints in the exact checker, with the group's joints
+        at q (n,).
+        """
         self._q[self.columns] = float_array(q, (len(self.columns),), "a configuration")
         return self._q
 
     def place(self, q: ArrayLike) -> None:
-        """Move all bodies of the exact checker to the configuration q (n,).
+        """Move all bodies in the exact checker to their poses at the configuration q (n,).
 
         The pair methods refer to the last placement.
         """
@@ -141,7 +143,9 @@ class ExactChecker:
         self._query += 1
 
     def place_object(self, i: int, T_world_solid: SE3) -> None:
-        """Move a world geometry of the exact checker, by index, to a pose that holds until the next call."""
+        """Move a world geometry of the exact checker, given by index, to a pose that is valid until the next
+        call.
+        """
         R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
         self._transforms[i].setTransform(R, T_world_solid.translation)
         self._world_center[i] = T_world_solid.apply(g.center)
@@ -158,7 +162,7 @@ class ExactChecker:
         return transform
 
     def pair_gaps(self, pairs: NDArray[np.int64]) -> Array:
-        """Return the exact checker's lower distance bounds [m] of geometry pairs (p, 2).
+        """Return lower bounds [m] on the distances of geometry pairs (p, 2) in the exact checker.
 
         Raises:
             InputError: `pairs` is not an int64 array (p, 2).
@@ -182,7 +186,9 @@ class ExactChecker:
         return bool(hit) or self._one_inside(a, b)
 
     def _one_inside(self, a: int, b: int) -> bool:
-        """Check exactly whether one of two geometries without surface contact encloses the other."""
+        """Check exactly whether one of two geometries encloses the other although their surfaces do not
+        touch.
+        """
         for outer, inner in ((a, b), (b, a)):
             around, other = self.geometries[outer].solid, self.geometries[inner].solid
             if around.hollow is None or not self._solid_inside(outer):
@@ -195,14 +201,16 @@ class ExactChecker:
         return False
 
     def _solid_inside(self, i: int) -> bool:
-        """Return whether the interior of a mesh in the exact checker is solid.
+        """Return whether the exact checker treats the interior of a mesh as solid.
 
         Links are always solid; a world object is solid if its mesh is watertight.
         """
         return self._link[i] >= 0 or self.geometries[i].solid.closed
 
     def pair_touches(self, a: int, b: int) -> bool:
-        """Check exactly whether two geometries, given by index, touch; faster than `pair_distance`."""
+        """Check exactly whether two geometries, given by index, touch. This is faster than
+        `pair_distance`.
+        """
         return self._touch(a, b, 0.0)
 
     def pair_distance(self, a: int, b: int, outer: bool = False) -> float:
@@ -233,7 +241,7 @@ class ExactChecker:
         return distance
 
     def _deepest(self, a: int, b: int) -> float:
-        """Return the exact penetration of two touching geometries as a negative distance [m].
+        """Return the exact penetration depth of two touching geometries, as a negative distance [m].
 
         At least one geometry is a triangle surface. The value is the deepest penetration of all triangle
         pairs, whereas `coal.distance` returns only that of the first triangle pair in contact.
@@ -247,7 +255,7 @@ class ExactChecker:
         return float(min(depths, default=0.0))
 
     def contact_of(self, a: int, b: int, distance: float | None = None) -> Contact:
-        """Return the exact contact of two geometries, given by index, with distance and location.
+        """Return the exact contact between two geometries, given by index, with its distance and location.
 
         Args:
             distance: result [m] of `pair_distance(a, b)` if that was this checker's last call.
@@ -262,7 +270,7 @@ class ExactChecker:
 
     # --- queries ---
     def is_free(self, q: ArrayLike) -> bool:
-        """Check exactly that no body that the group can move touches another body (with padding)."""
+        """Check exactly that no body that the group can move touches another body, with padding included."""
         self.checks += 1
         self.place(q)
         box_gaps(self.pairs, self._world_center, self._world_half, self._gaps)
@@ -272,7 +280,8 @@ class ExactChecker:
         return True
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the exact checker's padding of pairs that at q (n,) are within it but do not touch.
+        """Reduce the exact checker's padding for pairs that do not touch at q (n,) but are within the
+        padding.
 
         The new padding is 0.1 mm less than the current distance, so a motion can start at q and leave, but
         cannot come closer.
@@ -280,7 +289,9 @@ class ExactChecker:
         self.relaxed_margins(q)
 
     def relaxed_margins(self, q: ArrayLike) -> dict[tuple[str, str], float]:
-        """Run the exact checker's `relax_margins` and return the reduced paddings [m] by (body, object)."""
+        """Run the exact checker's `relax_margins` and return the reduced paddings [m], keyed by
+        (body, object).
+        """
         self.place(q)
         lowered: dict[tuple[str, str], float] = {}
         for pairs, margins in ((self.pairs, self.margins), (self.fixed_pairs, self.fixed_margins)):
@@ -307,7 +318,8 @@ class ExactChecker:
         return certify_path(self, waypoints, slack)
 
     def contacts(self, q: ArrayLike, padded: bool = True) -> list[Contact]:
-        """Return every pair of bodies that touches at q (n,), deepest first, with the exact checker.
+        """Return every pair of bodies that touch at q (n,) according to the exact checker, deepest contact
+        first.
 
         Args:
             padded: also return pairs that are closer than their padding.
@@ -327,7 +339,8 @@ class ExactChecker:
         return sorted(worst.values(), key=lambda c: c.distance)
 
     def nearest(self, q: ArrayLike, cutoff: float = np.inf) -> Contact | None:
-        """Return the exact checker's closest pair of bodies that the group can move against each other.
+        """Return the closest pair of bodies that the group can move relative to each other, according to the
+        exact checker.
 
         Args:
             q: (n,) configuration.
@@ -372,7 +385,8 @@ def _geometries(scene: PlanningScene) -> list[Geometry]:
 
 
 def neighbors(scene: PlanningScene, name: str, within: float = 0.002) -> list[str]:
-    """Return the objects within an exact distance [m] of a world object, for example its supports.
+    """Return the objects within an exact distance [m] of a world object, for example the objects that support
+    it.
 
     Args:
         name: object in the world.
@@ -408,7 +422,8 @@ def _object_distance(a: CollisionObject, b: CollisionObject, request: coal.Dista
 
 
 def overlaps(scene: PlanningScene, name: str, tolerance: float = 5e-4) -> list[tuple[str, float]]:
-    """Return the objects that overlap a world object by exact checks, with depths [m], deepest first.
+    """Return the objects that overlap a world object according to exact collision checks, with penetration
+    depths [m], deepest first.
 
     Args:
         name: object in the world.

@@ -39,7 +39,7 @@ SAME = 2e-3  # [rad or m] samples that exceed the smallest distance by at most t
 
 @dataclass(frozen=True)
 class Conflict:
-    """Conflict: the first contact on the remaining part of a timed motion.
+    """First contact on the remaining part of a timed motion, as found by a motion proof.
 
     Attributes:
         time: time of the contact on the motion's own clock [s].
@@ -54,7 +54,7 @@ class Conflict:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """Running motion in a motion proof, evaluated from the current instant on.
+    """Motion that is currently running, as a motion proof sees it: evaluated from the current instant on.
 
     Attributes:
         trajectory: the planned trajectory.
@@ -69,16 +69,18 @@ class Moving:
 
     @property
     def remaining(self) -> float:
-        """Return the time until a motion proof's running motion ends [s]."""
+        """Return the time [s] until a running motion ends, for a motion proof."""
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: Array) -> Array:
-        """Return a motion proof's commanded positions (k, n) at times (k,) [s]; constant after the end."""
+        """Return the positions (k, n) that a running motion commands at times (k,) [s], for a motion proof.
+        After its end they are constant.
+        """
         q = positions_at(self.trajectory, self.passed + after)
         return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
 
     def accelerations(self) -> Array:
-        """Return upper bounds (n,) of each joint's acceleration in a motion proof's running motion.
+        """Return upper bounds (n,) on the acceleration of each joint in a running motion, for a motion proof.
 
         Units are [rad/s^2 or m/s^2].
         """
@@ -86,7 +88,9 @@ class Moving:
         return most if self.blend is None else most + acceleration_bounds(self.blend)
 
     def knots(self) -> Array:
-        """Return the times [s] from now at which polynomial segments meet, for a motion proof."""
+        """Return the times [s] from now at which polynomial segments of a running motion meet, for a motion
+        proof.
+        """
         times = self.trajectory.times - self.passed
         if self.blend is not None:
             times = np.union1d(times, self.blend.times - self.passed)
@@ -100,7 +104,8 @@ def first_conflict(
     shift: float = 0.0,
     planned: PlanningScene | None = None,
 ) -> Conflict | None:
-    """Prove a timed motion free of scene and running motions, or return its first contact.
+    """Prove that a timed motion collides neither with the scene nor with running motions, or return its first
+    contact.
 
     None is a certificate. It covers the robot and all objects that it holds, including the states between
     samples, rounded corners, and the gap between the measured and the commanded start. Padding and contacts
@@ -157,7 +162,9 @@ def _conflict(
 
 
 def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certificate) -> Certificate:
-    """Return a motion proof's certificate of the first contact, by bisection from any contact."""
+    """Return the certificate of the first contact in a motion proof, found by bisection from any later
+    contact.
+    """
     edges = len(points) - 1
     free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # last waypoints of a free and a failed prefix
     while not_free - free > 1:
@@ -177,7 +184,8 @@ def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certifi
 def _timed(
     here: Array, motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Return a motion proof's piecewise linear path of all running motions from measured positions.
+    """Return the path that a motion proof checks: piecewise linear, through all running motions, starting at
+    the measured joint positions.
 
     Args:
         here: (n,) measured positions, which become the first waypoint.
@@ -192,7 +200,8 @@ def _timed(
 def _pieces(
     motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Convert running motions for a motion proof to one piecewise linear path with deviations.
+    """Convert running motions to one piecewise linear path, and bound its deviation from them, for a motion
+    proof.
 
     Returns:
         Times (k,) [s] from now, positions (k, n), and the largest deviation of each joint (n,) [rad or m].
@@ -213,7 +222,8 @@ def _pieces(
 
 
 def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) -> bool:
-    """Return whether two arms could touch in a motion proof, at any time and speed of their motions.
+    """Return whether a motion proof finds that two arms could touch if their motions ran at any time and at
+    any speed.
 
     A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
     result is also True if no certificate is possible, because the motions do not belong to two arms without
@@ -230,7 +240,8 @@ def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) ->
 
 
 def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, Array]:
-    """Return a group's positions (k, n) and deviations (n,) of all joints in a motion proof.
+    """Return the positions (k, n) of a group's joints and the deviations (n,) of all joints, for a motion
+    proof.
 
     Joints outside the motion keep their positions.
     """
@@ -243,7 +254,7 @@ def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, 
 
 
 def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
-    """Return the smallest arm group that contains all joints of a motion proof's motion, or None."""
+    """Return the smallest arm group that contains all joints of a motion to prove, or None."""
     wanted = set(joint_names)
     groups = [g for g in scene.model.groups.values() if wanted <= set(g.joint_names)]
     groups = [g for g in groups if len(g.joint_names) >= ARM_JOINTS]
@@ -251,7 +262,8 @@ def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
 
 
 def passed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
-    """Return the trajectory time [s] that a slowed robot at q (n,) has reached, for its motion proof.
+    """Return the time [s] on a trajectory that a robot at q (n,) has reached, for the proof of a motion that
+    runs slower than planned.
 
     Args:
         trajectory: the trajectory that the robot executes.

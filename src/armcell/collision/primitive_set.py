@@ -27,7 +27,8 @@ CHUNK = 512
 
 @dataclass(frozen=True, eq=False)
 class PrimitiveSet:
-    """Spheres (sizes are radii) or cubes (sizes are half edges) of a cloud or an octree in the exact checker.
+    """The spheres (sizes are radii) or cubes (sizes are half edges) of a point cloud or octree, as the exact
+    checker uses them.
 
     They are stored in chunks of `CHUNK` neighbors.
     """
@@ -55,7 +56,7 @@ class PrimitiveSet:
         return PrimitiveSet(cubes, centers, sizes, low, high)
 
     def near(self, center: Array, half: Array, R: Array, t: Array, within: float) -> tuple[Array, Index]:
-        """Return the parts of a set of spheres or cubes that may be near an oriented box, nearest first.
+        """Return the spheres or cubes of a set that may be near an oriented box, nearest first.
 
         Args:
             center: (3,) center of the box, box frame.
@@ -79,7 +80,9 @@ class PrimitiveSet:
         return bound[order], index[order]
 
     def solids(self, index: Index, T: coal.Transform3s) -> Iterator[tuple]:
-        """Yield spheres or cubes of a set as coal geometries with transforms; T is the parts' frame."""
+        """Yield spheres or cubes of a set as coal geometries with their transforms, given the transform T of
+        the set's frame.
+        """
         R, t, here = T.getRotation(), T.getTranslation(), coal.Transform3s()
         known: dict[float, coal.CollisionGeometry] = {}
         for k in index:
@@ -99,14 +102,14 @@ def _near(
 
 
 def _holds(solid: Solid, T: coal.Transform3s, part: coal.Transform3s) -> bool:
-    """Return whether the center of a sphere or cube of the set is inside a nonconvex mesh."""
+    """Return whether the center of one of the set's spheres or cubes is inside a nonconvex mesh."""
     return solid.holds(T.getRotation().T @ (part.getTranslation() - T.getTranslation()))
 
 
 def touches_primitives(solid: Solid, T: coal.Transform3s,
                        primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                  request: coal.CollisionRequest, result: coal.CollisionResult) -> bool:  # fmt: skip
-    """Return whether a solid is within the request's security margin of any sphere or cube of a set."""
+    """Return whether a solid is closer than the request's security margin to any sphere or cube of a set."""
     _, index = _near(solid, T, primitives, T_primitives, request.security_margin)
     return any(
         coal.collide(solid.exact, T, part, there, request, result) or _holds(solid, T, there)
@@ -118,7 +121,7 @@ def distance_to_primitives(solid: Solid, T: coal.Transform3s,
                            primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                      request: coal.DistanceRequest, result: coal.DistanceResult,
                      outer: bool = False) -> float:  # fmt: skip
-    """Return the signed distance [m] of a solid to the nearest sphere or cube of a set.
+    """Return the signed distance [m] from a solid to the nearest sphere or cube of a set.
 
     The distance is infinite if the set is empty. `result` holds coal's result for the nearest part.
 
@@ -147,7 +150,7 @@ def distance_to_primitives(solid: Solid, T: coal.Transform3s,
 
 
 def _halved(centers: Array) -> Index:
-    """Order a primitive set's points so that each run of `CHUNK` points is spatially compact.
+    """Order the points of a primitive set such that each run of `CHUNK` points is spatially compact.
 
     The algorithm splits the points in halves along the longest axis.
     """

@@ -58,7 +58,8 @@ CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) -> dict[Pair, Contact]:
-    """Return the pairs of bodies that touch or nearly touch at q (n,), with their contacts (resting pairs).
+    """Return the pairs of bodies that rest on each other at q (n,), because they touch or nearly touch, with
+    their contacts.
 
     Each pair has the contact at its smallest distance.
 
@@ -81,7 +82,7 @@ def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) 
 
 
 def touching(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
-    """Return the contacts at q (n,) of bodies that the group moves, for resting contact; deepest first.
+    """Return the resting contacts at q (n,) of bodies that the group moves, deepest first.
 
     If only the kernel reports a contact, the result is the nearest pair of the exact checker.
     """
@@ -93,7 +94,7 @@ def touching(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
 
 
 def allowing(scene: PlanningScene, pairs: Iterable[Pair]) -> PlanningScene:
-    """Return the scene with contact allowed between the given resting pairs of bodies."""
+    """Return the scene with contact allowed between the given pairs of resting bodies."""
     for pair in pairs:
         a, b = sorted(pair)
         scene = scene.with_allowed(a, (b,))
@@ -108,7 +109,7 @@ def certify_from_rest(
     *,
     evidence: bool = True,
 ) -> Certificate:
-    """Certify that a motion (k, n) is collision-free, except for resting contact at its start.
+    """Certify that a motion (k, n) is collision-free, except for contact between resting bodies at its start.
 
     The motion may start in resting contact and lead out of it. The exact checker measures pairs that touch at
     the start, or that are too close for a certificate with slack, until they are separated. All other pairs
@@ -175,7 +176,8 @@ def certify_from_rest(
 
 
 def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact]) -> Iterable[Pair]:
-    """Return the near pairs whose distances must be measured while a motion leaves resting contact.
+    """Return the nearby pairs of bodies whose distances must be measured while a motion leaves resting
+    contact.
 
     These are the touching pairs if the kernel certifies all others, else all near pairs.
     """
@@ -204,7 +206,7 @@ def separation(
 
 
 def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
-    """Return the clearance [m] of a motion (k, n) that may start in resting contact.
+    """Return the clearance [m] of a motion (k, n) whose start may be in resting contact.
 
     Like `KernelChecker.clearance`, but a pair that touches at the start counts only from the position where
     it stops separating.
@@ -226,7 +228,7 @@ def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
 
 
 class Leaving:
-    """Tests of whether a motion leads given pairs of bodies out of resting contact.
+    """Tests of whether a motion separates given pairs of bodies that are in resting contact.
 
     Args:
         exact: the exact checker.
@@ -246,7 +248,8 @@ class Leaving:
         self._bound: MotionBound | None = None
 
     def refuses(self, q: ArrayLike) -> Contact | None:
-        """Return the contact that forbids configuration q (n,) while leaving resting contact, or None.
+        """Return the contact that makes the configuration q (n,) invalid while a motion leaves resting
+        contact, or None.
 
         The robot leaves resting contact; the configuration must not cause a new, deeper, or dragged contact.
         """
@@ -258,7 +261,7 @@ class Leaving:
     def until_apart(
         self, points: Array, free: Callable[[Array], bool] = lambda q: True
     ) -> tuple[float, Contact | None]:
-        """Return the position along a motion where all pairs in resting contact are separated.
+        """Return the position along a motion at which all pairs in resting contact are separated.
 
         Args:
             points: (k, n) waypoints.
@@ -296,7 +299,8 @@ class Leaving:
         return float(last), self._contact(int(ends[0])) if len(ends) else None
 
     def until_beyond(self, points: Array, at: float, need: Array) -> tuple[float, Contact | None]:
-        """Return the first position along a motion where all resting pairs have their required distances.
+        """Return the first position along a motion at which all resting pairs have reached their required
+        distances.
 
         Positions are counted in edges: 2.5 is the middle of the third edge.
 
@@ -328,7 +332,7 @@ class Leaving:
         return place, None
 
     def while_parting(self, points: Array, at: float) -> float:
-        """Return the position along a motion where the resting pairs stop separating.
+        """Return the position along a motion at which the bodies in resting contact stop separating.
 
         The search starts at `at`; both positions are counted in edges. The result is the end if the pairs
         separate all the time.
@@ -361,7 +365,8 @@ class Leaving:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a near pair in new contact while others leave resting contact, or None.
+        """Return the index of a nearby pair that comes into new contact while other pairs leave resting
+        contact, or None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 
@@ -383,7 +388,7 @@ class Leaving:
         return None
 
     def _travel(self, k: int) -> float:
-        """Return how far [m] the two bodies of resting pair k have moved relative to each other.
+        """Return how far [m] the two bodies of the resting pair k have moved relative to each other.
 
         The motion counts from the start. The value is the smaller of the two motions seen from either body.
         """
@@ -393,12 +398,16 @@ class Leaving:
         )
 
     def _corners(self, k: int) -> tuple[Array, Array]:
-        """Return the box corners (8, 3) of each geometry of resting pair k, in the other geometry's frame."""
+        """Return the box corners (8, 3) of both geometries of the resting pair k, each in the frame of the
+        other geometry.
+        """
         a, b = (self._placed(int(i)) for i in self.pairs[k])
         return (a[1] - b[0][:3, 3]) @ b[0][:3, :3], (b[1] - a[0][:3, 3]) @ a[0][:3, :3]
 
     def _placed(self, i: int) -> tuple[Array, Array]:
-        """Return a resting geometry's pose (4, 4) and its box corners (8, 3), world frame."""
+        """Return the pose (4, 4) and the box corners (8, 3) of a geometry in resting contact, in the world
+        frame.
+        """
         geometry = self.exact.geometries[i]
         T = geometry.T_link_solid.matrix
         if geometry.link >= 0:
@@ -417,7 +426,7 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _from(points: Array, at: float) -> Array:
-    """Return the rest of a motion (k, n) that follows the position where it left resting contact.
+    """Return the part of a motion (k, n) that follows the position where it has left resting contact.
 
     The position is counted in edges: 2.5 is the middle of the third edge.
     """
@@ -426,7 +435,7 @@ def _from(points: Array, at: float) -> Array:
 
 
 def _places(points: Array, at: float) -> Iterable[float]:
-    """Yield positions along a motion out of resting contact, with joint steps of at most `COARSE`.
+    """Yield positions along a motion that leaves resting contact, with joint steps of at most `COARSE`.
 
     The positions begin at `at` and are counted in edges: 2.5 is the middle of the third edge.
     """
@@ -440,7 +449,7 @@ def _places(points: Array, at: float) -> Iterable[float]:
 
 
 def _along(at: float, share: float, rest: Array, edges: int) -> float:
-    """Convert a fraction of a motion's rest after resting contact to a fraction of the whole motion.
+    """Convert a fraction of the part of a motion after resting contact to a fraction of the whole motion.
 
     Args:
         at: position where the rest begins, counted in edges.

@@ -33,7 +33,8 @@ collision-free state."""
 
 @dataclass(frozen=True)
 class LinkPair:
-    """Pair of links for the self-collision matrix, with sampled contacts and the reason to disable it.
+    """Pair of links in the self-collision matrix, with its sampled contacts and the reason for disabling its
+    check, if any.
 
     `reason` has the SRDF's values: "Adjacent" (joined by a joint); "Always" and "Never" (in contact in all or
     none of the samples); "Default" (in contact in the default state, in a named state of the gripper that
@@ -55,7 +56,7 @@ class LinkPair:
 def link_pairs(
     model: RobotModel, samples: int = 100_000, seed: int = 0, progress: Progress | None = None
 ) -> list[LinkPair]:
-    """Return every pair of links with collision geometry for the self-collision matrix, in model order.
+    """Return every pair of links that have collision geometry, in model order, for the self-collision matrix.
 
     Args:
         model: its default state and the named states of its end effectors determine the reason "Default".
@@ -70,7 +71,7 @@ def link_pairs(
 def disabled_collision_pairs(
     model: RobotModel, samples: int = 10_000, seed: int = 0, progress: Progress | None = None
 ) -> dict[frozenset[str], str]:
-    """Return the link pairs whose self-collisions can be disabled, with the reason.
+    """Return the link pairs whose self-collision check can be disabled, each with the reason.
 
     The reasons are "Adjacent", "Default", "Always", and "Never". `link_pairs` also returns the sample counts.
 
@@ -83,7 +84,9 @@ def disabled_collision_pairs(
 
 
 def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
-    """Return adjacent link pairs for self-collision: joined by a joint; skip links without geometry."""
+    """Return the link pairs that a joint connects, for the self-collision matrix. Links without geometry in
+    between are skipped.
+    """
     adjacent, solid_parent = set(), {}
     for joint in model.joints.values():
         parent = joint.parent
@@ -96,7 +99,7 @@ def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
 
 
 def random_states(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
-    """Sample robot states (count, dof) for self-collisions, uniformly within the joint limits.
+    """Sample robot states (count, dof) uniformly within the joint limits, to find self-collisions.
 
     Joints without limits take values from -pi to pi.
     """
@@ -147,7 +150,8 @@ class _Survey:
         return found
 
     def _count(self, progress: Progress | None) -> tuple[dict[frozenset[str], int], dict[frozenset, Array]]:
-        """Count the self-collision samples of each link pair, and collect states in which a pair is near.
+        """Count in how many samples each link pair is in self-collision, and collect states in which a pair
+        is near.
 
         Returns:
             Number of contact samples by pair, and states (k, dof) in which the links are near, by pair; the
@@ -176,7 +180,9 @@ class _Survey:
         return dict(zip(names, counts.tolist(), strict=True)), unproven
 
     def _default(self, every: Iterable[tuple[str, str]]) -> set[frozenset[str]]:
-        """Return the link pairs in self-collision in the default state or in a named state of one gripper."""
+        """Return the link pairs that are in self-collision in the default state or in a named state of a
+        single gripper.
+        """
         model = self.model
         q = model.default_positions()
         found = {frozenset((c.body_a, c.body_b)) for c in self.exact.contacts(q)}
@@ -193,7 +199,9 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the gripper groups in the self-collision survey: of end effectors, or outside all chains."""
+        """Return the gripper groups for the self-collision survey: those of end effectors, or those outside
+        all chains.
+        """
         model = self.model
         hands = {e.group for e in model.end_effectors.values()}
         driven = {n for g in model.groups.values() if g.tip_link for n in g.joint_names}
@@ -201,7 +209,9 @@ class _Survey:
 
     # --- on the meshes themselves ---
     def _distance(self, a: str, b: str) -> float:
-        """Return the signed distance [m] of two links for self-collision, at the checker's placement."""
+        """Return the signed distance [m] of two links at the checker's current placement, to find
+        self-collisions.
+        """
         return min(self.exact.pair_distance(i, j) for i in self.solids[a] for j in self.solids[b])
 
     def _touch(self, a: str, b: str, q: Array) -> bool:
@@ -211,7 +221,7 @@ class _Survey:
         return any(self.exact.pair_touches(int(i), int(j)) for i, j in near)
 
     def _can_meet(self, a: str, b: str, near: Array) -> bool:
-        """Search for a self-collision of two links by a random local search.
+        """Search for a state in which two links are in self-collision, by a random local search.
 
         Args:
             near: (k, dof) states in which the links are near; some of them are start states.
@@ -240,7 +250,9 @@ class _Survey:
         return False
 
     def _between(self, a: str, b: str) -> list[int]:
-        """Return the columns of the joints that move one link relative to another, for self-collisions."""
+        """Return the columns of the joints that move one link relative to another, to find
+        self-collisions.
+        """
         tree = self.exact.tree
         apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
         return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

@@ -37,7 +37,8 @@ PADDING = 0.02
 def without_robot(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
 ) -> Array:
-    """Self-filter: return the points (n, 3) [m, world frame] that are outside the robot and held objects.
+    """Remove the robot's own points from a cloud (self-filter): return the points (n, 3) [m, world frame] off
+    robot and held objects.
 
     See `robot_mask`.
     """
@@ -49,7 +50,8 @@ def robot_mask(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = (),
     scale: float = 1.0,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Self-filter: return a mask (n,) of the points inside robot links or held objects, or within padding.
+    """Return a mask (n,) of the cloud points that a self-filter removes: those inside robot links or held
+    objects, or within their padding.
 
     The padding moves the faces of a shape outward, so the padded region extends a little farther at edges and
     corners.
@@ -67,7 +69,8 @@ def robot_mask(
 def object_mask(
     scene: PlanningScene, points: ArrayLike, padding: float, objects: Iterable[str]
 ) -> NDArray[np.bool_]:
-    """Filter a cloud: return a mask (n,) of the points inside given scene objects or within the padding.
+    """Return a mask (n,) of the cloud points to filter out, which are inside given scene objects or within
+    their padding.
 
     Args:
         points: (n, 3) [m, world frame].
@@ -93,7 +96,9 @@ def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding
 
 
 def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shape, SE3, float]]:
-    """Yield shape, T_world_shape and scale of robot links, held and other objects, for the self-filter."""
+    """Yield the shape, T_world_shape and scale of each robot link, held object and other object that the
+    self-filter removes from a cloud.
+    """
     tree = kinematic_tree(scene.model)
     Ts = [SE3.from_matrix(T) for T in tree.link_transforms(scene.positions)]
     for link in scene.model.links.values():
@@ -106,7 +111,9 @@ def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shap
 
 
 def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) -> NDArray[np.bool_]:
-    """Filter a cloud: return a mask of its points (3, n) in the padded world bounding box of a shape."""
+    """Return a mask of the cloud points (3, n) inside the padded world bounding box of a shape, to filter the
+    cloud.
+    """
     center, half = local_bounds(shape)
     center = T.apply(center * scale)
     half = np.abs(T.rotation.matrix) @ (half * scale + padding)
@@ -117,7 +124,8 @@ def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) 
 
 
 def _outside(shape: Shape, p: Array) -> Array:
-    """Return how far [m] each point (n, 3) to filter is outside a robot's convex shape; < 0 inside.
+    """Return how far [m] each cloud point (n, 3) is outside a convex shape of the robot, to filter the cloud;
+    negative inside.
 
     The value is the largest signed distance from any of the shape's faces.
     """
@@ -150,7 +158,7 @@ def _outside(shape: Shape, p: Array) -> Array:
 
 @lru_cache(maxsize=1024)
 def _faces(mesh: Mesh) -> Array:
-    """Return the outward normals and offsets (f, 4) of a convex mesh's faces, to filter cloud points."""
+    """Return the outward normals and offsets (f, 4) of a convex mesh's faces, to filter points of a cloud."""
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(mesh.vertices).equations

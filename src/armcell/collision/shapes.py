@@ -24,7 +24,7 @@ fraction `CONVEX_EXCESS` and no vertex is deeper than `CONVEX_DENT` [m] inside t
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Shape prepared for coal: exact geometry, and a convex outer geometry around it.
+    """Shape prepared for coal: its exact geometry, and a convex outer geometry that contains it.
 
     For a convex shape, `outer` is `exact`. For a nonconvex mesh, coal sees only the surface: `hollow` is the
     mesh, for tests whether a point is inside, and `closed` is True if it is watertight. For a point cloud or
@@ -40,7 +40,7 @@ class Solid:
     closed: bool = True
 
     def holds(self, point: Array) -> bool:
-        """Return whether a point (3,) [m, shape frame] is inside the nonconvex mesh of a coal solid."""
+        """Return whether a point (3,) [m, shape frame] is inside the nonconvex mesh of a coal geometry."""
         if self.hollow is None or np.any(np.abs(point - self.center) > self.half):
             return False
         return bool(abs(winding_numbers(point[None], self.hollow.vertices, self.hollow.faces)[0]) > 0.5)
@@ -48,7 +48,9 @@ class Solid:
 
 @lru_cache(maxsize=1024)
 def solid(shape: Shape, scale: float = 1.0) -> Solid:
-    """Return the coal geometry of a shape, scaled by a factor about its origin (cached)."""
+    """Return the coal geometry of a shape, scaled by a factor about the shape's origin. The result
+    is cached.
+    """
     center, half = local_bounds(shape)
     match shape:
         case Box():
@@ -78,7 +80,8 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
 
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
-    """Return whether a watertight mesh shape fills its convex hull up to `CONVEX_EXCESS`, for coal.
+    """Return whether a watertight mesh shape fills its convex hull up to `CONVEX_EXCESS`, so that coal can
+    treat it as convex.
 
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """
@@ -98,7 +101,7 @@ def is_convex(mesh: Mesh) -> bool:
 
 @lru_cache(maxsize=1024)
 def is_closed(mesh: Mesh) -> bool:
-    """Return whether a mesh shape for coal is watertight, so that its interior is solid."""
+    """Return whether a mesh shape is watertight, so that coal can treat its interior as solid."""
     import trimesh
 
     return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)
@@ -112,7 +115,7 @@ def _points(vertices: Array) -> coal.StdVec_Vec3s:
 
 
 def convex_hull(vertices: Array) -> coal.CollisionGeometry:
-    """Return the hull shape of points (v, 3) for coal, or their bounding box if they are coplanar."""
+    """Return the convex hull of points (v, 3) as a coal shape, or their bounding box if they are coplanar."""
     try:
         if np.linalg.matrix_rank(vertices - vertices[:1]) < 3:  # coal's qhull may abort the process on these
             raise ValueError("flat")
@@ -125,7 +128,7 @@ def convex_hull(vertices: Array) -> coal.CollisionGeometry:
 
 
 def triangle_model(vertices: Array, faces: NDArray[np.int32]) -> coal.CollisionGeometry:
-    """Return a triangle mesh shape for coal; coal treats it as a surface without interior."""
+    """Return a triangle mesh as a coal shape. coal treats it as a surface without interior."""
     model = coal.BVHModelOBBRSS()
     model.beginModel(len(faces), len(vertices))
     triangles = coal.StdVec_Triangle()

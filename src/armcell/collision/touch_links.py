@@ -13,7 +13,8 @@ NEAR = 0.002
 
 
 def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tuple[str, ...]:
-    """Return the touch links: links within a distance [m] of an object now, nearest first.
+    """Return the links that are now within a distance [m] of an object and may touch it (touch links),
+    nearest first.
 
     Allowed contacts of the scene do not affect the result.
 
@@ -38,7 +39,8 @@ def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tup
 
 
 def attached_by_contact(scene: PlanningScene, name: str, link: str, within: float = NEAR) -> PlanningScene:
-    """Return the scene with an object attached to a link in contact, at its current relative pose.
+    """Return the scene with an object attached to the link that it is in contact with, at its current pose
+    relative to the link.
 
     The touch links are the links that currently touch the object (see `touching_links`).
     """

@@ -19,7 +19,7 @@ MAX_SIDES = 1000  # largest number of polygon sides
 
 
 def view_cone(origin: ArrayLike, T_world_disc: SE3, radius: float, sides: int) -> Array:
-    """Return a view cone's corners (sides + 1, 3) [m]: a pyramid from a sensor to a regular polygon.
+    """Return the corners (sides + 1, 3) [m] of a view cone: a pyramid from a sensor to a regular polygon.
 
     Args:
         origin: (3,) apex of the pyramid [m].
@@ -39,7 +39,8 @@ def view_cone(origin: ArrayLike, T_world_disc: SE3, radius: float, sides: int) -
 def link_hull_distances(
     scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()
 ) -> dict[str, float]:
-    """Return the signed distances [m] of robot links from a view cone, the convex hull of points (k, 3).
+    """Return the signed distances [m] between robot links and a view cone, given as the convex hull of points
+    (k, 3).
 
     A negative value is the penetration depth. Attached objects and padding are not included.
 
@@ -70,7 +71,9 @@ def link_hull_distances(
 
 
 def links_in_hull(scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()) -> dict[str, float]:
-    """Return the robot's links that intersect a view cone, the hull of points (k, 3), with depths [m]."""
+    """Return the robot's links that intersect a view cone, given as the convex hull of points (k, 3), with
+    their depths [m].
+    """
     return {
         name: -apart for name, apart in link_hull_distances(scene, corners, ignored).items() if apart <= 0
     }

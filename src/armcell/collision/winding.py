@@ -8,7 +8,8 @@ from numba import njit
 
 @njit(cache=True)
 def winding_numbers(points, vertices, faces):
-    """Compute the generalized winding number (m,) of points about a mesh: 1 inside a closed mesh, 0 outside.
+    """Compute the generalized winding number (m,) of points with respect to a mesh: 1 inside a closed mesh, 0
+    outside.
 
     The number is robust to holes. It sums Van Oosterom and Strackee's solid angle (1983) over the triangles
     (Jacobson et al. 2013).

@@ -12,7 +12,7 @@ POINT = 1e9  # slant of a side with only one point
 
 @njit(cache=True)
 def _height(heights, x0, y0, resolution, x, y):
-    """Return a height map cell's height at (x, y) for grasps from above; -1e9 outside the map."""
+    """Return the height at (x, y) on a height map, for grasps from above; -1e9 outside the map."""
     i = int(np.floor((x - x0) / resolution + 0.5))
     j = int(np.floor((y - y0) / resolution + 0.5))
     if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
@@ -22,7 +22,8 @@ def _height(heights, x0, y0, resolution, x, y):
 
 @njit(cache=True)
 def _slope(x, y):
-    """Return a height map line's absolute slope, for grasps from above: median slope of point pairs.
+    """Return the absolute slope of a line on a height map, for grasps from above: the median slope of pairs
+    of points.
 
     The estimator (Theil and Sen) is robust against a few outliers, which cameras produce at edges.
     """
@@ -39,7 +40,7 @@ def _slope(x, y):
 
 @njit(cache=True)
 def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, palm, opens, rules):
-    """Search all poses at which a hand fits around a piece on a height map, from above (kernel).
+    """Search a height map for all poses from above at which a hand fits around a piece, in a compiled kernel.
 
     A pose is a cell, a rotation and a depth. The hand points down and closes along (cos a, sin a). On a
     height map, a piece is as wide at the fingertips as anywhere above them, because overhangs hide the space

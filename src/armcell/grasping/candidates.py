@@ -36,7 +36,8 @@ FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
 @dataclass(frozen=True, eq=False)
 @checked()
 class Grasp:
-    """Grasp candidate: a pose whose tcp approaches along its z axis and closes along its y axis.
+    """Grasp candidate: a pose of the tcp, which approaches along its z axis while the gripper closes along
+    its y axis.
 
     The hand approaches along +z of the TCP and retreats along -z. The approach is `approach` [m] long if
     there is enough free space, and at least `shortest_approach` [m].
@@ -55,7 +56,7 @@ class Grasp:
 
 @dataclass(frozen=True)
 class Rejection:
-    """A rejected grasp candidate with the reason for its rejection."""
+    """A grasp candidate that was rejected, with the reason."""
 
     name: str
     reason: str
@@ -65,14 +66,14 @@ class Rejection:
 
 @dataclass
 class Proposals:
-    """A grasp generator's candidates: unique names and tcp poses in the object's frame."""
+    """Candidates from a grasp generator, with unique names and tcp poses in the object's frame."""
 
     names: list[str] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)  # (4, 4)
     taken: dict[str, int] = field(default_factory=dict)  # number of uses by name
 
     def add(self, name: str, T_object_tcp: Array) -> None:
-        """Add a grasp candidate with a tcp pose (4, 4); a repeated name gets a number."""
+        """Add a grasp candidate with a tcp pose (4, 4). If its name already exists, it gets a number."""
         count = self.taken[name] = self.taken.get(name, 0) + 1
         self.names.append(name if count == 1 else f"{name} ({count})")
         self.poses.append(T_object_tcp)
@@ -88,7 +89,7 @@ generators: Registry[Generator] = Registry("grasp generator", "armcell.grasp_gen
 
 
 def generator_for(item: CollisionObject) -> str:
-    """Return the default generator of grasp candidates for an object's kind of geometry."""
+    """Return the default generator of grasp candidates for the kind of geometry that an object has."""
     if item.has_cloud:
         return "cloud"
     if len(item.shapes) == 1 and isinstance(item.shapes[0][0], Box | Cylinder | Capsule | Sphere):
@@ -99,7 +100,7 @@ def generator_for(item: CollisionObject) -> str:
 def grasp_candidates(
     item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True
 ) -> tuple[list[Grasp], list[Rejection]]:
-    """Return an object's grasp candidates, best first, and the rejected ones with reasons.
+    """Return the grasp candidates for an object, best first, and the rejected ones with reasons.
 
     Args:
         generator: generator by name; default: by the object's geometry.
@@ -115,7 +116,7 @@ def grasp_candidates(
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """Grasp candidates after the geometric fit, which does not depend on mass and friction.
+    """Grasp candidates that fit geometrically around an object, independent of its mass and friction.
 
     They are cached per object, gripper and up direction.
     """
@@ -228,7 +229,9 @@ def _judged(
 
 
 def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
-    """Return why a grasp candidate fails the fit, its number of passed checks, and its excess."""
+    """Return why a grasp candidate does not fit, how many checks it passed, and by how much it failed the
+    next one.
+    """
     by, opens = float(measures[2]), hand.gripper.max_width
     mm = 1000 * by
     match verdict:
@@ -244,7 +247,7 @@ def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
 
 
 def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
-    """Return the rejected grasp candidate that passed the most checks, or None.
+    """Return the rejected grasp candidate that passed most of the checks, or None.
 
     Among equals, the candidate with the smallest excess wins.
     """
@@ -252,5 +255,5 @@ def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
 
 
 def how_near(rejection: Rejection) -> tuple[int, float]:
-    """Return a sort key of rejected grasp candidates: passed checks, then excess."""
+    """Return a key by which to sort rejected grasp candidates: first by passed checks, then by excess."""
     return -rejection.passed, rejection.excess

@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PadContact:
-    """Contact patch of a gripper's soft finger pad, with surface and torsional friction."""
+    """Contact patch between an object and a gripper's soft finger pad, with surface friction and torsional
+    friction.
+    """
 
     point: Array  # (3,) [m] center of the patch
     normal: Array  # (3,) unit vector, points out of the object
@@ -22,6 +24,8 @@ class PadContact:
 
     @staticmethod
     def of(row: Array) -> PadContact:
-        """Create a gripper pad's contact with the object from a row (8,) of `kernel.fit`'s result."""
+        """Create the contact between a gripper's pad and an object from a row (8,) of the result of
+        `kernel.fit`.
+        """
         row = float_array(row, (8,), "a row", finite=False)
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))

@@ -16,7 +16,8 @@ LIFT_ACCELERATION = 3.0  # [m/s^2] assumed acceleration of the held object, in a
 
 
 def holding_factor(friction: float, torsional_friction: float, lever: Array, patch: Array) -> Array:
-    """Return the factor on the grip force for a weight off the line through the contacts.
+    """Return the factor by which the grip force must grow because the weight does not act on the line through
+    the contacts.
 
     A soft finger pressed with F holds a force f along the surface and a torque t about its normal while
     (f / (mu F))^2 + (t / (g F))^2 <= 1 (Howe and Cutkosky 1996), with g = mu r + the torsional coefficient
@@ -31,7 +32,8 @@ def holding_factor(friction: float, torsional_friction: float, lever: Array, pat
 
 
 def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
-    """Return, for the grip force, the friction coefficient between an object and its support, as in MuJoCo.
+    """Return the friction coefficient between an object and its support, as in MuJoCo, to compute a grip
+    force.
 
     MuJoCo takes the material of the geom with the higher priority, and the larger coefficient if priorities
     are equal ("Contact parameters" in its XML reference). Movable objects have the higher priority.
@@ -41,7 +43,7 @@ def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
 
 
 def needed_force(item: CollisionObject) -> float:
-    """Return the minimum grip force per finger [N] that holds an object at its center of mass.
+    """Return the minimum grip force per finger [N] that holds an object gripped at its center of mass.
 
     Coulomb friction: m (g + a) / (2 mu).
     """
@@ -49,7 +51,9 @@ def needed_force(item: CollisionObject) -> float:
 
 
 def firm_force(needed: float, gripper: Gripper) -> float:
-    """Return a grip force per finger [N] with a safety factor, limited by the gripper's maximum."""
+    """Return a grip force per finger [N] that includes a safety factor and does not exceed the gripper's
+    maximum.
+    """
     return float(np.clip(needed * SAFETY, MIN_FORCE, gripper.max_force))
 
 

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 @checked()
 class AboveSettings:
-    """Settings of grasping from above out of a heap; lengths in meters."""
+    """Settings for grasping pieces out of a heap from above; lengths in meters."""
 
     turns: int = 16  # hand orientations over half a circle
     depths: tuple[float, ...] = (0.054, 0.040, 0.028, 0.018, 0.010)  # fingertip depths below the top
@@ -44,7 +44,7 @@ class AboveSettings:
 
 @dataclass(frozen=True, eq=False)
 class HeapGrasp(Grasp):
-    """Grasp from above of one piece of a heap, with its pose in the world frame."""
+    """Grasp of one piece of a heap from above, with the tcp pose in the world frame."""
 
     piece: int = -1
     tip: float = 0.0  # [m, world z] height of the fingertips
@@ -61,7 +61,7 @@ def grasps_from_above(
     settings: AboveSettings = AboveSettings(),
     avoid: Sequence[tuple[float, float, float]] = (),
 ) -> list[HeapGrasp]:
-    """Return grasp candidates from above for the pieces of a heap, best first.
+    """Return grasp candidates for the pieces of a heap, from above and best first.
 
     Args:
         labels: (nx, ny) piece number of each cell, -1 for none.
@@ -137,7 +137,9 @@ def grasps_from_above(
 def _only_pieces(
     seen: HeightMap, labels: NDArray[np.int64], T: SE3, width: float, half: float, tip: float
 ) -> bool:
-    """Return whether a grasp from above has only heap pieces, and no bin wall, between the fingers."""
+    """Return whether only pieces of the heap, and no wall of the bin, are between the fingers in a grasp from
+    above.
+    """
     r = seen.resolution
     x, y = np.meshgrid(np.arange(-half, half + r, r), np.arange(r - width / 2, width / 2, r))
     at = T.apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]
@@ -149,7 +151,7 @@ def _only_pieces(
 
 
 def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return centers (k, 2) [m, world] and radii (k,) [m] of a heap's pieces, seen from above."""
+    """Return the centers (k, 2) [m, world] and radii (k,) [m] of the pieces in a heap, seen from above."""
     index = np.argwhere(labels >= 0)
     number = labels[index[:, 0], index[:, 1]]
     xy, count = seen.at(index)[:, :2], int(number.max()) + 1
@@ -161,7 +163,9 @@ def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _down(at: Array, z: float, turn: float) -> SE3:
-    """Return T_world_tcp of a grasp from above: the hand points down and closes at an angle about z."""
+    """Return the pose T_world_tcp for a grasp from above, in which the hand points down and closes at an
+    angle about z.
+    """
     y = np.array([np.cos(turn), np.sin(turn), 0.0])
     approach = np.array([0.0, 0.0, -1.0])
     return SE3(SO3(np.column_stack([np.cross(y, approach), y, approach])), np.array([at[0], at[1], z]))

@@ -22,7 +22,7 @@ AT_THE_PAD = 0.001  # [m] maximum distance of a finger box from the closing plan
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """Hand geometry for grasps: boxes (n, 6) [m] around a gripper's closed hand in the tcp frame.
+    """Geometry of a gripper's closed hand for grasp planning: boxes (n, 6) [m] in the tcp frame.
 
     A box is its lowest and highest corner.
 
@@ -41,13 +41,13 @@ class Hand:
 
 
 def pre_opening(width: float, gripper: Gripper) -> float:
-    """Return the pre-grasp finger opening [m] of a hand for an object of a given width [m]."""
+    """Return how far [m] the fingers of a hand open before they grasp an object of a given width [m]."""
     return min(max(width * WIDER, width + MARGIN), gripper.max_width)
 
 
 @lru_cache(maxsize=32)
 def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
-    """Return the hand geometry of a robot's gripper, as boxes in the tcp frame.
+    """Return the geometry of the hand of a robot's gripper as boxes in the tcp frame, for grasp planning.
 
     Raises:
         InputError: the gripper's links have no collision shapes.
@@ -90,7 +90,7 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
 
 
 def _pad(left: Array, right: Array) -> Array:
-    """Return the x and z range of a hand's finger pads, where both closed fingers meet."""
+    """Return the x and z range of a hand's finger pads, which is where both closed fingers meet."""
     inner = (
         left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],
         right[right[:, 4] > right[:, 4].max() - AT_THE_PAD],

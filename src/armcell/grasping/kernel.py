@@ -20,7 +20,8 @@ WIDER, MARGIN = 1.125, 0.010  # opening before the approach: factor on the width
 
 @njit(cache=True)
 def cast(origins, directions, triangles):
-    """Compiled kernel for grasps: find where rays from a mesh's surface inwards leave the mesh.
+    """Cast rays from the surface of a mesh inwards and find where they leave the mesh, in the compiled grasp
+    kernel.
 
     Several solids may touch or overlap: a ray has left the solids when it is in none of them.
 
@@ -87,7 +88,7 @@ def cast(origins, directions, triangles):
 
 @njit(cache=True)
 def _lowest(R, p, box, up, shift):
-    """Return the lowest coordinate along `up` of a box of the hand, in the grasp kernel.
+    """Return the lowest coordinate along `up` that a box of the hand reaches, in the compiled grasp kernel.
 
     The box is moved by `shift` along the hand's y axis.
     """
@@ -106,7 +107,7 @@ def _lowest(R, p, box, up, shift):
 
 @njit(cache=True)
 def fit(poses, points, normals, palm, left, right, pad, max_width, up, floor, approach):
-    """Fit a hand around an object's surface points at each grasp pose, in a compiled kernel.
+    """Fit a hand around the surface points of an object at each grasp pose, in the compiled grasp kernel.
 
     The function centers the hand between the surfaces that the pads touch, moves it back until palm and
     support are clear, opens it for the object, and checks its straight approach.

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 @checked()
 class Placement:
-    """A pose T_world_object at which an object rests on a support, as a placement candidate.
+    """Placement candidate: a pose T_world_object at which an object rests on a support.
 
     `normal` (3,) is the unit normal of the support surface in the world frame.
     """
@@ -41,13 +41,16 @@ class Placement:
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def above(self, distance: float) -> SE3:
-        """Return a placement's object pose at a distance [m] above the support surface, along its normal."""
+        """Return the pose of the object at a distance [m] above its placement, along the normal of the
+        support surface.
+        """
         x, y, z = (distance * n for n in self.normal)
         return self.T_world_object.shifted(x, y, z)
 
 
 def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
-    """Return the surface of a support for placing, on which friction holds an object, with a safety margin.
+    """Return the surface of a support for placing an object, such that friction holds the object with a
+    safety margin.
 
     The result is that of `support_surface`.
 
@@ -65,7 +68,7 @@ def place_candidates(
     other_sides: bool = False,
     up: tuple[float, float, float] | None = None,
 ) -> list[Placement]:
-    """Return placements of an object on a support: a 3 x 3 grid, then the whole surface.
+    """Return poses at which an object can be placed on a support: first a 3 x 3 grid, then the whole surface.
 
     The grid is around a point.
 
@@ -136,19 +139,22 @@ def place_candidates(
 
 
 def _highest(support: CollisionObject, normal: Array) -> float:
-    """Return the largest coordinate [m] of a support along a world direction (3,), to place above it."""
+    """Return the largest coordinate [m] of a support along a world direction (3,), so that an object can be
+    placed above it.
+    """
     up = support.T_world_object.rotation.matrix.T @ normal
     tops = [extent(s, T.rotation.matrix.T @ up)[1] + float(T.translation @ up) for s, T in support.shapes]
     return max(tops) + float(support.T_world_object.translation @ normal)
 
 
 def _mass_height(item: CollisionObject, side: Rest) -> float:
-    """Return the height [m] of a placed object's center of mass above its base."""
+    """Return how high [m] the center of mass of a placed object is above its base."""
     return float(surface_of(item).center_of_mass @ side.up) + side.height
 
 
 def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, SO3]]:
-    """Return rotations of an object about the surface normal for placing, preferred ones first.
+    """Return the rotations about the surface normal that are possible for placing an object, preferred ones
+    first.
 
     The results are (angle, rotation of the object in the world) pairs.
 
@@ -165,12 +171,14 @@ def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, S
 
 
 def _slope(frame: SE3) -> Array:
-    """Return a placed object's plumb line offset (2,) per meter of height in a tilted surface's frame."""
+    """Return how far (2,) the plumb line of a placed object shifts per meter of height on a tilted surface,
+    in its frame.
+    """
     return -frame.rotation.matrix[2, :2] / frame.rotation.matrix[2, 2]
 
 
 def _stands_to(item: CollisionObject, side: Rest, frame: SE3) -> float:
-    """Return the maximum tilt [rad] of a support surface at which a placed object is stable.
+    """Return the largest tilt [rad] of a support surface at which a placed object does not tip over.
 
     The surface tilts in its present tilt direction.
     """
@@ -179,7 +187,8 @@ def _stands_to(item: CollisionObject, side: Rest, frame: SE3) -> float:
 
 
 def _tilt_held(item: CollisionObject, side: Rest, turned: Array, frame: SE3) -> float:
-    """Return the maximum tilt [rad] of a surface at which a placed object in one rotation is stable.
+    """Return the largest tilt [rad] of a surface at which an object placed with one rotation does not tip
+    over.
 
     Args:
         turned: (3, 3) rotation of the object in the surface's frame.
@@ -210,7 +219,7 @@ def _on_side(
     places: list[tuple[float, float, float, bool]],
     open_edges: bool,
 ) -> list[Placement]:
-    """Return placements of an object on one of its sides, at given points of the support.
+    """Return the poses at which an object is placed on one of its sides, at given points of the support.
 
     Args:
         places: points of the support (x, y [m], cost, whether the point is the center).
@@ -251,7 +260,7 @@ def _on_side(
 
 
 def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
-    """Return whether a placed object's center of mass (2,) is well inside its supported base (n, 2).
+    """Return whether the center of mass (2,) of a placed object is well inside its supported base (n, 2).
 
     Args:
         half: (2,) [m] half size of the support's rectangle.
@@ -268,7 +277,7 @@ def _stands_on(foot: Array, mass: Array, half: Array, whole: float) -> bool:
 
 
 def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
-    """Clip a placed object's base polygon (n, 2) to sign * coordinate <= limit.
+    """Clip the base polygon (n, 2) of a placed object to the half-plane sign * coordinate <= limit.
 
     Sutherland and Hodgman's algorithm.
     """
@@ -283,7 +292,7 @@ def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
 
 
 def _yaw(R: SO3, upright: SO3) -> float:
-    """Return a placement's yaw [rad], by which a rotation differs from an upright rotation."""
+    """Return the yaw [rad] of a placement, by which its rotation differs from an upright rotation."""
     return float((R @ upright.inv()).rpy[2])
 
 

@@ -30,7 +30,7 @@ CLOSED = 1e-6  # minimum epsilon for force closure
 
 @dataclass(frozen=True)
 class Quality:
-    """Grasp quality: the measures of one grasp; epsilon and volume are 0 without force closure."""
+    """Measures of the quality of one grasp. Without force closure, epsilon and volume are 0."""
 
     force_closure: bool
     epsilon: float  # [N per N of grip]
@@ -40,7 +40,9 @@ class Quality:
 @dataclass(frozen=True)
 @checked()
 class Noise:
-    """Standard deviations of a grasp's uncertain quantities, to evaluate the grasp quality's robustness."""
+    """Standard deviations of uncertain quantities, with which the robustness of a grasp's quality is
+    evaluated.
+    """
 
     position: float = 0.002  # [m] object position along each axis
     rotation: float = 0.035  # [rad] about each axis
@@ -48,13 +50,17 @@ class Noise:
     mass: float = 0.1  # relative
 
     def poses(self, count: int, rng: np.random.Generator) -> list[SE3]:
-        """Sample small object displacements for a grasp's robust quality; the first is the identity."""
+        """Sample small displacements of an object, to evaluate how robust a grasp's quality is. The first is
+        the identity.
+        """
         shifts = rng.normal(scale=self.position, size=(count, 3))
         turns = rng.normal(scale=self.rotation, size=(count, 3))
         return [SE3.identity(), *(SE3(SO3.exp(t), s) for s, t in zip(shifts[1:], turns[1:], strict=True))]
 
     def materials(self, item: CollisionObject, count: int, rng: np.random.Generator) -> list[CollisionObject]:
-        """Sample objects with varied friction and mass for a grasp's robust quality; the first as given."""
+        """Sample objects with varied friction and mass, to evaluate how robust a grasp's quality is. The
+        first is the given object.
+        """
         shares = np.exp(rng.normal(size=(count, 2)) * [self.friction, self.mass])
         shares[0] = 1.0
         m = item.material
@@ -71,7 +77,8 @@ class Noise:
 def contact_wrenches(
     contacts: tuple[PadContact, ...], about: Array, size: float, material: Material, edges: int = EDGES
 ) -> Array:
-    """Return the wrenches (n, 6) of a grasp's friction cones per newton, for its quality.
+    """Return the wrenches (n, 6) per newton that the friction cones of a grasp can produce, to evaluate its
+    quality.
 
     The contacts are soft fingers.
 
@@ -95,7 +102,7 @@ def contact_wrenches(
 
 
 def hull_quality(wrenches: Array) -> Quality:
-    """Return a grasp's quality measures from the convex hull of its wrenches (n, 6).
+    """Return the quality measures of a grasp from the convex hull of its contact wrenches (n, 6).
 
     Force closure holds if the hull contains the origin; epsilon is the origin's depth inside the hull.
     """
@@ -115,7 +122,7 @@ def hull_quality(wrenches: Array) -> Quality:
 
 
 def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
-    """Return the quality of a grasp about the center of mass: force closure, epsilon and volume."""
+    """Return the quality of a grasp with respect to the center of mass: force closure, epsilon and volume."""
     surface = surface_of(item)
     about = grasp.T_object_tcp.inv().apply(surface.center_of_mass)
     low, high = surface.bounds
@@ -126,7 +133,8 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
 def robustness(
     item: CollisionObject, hand: Hand, grasp: Grasp, noise: Noise = Noise(), trials: int = 40, seed: int = 0
 ) -> float:
-    """Return the fraction (0 to 1) of noisy quality evaluations in which a grasp holds.
+    """Return the fraction (0 to 1) of quality evaluations with random errors in which a grasp holds its
+    object.
 
     A trial counts if the hand fits, the pads oppose each other within friction, and the force holds the
     weight.

@@ -22,7 +22,7 @@ NARROW = 5e-4  # [m] assumed half width of the contact line or point of a round 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """A stable resting pose of an object: up direction (3,), support polygon and stability margin.
+    """Stable resting pose of an object, with its up direction (3,), support polygon and stability margin.
 
     All are in the object's frame.
     """
@@ -33,7 +33,7 @@ class Rest:
 
     @property
     def height(self) -> float:
-        """Return the height [m] of a stably resting object's origin above its support."""
+        """Return the height [m] of the origin of a stably resting object above its support."""
         return -float(self.foot[0] @ self.up)
 
 
@@ -41,7 +41,8 @@ _kept: OrderedDict[tuple, tuple[Rest, ...]] = OrderedDict()
 
 
 def rests(item: CollisionObject) -> tuple[Rest, ...]:
-    """Return the stable resting sides of an object's convex hull, most stable first.
+    """Return the sides of an object's convex hull on which it can rest stably (resting sides), most stable
+    first.
 
     Round shapes are approximated by polygons and rest on their narrow sides, with almost no margin.
     """
@@ -82,14 +83,16 @@ def _simplex_areas(points: Array, simplices: NDArray[np.int32]) -> Array:
 
 
 def plane_axes(up: Array) -> tuple[Array, Array]:
-    """Return two unit directions (3,) that form a resting pose's frame with `up` as z."""
+    """Return two unit directions (3,) that form a frame together with `up` as z axis, for a resting pose."""
     x = np.asarray(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), dtype=np.float64)
     x /= np.linalg.norm(x)
     return x, np.asarray(np.cross(up, x), dtype=np.float64)
 
 
 def polygon(points: Array, up: Array) -> Array:
-    """Return the support polygon (n, 3) around coplanar points, counterclockwise seen from `up`."""
+    """Return the convex support polygon (n, 3) around coplanar points, counterclockwise when seen
+    from `up`.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     x, y = plane_axes(up)
@@ -102,7 +105,9 @@ def polygon(points: Array, up: Array) -> Array:
 
 
 def margin_of(corners: Array, up: Array, point: Array) -> float:
-    """Return a stability margin: in-plane distance [m] to a polygon's nearest edge, < 0 outside."""
+    """Return the stability margin: the distance [m] in the plane from a point to the nearest polygon edge,
+    negative outside.
+    """
     if len(corners) < 3:
         return -np.inf
     edges = np.roll(corners, -1, axis=0) - corners
@@ -112,7 +117,7 @@ def margin_of(corners: Array, up: Array, point: Array) -> float:
 
 
 def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8) -> Rest | None:
-    """Return the stable resting pose of an object that is nearest to its present orientation.
+    """Return the stable resting pose of an object that is nearest to the object's present orientation.
 
     A stable resting pose is preferred to one on which the object rolls.
 
@@ -133,7 +138,7 @@ def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8)
 
 
 def _rolled(item: CollisionObject, now: Array, nearest: Rest) -> Rest | None:
-    """Return the stable resting pose of a rolling body: a sphere, lying cylinder or capsule.
+    """Return the stable resting pose of a body that rolls: a sphere, or a lying cylinder or capsule.
 
     The body keeps its present orientation. The result is None for other objects.
     """

@@ -21,7 +21,8 @@ Found = tuple[SE3, float, float]
 
 
 def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
-    """Return an object's support surface: the largest flat, upward-facing one; level ones first.
+    """Return the surface of an object that supports other objects: its largest flat, upward-facing face,
+    preferably a level one.
 
     Args:
         steepest: [rad] maximum tilt from the horizontal.
@@ -50,7 +51,9 @@ def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
 
 
 def tilt_of(frame: SE3) -> float:
-    """Return the tilt [rad] of a support surface: the angle between its normal (z) and the vertical."""
+    """Return the tilt [rad] of a support surface, which is the angle between its normal (z) and the
+    vertical.
+    """
     z = frame.rotation.matrix[:, 2]
     return float(np.arctan2(np.hypot(z[0], z[1]), z[2]))
 
@@ -73,7 +76,7 @@ def _level(shape: object, T: SE3) -> Iterator[Found]:
 
 
 def _level_end(shape: Box | Cylinder, T: SE3) -> Iterator[Found]:
-    """Yield as support surface the level top face of a box or cylinder, if there is one."""
+    """Yield the level top face of a box or cylinder as a support surface, if there is one."""
     axis = int(np.argmax(np.abs(T.rotation.matrix[2])))
     if abs(T.rotation.matrix[2, axis]) < np.cos(LEVEL) or (isinstance(shape, Cylinder) and axis != 2):
         return
@@ -83,7 +86,7 @@ def _level_end(shape: Box | Cylinder, T: SE3) -> Iterator[Found]:
 
 
 def _level_face(mesh: Mesh, T: SE3) -> Iterator[Found]:
-    """Yield as support surfaces the level faces of a mesh that fill a rectangle along the world's axes."""
+    """Yield the level faces of a mesh that fill a rectangle along the world's axes, as support surfaces."""
     triangles = T.apply(mesh.vertices)[mesh.faces]
     normal, area = _normals(triangles)
     level = (area > 0) & (normal[:, 2] > np.cos(LEVEL))
@@ -100,7 +103,7 @@ def _level_face(mesh: Mesh, T: SE3) -> Iterator[Found]:
 
 # --- tilted surfaces ---
 def _tilted(shape: object, T: SE3) -> Iterator[Found]:
-    """Yield as support surfaces the upward-facing sides of a shape that are not level."""
+    """Yield those upward-facing sides of a shape that are not level, as support surfaces."""
     if isinstance(shape, Box | Cylinder):
         for axis in range(3) if isinstance(shape, Box) else (2,):
             z = T.rotation.matrix[2, axis]
@@ -112,7 +115,7 @@ def _tilted(shape: object, T: SE3) -> Iterator[Found]:
 
 
 def _tilted_faces(mesh: Mesh, T: SE3) -> Iterator[Found]:
-    """Yield as support surfaces the tilted planar faces of a mesh that fill a rectangle."""
+    """Yield the tilted planar faces of a mesh that fill a rectangle, as support surfaces."""
     triangles = T.apply(mesh.vertices)[mesh.faces]
     normal, area = _normals(triangles)
     left = (area > 0) & (normal[:, 2] > np.cos(UPWARD)) & (normal[:, 2] < np.cos(LEVEL))
@@ -133,7 +136,9 @@ def _tilted_faces(mesh: Mesh, T: SE3) -> Iterator[Found]:
 
 
 def _along_an_edge(corners: Array, normal: Array) -> Array:
-    """Return the edge direction (3,) of a support face's smallest rectangle around points (n, 3)."""
+    """Return the direction (3,) of an edge of the smallest rectangle around the points (n, 3) of a support
+    face.
+    """
     ring = polygon(corners, normal)
     best, least = ring[1] - ring[0], np.inf
     for edge in np.roll(ring, -1, axis=0) - ring:
@@ -146,7 +151,7 @@ def _along_an_edge(corners: Array, normal: Array) -> Array:
 
 # --- common helpers ---
 def _side(shape: Box | Cylinder, T: SE3, axis: int, sign: float, normal: Array) -> Found:
-    """Return a support face: the face of a box or cylinder at one end of an axis."""
+    """Return the face of a box or cylinder at one end of an axis, as a possible support."""
     x, y = [k for k in range(3) if k != axis]
     half = shape.half_extents
     scale = 1 / np.sqrt(2) if isinstance(shape, Cylinder) else 1.0  # inscribed square of the circle
@@ -158,7 +163,9 @@ def _side(shape: Box | Cylinder, T: SE3, axis: int, sign: float, normal: Array) 
 
 
 def _normals(triangles: Array) -> tuple[Array, Array]:
-    """Return unit normals (n, 3) and areas (n,) [m^2] of triangles (n, 3, 3), to find support faces."""
+    """Return the unit normals (n, 3) and areas (n,) [m^2] of triangles (n, 3, 3), to find faces that support
+    objects.
+    """
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     double = np.linalg.norm(across, axis=1)
     return across / np.maximum(double, 1e-300)[:, None], double / 2

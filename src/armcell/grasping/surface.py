@@ -37,7 +37,7 @@ NEIGHBORS = 16  # neighbors used for a cloud point's normal
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """An object's outer surface in its frame, as triangles and as points with normals.
+    """Outer surface of an object in the object's frame, as triangles and as points with normals.
 
     Normals point outwards as far as the shapes define it.
     """
@@ -57,7 +57,7 @@ _kept: OrderedDict[tuple, Surface] = OrderedDict()
 
 
 def surface_of(item: CollisionObject) -> Surface:
-    """Return the outer surface of an object, cached by its shapes.
+    """Return the outer surface of an object. It is cached by the object's shapes.
 
     Raises:
         InputError: the object is a plane or an empty point cloud and cannot be grasped.
@@ -72,7 +72,7 @@ def surface_of(item: CollisionObject) -> Surface:
 
 
 def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
-    """Return the surface of a point cloud (n, 3) [m], with normals of locally fitted planes.
+    """Return the surface of a point cloud (n, 3) [m], with normals from planes fitted locally to the points.
 
     Normals point away from the cloud's center, because a cloud seen from one side is a shell.
 
@@ -150,7 +150,9 @@ def _areas(triangles: Array) -> Array:
 
 
 def _sampled(triangles: Array, count: int) -> tuple[Array, Array]:
-    """Sample about `count` surface points with normals on triangles, evenly by area, with all corners."""
+    """Sample about `count` surface points with normals on triangles, evenly by area; all corners are
+    included.
+    """
     areas = _areas(triangles)
     triangles, areas = triangles[areas > 0], areas[areas > 0]
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
@@ -169,7 +171,7 @@ def _sampled(triangles: Array, count: int) -> tuple[Array, Array]:
 
 
 def _inside(shape: Shape, points: Array) -> NDArray[np.bool_]:
-    """Return a mask of the surface points that are well inside another convex shape of the object.
+    """Return a mask of the surface points that are well inside another convex shape of the same object.
 
     The mask of a non-convex mesh is False.
     """
@@ -187,7 +189,8 @@ def _inside(shape: Shape, points: Array) -> NDArray[np.bool_]:
 
 
 def triangles_of(shape: Shape) -> Array:
-    """Return the surface triangles (t, 3, 3) [m] of a shape in its frame, counterclockwise from outside.
+    """Return the surface triangles (t, 3, 3) [m] of a shape in its own frame, counterclockwise seen from
+    outside.
 
     Raises:
         InputError: the shape is a plane or a cloud.
@@ -228,7 +231,7 @@ def _arc(radius: float, z: float, start: float, end: float, steps: int) -> list[
 
 
 def _revolved(profile: list[tuple[float, float]]) -> Array:
-    """Return the triangles of a surface of revolution about z, given its profile (radius, z).
+    """Return the triangles of a surface of revolution about z, which is given by its profile (radius, z).
 
     The profile runs from bottom to top.
     """

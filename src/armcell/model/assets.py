@@ -34,7 +34,7 @@ _UNIT = re.compile(rb"""<unit\b[^>]*\bmeter=["']([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9
 
 
 def installed_share() -> list[Path]:
-    """Return the folders of robot assets (descriptions, meshes) that pip installed.
+    """Return the folders with robot descriptions and meshes (robot assets) that pip has installed.
 
     `example-robot-data`, for example, installs its files into `cmeel.prefix/share` of a `sys.path` entry.
     """
@@ -48,7 +48,7 @@ _PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
 
 @dataclass(frozen=True)
 class FoundPackage:
-    """A ROS package of robot assets (meshes) that was found on disk.
+    """ROS package that contains meshes or other robot assets and was found on disk.
 
     Attributes:
         folder: folder where the search found the package.
@@ -61,7 +61,9 @@ class FoundPackage:
 
 
 def search_folders() -> list[Path]:
-    """Return the search path of robot assets: ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, pip's folders."""
+    """Return the folders in which robot assets are searched: those in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH,
+    and pip's folders.
+    """
     named = [
         Path(entry)
         for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
@@ -72,12 +74,15 @@ def search_folders() -> list[Path]:
 
 
 def package_above(path: Path) -> Path | None:
-    """Return the package folder above `path` for robot assets in `package://` URIs, or None."""
+    """Return the package folder above `path`, which a `package://` URI of a robot asset can refer to, or
+    None.
+    """
     return next((folder for folder in path.parents if (folder / PACKAGE_FILE).is_file()), None)
 
 
 def find_package(package: str, base: Path) -> FoundPackage:
-    """Find the package of a robot asset's `package://` URI near `base`, in the search path, or in pip.
+    """Find the package that the `package://` URI of a robot asset names: near `base`, in the search path, or
+    in pip's folders.
 
     The search starts with the folders above and beside `base`. There, only a folder with a package.xml counts
     as a package; otherwise a file below /home/me could claim /home as its package.
@@ -102,7 +107,8 @@ def find_package(package: str, base: Path) -> FoundPackage:
 
 
 def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
-    """Yield the candidate folders of the package in a robot asset's `package://` URI, nearest first.
+    """Yield the folders that may be the package named by the `package://` URI of a robot asset, nearest
+    first.
 
     Each folder comes with a flag: whether it is from the ROS search path or from pip's folders.
     """
@@ -129,7 +135,7 @@ def _package_name(folder: Path) -> str | None:
 
 
 def find_file(uri: str) -> Path:
-    """Return the path of an existing robot asset, given as a `package://` URI or a path.
+    """Return the path of an existing robot asset, which is given as a `package://` URI or a path.
 
     Relative paths start from the current folder.
 
@@ -140,7 +146,7 @@ def find_file(uri: str) -> Path:
 
 
 def resolve_uri(uri: str, base: Path) -> Path:
-    """Resolve the `package://` URI of a mesh or other robot asset to an existing file.
+    """Return the existing file to which the `package://` URI of a mesh or another robot asset refers.
 
     The function searches for `package://pkg/rest` in the packages above and beside `base`, in
     ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among the robot descriptions installed by pip. Other URIs are
@@ -187,7 +193,8 @@ def _checked(path: Path) -> Path:
 
 
 def _scale_to_meters(path: Path, scale: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Multiply a mesh's scale (3,) by the length unit [m] of a COLLADA file, as RViz and Gazebo do.
+    """Multiply the scale (3,) of a mesh by the length unit [m] that its COLLADA file declares, as RViz and
+    Gazebo do.
 
     Other formats have no unit: their numbers are meters.
     """
@@ -203,7 +210,7 @@ def _scale_to_meters(path: Path, scale: tuple[float, float, float]) -> tuple[flo
 
 @lru_cache(maxsize=256)
 def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Mesh:
-    """Load a robot asset's mesh file as one triangle mesh [m], with duplicate vertices merged.
+    """Load the mesh file of a robot asset as one triangle mesh [m]. Duplicate vertices are merged.
 
     Args:
         path: mesh file (STL, OBJ, DAE, GLB, GLTF, PLY or OFF).
@@ -228,7 +235,7 @@ def load_mesh(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -
 def _read_mesh(
     path: Path, scale: tuple[float, float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Read the vertices (v, 3) [m] and faces (f, 3) of a robot asset's mesh file."""
+    """Read the vertices (v, 3) [m] and faces (f, 3) from the mesh file of a robot asset."""
     import trimesh  # imported late, here and below: the import takes 0.5 s, which only new meshes need
 
     try:
@@ -249,7 +256,8 @@ def _read_mesh(
 def _sound(
     vertices: ArrayLike, faces: ArrayLike, scale: tuple[float, float, float], path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Check a robot asset's mesh arrays; return scaled vertices (v, 3) [m] and faces (f, 3).
+    """Check the arrays of a mesh that was read from a robot's asset file, and return the scaled vertices
+    (v, 3) [m] and the faces (f, 3).
 
     The mesh libraries do not check the arrays that they read.
 
@@ -282,7 +290,7 @@ DEFAULT_COLOR: Color = (0.75, 0.75, 0.77, 1.0)
 def load_visual_parts(
     path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> tuple[tuple[Mesh, Color], ...]:
-    """Load a robot asset's visual mesh file as one mesh [m] and RGBA color (0..1) per material.
+    """Load the visual mesh file of a robot asset as one mesh [m] with an RGBA color (0..1) for each material.
 
     Raises:
         InputError: the file is not readable as a mesh or has no triangles.
@@ -308,7 +316,9 @@ def load_visual_parts(
 
 
 def _own_color(part: trimesh.Trimesh) -> Color:
-    """Return a robot asset mesh's RGBA color from its material, or the mean of its face colors."""
+    """Return the RGBA color of a mesh from a robot asset: that of its material, or the mean color of its
+    faces.
+    """
     source = getattr(part.visual, "material", None) or part.visual
     rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)
     if rgba.shape != (4,):

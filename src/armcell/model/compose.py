@@ -11,7 +11,7 @@ from armcell.model.robot import EndEffector, Group, Joint, Link, Mimic, MjcfPart
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Part: one robot to be composed with others: its model, its name prefix and its mounting pose.
+    """One robot to be composed with others, given by its model, name prefix and mounting pose.
 
     `parent_link` is "world" or a link of an earlier part; `T_parent_root` is the pose of this part's root
     link in the frame of `parent_link`.
@@ -24,7 +24,9 @@ class Part:
 
 
 def prefixed(model: RobotModel, prefix: str) -> RobotModel:
-    """Return a robot to compose with `prefix` before every link, joint, group and gripper name."""
+    """Return a robot model with `prefix` before the name of every link, joint, group and gripper, so that it
+    can be composed with others.
+    """
     if not prefix:
         return model
     p = lambda name: None if name is None else prefix + name  # noqa: E731
@@ -83,7 +85,7 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
 
 
 def compose(name: str, parts: Sequence[Part]) -> RobotModel:
-    """Compose several robots into one; each is mounted on the world or on an earlier robot.
+    """Compose several robots into one model. Each robot is mounted on the world or on an earlier robot.
 
     Raises:
         InputError: `parts` is empty, or two parts share a link, joint or group name (use prefixes).

@@ -11,7 +11,7 @@ from armcell.model.robot import Group, RobotModel
 
 
 def with_composites(model: RobotModel, groups: Any, states: Any, file: Path) -> RobotModel:
-    """Return the robot with composite planning groups and named states from robot.yaml.
+    """Return the robot with the composite planning groups and the named states that robot.yaml defines.
 
     If all members of a composite group have a named state of the same name, the composite group gets that
     state, too.

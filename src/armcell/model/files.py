@@ -25,7 +25,7 @@ MAX_KEY_DIGITS = 18  # longest integer key: an attacker can choose larger keys w
 
 
 class SafeLoader(yaml.CSafeLoader):
-    """YAML loader of untrusted plain data, which rejects integer keys with more than 18 digits.
+    """YAML loader for plain data from untrusted files. It rejects integer keys with more than 18 digits.
 
     An attacker can choose large integer keys with equal hashes, which makes a dictionary slow to build.
     """
@@ -39,7 +39,7 @@ class SafeLoader(yaml.CSafeLoader):
 
 
 class _Loader(SafeLoader):
-    """YAML loader of untrusted files with YAML 1.2 booleans, which rejects duplicate keys.
+    """YAML loader for untrusted files. It reads booleans as in YAML 1.2 and rejects duplicate keys.
 
     Only `true` and `false` (also capitalized) are booleans, so a key named `on` stays a string. Plain YAML
     loaders keep the last of two equal keys without a warning.
@@ -66,7 +66,7 @@ _Loader.add_implicit_resolver(
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
-    """Read an untrusted UTF-8 file safely and return its text.
+    """Return the text of a UTF-8 file, read safely even if the file is untrusted.
 
     Raises:
         InputError: the file is missing, a folder, larger than `limit` bytes or not UTF-8.
@@ -93,7 +93,7 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
 
 
 class Bounded:
-    """Wrapper of an untrusted binary file that never requests more bytes from the file than it has left.
+    """Wrapper around an untrusted binary file that never tries to read more bytes than the file has left.
 
     A corrupt file can declare a length of gigabytes, and the ordinary `read` allocates that much memory
     before it reads.
@@ -111,7 +111,7 @@ class Bounded:
 
 
 def parse_xml(text: str, file: Path | str) -> etree._Element:
-    """Parse untrusted XML text safely and return its root element.
+    """Parse XML text safely even if it is untrusted, and return its root element.
 
     `docinfo.URL` of the element's tree contains the file name.
 
@@ -135,7 +135,7 @@ def parse_xml(text: str, file: Path | str) -> etree._Element:
 
 
 def check_yaml_events(text: str, path: Path) -> None:
-    """Reject YAML text with deep nesting or many aliases, which is expensive to load.
+    """Reject YAML text that is expensive to load because it has deep nesting or many aliases.
 
     Raises:
         InputError: more than 50 aliases ("billion laughs" attack), or more than 64 nesting levels.
@@ -155,7 +155,7 @@ def check_yaml_events(text: str, path: Path) -> None:
 
 
 def yaml_value(text: str) -> Any:
-    """Parse one YAML value from a string, safely, by the same rules as for YAML files.
+    """Parse one YAML value from a string safely, by the same rules as for YAML files.
 
     Raises:
         yaml.YAMLError: `text` is not valid YAML.
@@ -164,7 +164,7 @@ def yaml_value(text: str) -> Any:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read safely a YAML file whose top level is a mapping.
+    """Read a YAML file safely. Its top level must be a mapping.
 
     Raises:
         InputError: the file is missing, not YAML (with the line), not a mapping, or uses too many aliases.

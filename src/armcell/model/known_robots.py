@@ -15,7 +15,7 @@ ROBOT_FILE = "robot.yaml"
 
 @dataclass(frozen=True)
 class KnownRobot:
-    """A robot of armcell's library, with the source of its description.
+    """A robot in armcell's library, with the source of its description.
 
     Attributes:
         source: maker, model, and origin of the description with its license.
@@ -30,7 +30,9 @@ class KnownRobot:
 
     @property
     def hint(self) -> str:
-        """Return how to get the ROS package with the robot's description; empty if it is present."""
+        """Return a hint on how to get the ROS package with the robot's description; empty if it is
+        present.
+        """
         if self.package is None or not self.description:
             return ""
         return f"get {self.package} from {self.description} and pass --package {self.package}=FOLDER"
@@ -42,12 +44,12 @@ def robot_names() -> list[str]:
 
 
 def installed_robots() -> list[str]:
-    """Return the names of the library robots whose descriptions are on this machine."""
+    """Return the names of those library robots whose descriptions are present on this machine."""
     return [name for name in robot_names() if known_robot(name).package is None]
 
 
 def known_robot(name: str) -> KnownRobot:
-    """Return a library robot's entry by name, without loading the robot's model."""
+    """Return the entry of a robot in the library by name, without loading the robot's model."""
     folder = LIBRARY / name
     data = read_yaml(folder / ROBOT_FILE)
     about = str(data.get("source", "")), str(data.get("description", ""))

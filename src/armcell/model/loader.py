@@ -51,7 +51,7 @@ def load_robot(
     allow_env: bool | None = None,
     xacro_args: XacroArgs = None,
 ) -> RobotModel:
-    """Load a robot model (`load_robot`) from the library, a folder, or a URDF, xacro or MJCF file.
+    """Load a robot model from the library, from a folder, or from a URDF, xacro or MJCF file.
 
     Args:
         robot: a library name (see `robot_names()`), a folder with robot.yaml, a MoveIt configuration package,
@@ -91,14 +91,16 @@ def _load_file(path: Path, allow_env: bool | None, xacro_args: XacroArgs) -> Rob
 
 
 def is_mjcf(path: Path) -> bool:
-    """Return whether a robot file to load is MJCF: suffix .mjcf, or .xml with the root element <mujoco>."""
+    """Return whether a robot file is MJCF: its suffix is .mjcf, or it is an .xml file with the root element
+    <mujoco>.
+    """
     if path.suffix.lower() != ".xml":
         return path.suffix.lower() == ".mjcf"
     return parse_xml(read_text(path), path).tag == "mujoco"
 
 
 def load_mjcf_file(path: Path) -> RobotModel:
-    """Load a robot model from an MJCF file and disable collision checks of adjacent links.
+    """Load a robot model from an MJCF file. Collision checks between adjacent links are disabled.
 
     Adjacent links share a joint. See also `load_mjcf`.
     """
@@ -108,7 +110,7 @@ def load_mjcf_file(path: Path) -> RobotModel:
 
 
 def with_keyframes(model: RobotModel) -> RobotModel:
-    """Return a loaded robot with MJCF's keyframes as named states of its planning groups.
+    """Return a loaded robot with the keyframes of its MJCF file as named states of its planning groups.
 
     The positions are clipped to the joint limits.
 
@@ -175,7 +177,9 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
 
 
 def _with_frames(model: RobotModel, frames: Any, file: Path) -> RobotModel:
-    """Load the frames of robot.yaml into the robot: `{name: {parent_link: LINK, pose: POSE}}`."""
+    """Return the robot with the additional frames that robot.yaml gives as
+    `{name: {parent_link: LINK, pose: POSE}}`.
+    """
     if not isinstance(frames, dict):
         raise InputError("is not a mapping", file=file, element="frames")
     for name, entry in frames.items():
@@ -192,7 +196,7 @@ def _with_frames(model: RobotModel, frames: Any, file: Path) -> RobotModel:
 
 
 def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
-    """Return a loaded robot with the IK solvers that robot.yaml names for its planning groups."""
+    """Return a loaded robot with the IK solvers that robot.yaml assigns to its planning groups."""
     if not isinstance(names, dict) or not all(isinstance(name, str) for name in names.values()):
         raise InputError("is not a mapping of groups to solver names", file=file, element="ik_solvers")
     for group in names:
@@ -203,7 +207,9 @@ def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:
-    """Return the part of a loaded robot from a link down, for example without a URDF's "world" link."""
+    """Return a loaded robot without the links above a given link, for example without the link "world" of a
+    URDF.
+    """
     keep = set(model.subtree(link))
     return replace(
         model,
@@ -214,7 +220,7 @@ def rerooted(model: RobotModel, link: str) -> RobotModel:
 
 
 def with_adjacent_disabled(model: RobotModel) -> RobotModel:
-    """Return a loaded robot with collision checks disabled between links that share a joint.
+    """Return a loaded robot with collision checks disabled between links that a joint connects.
 
     A robot without an SRDF needs at least these pairs, because adjacent links touch at their joint.
     """
@@ -223,7 +229,8 @@ def with_adjacent_disabled(model: RobotModel) -> RobotModel:
 
 
 def xacro_texts(value: Any, file: Path) -> dict[str, str]:
-    """Convert a loaded robot's xacro arguments from YAML values to texts; booleans become `true` and `false`.
+    """Convert the xacro arguments of a robot to load from YAML values to text. Booleans become `true` and
+    `false`.
 
     Raises:
         InputError: `value` is not a mapping of names to numbers, texts or booleans.
@@ -274,7 +281,7 @@ def _part_robot(robot: str, folder: Path, file: Path, allow_env: bool | None) ->
 
 
 def _curve(rows: Any, where: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Load a gripper's curve: check rows of joint position, width, y, z; monotonic from closed to open."""
+    """Check the rows of a gripper's curve: joint position, width, y and z, monotonic from closed to open."""
     try:
         table = np.array(rows, dtype=float)
         fits = table.ndim == 2 and table.shape[0] >= 2 and table.shape[1] == 4 and np.isfinite(table).all()

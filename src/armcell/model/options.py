@@ -20,7 +20,7 @@ _NAME = re.compile(r"[^\s:=]+")
 
 
 def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, str]:
-    """Parse xacro argument options such as `dof:=7` into a mapping.
+    """Parse options for xacro arguments, such as `dof:=7`, into a mapping.
 
     Args:
         separator: ":=" or "=".
@@ -40,12 +40,14 @@ def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, st
 
 
 def set_xacro_args(words: Iterable[str]) -> None:
-    """Set the option xacro arguments `name:=value` for all robot files of this process and children."""
+    """Set xacro arguments from the options `name:=value`, for all robot files that this process and its
+    children load.
+    """
     _put(XACRO_ARGS, assignments(words, ":=", "--xacro-arg"))
 
 
 def set_packages(words: Iterable[str]) -> None:
-    """Set the option ROS package folders, `name=folder`, for this process and its children.
+    """Set the folders of ROS packages, given as options `name=folder`, for this process and its children.
 
     Raises:
         InputError: a folder does not exist.
@@ -61,7 +63,7 @@ def set_packages(words: Iterable[str]) -> None:
 
 
 def xacro_args(own: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return a robot file's xacro arguments, overridden by the command line's options."""
+    """Return the xacro arguments of a robot file. Options on the command line take precedence."""
     return {**(own or {}), **_read(XACRO_ARGS)}
 
 

@@ -35,7 +35,9 @@ class Collision:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """A robot link's visual geometry: a mesh file, loaded when it is drawn, or a primitive shape."""
+    """Visual geometry of a robot link: a mesh file, which is loaded when the link is drawn, or a primitive
+    shape.
+    """
 
     T_link_visual: SE3
     shape: Shape | None = None
@@ -55,7 +57,7 @@ class Link:
 @dataclass(frozen=True)
 @checked("lower", "upper", "velocity", "acceleration", "jerk", "effort")
 class JointLimits:
-    """Limits of one robot joint: position [rad or m], velocity, acceleration, jerk, effort [Nm or N]."""
+    """Limits of a robot joint: position [rad or m], velocity, acceleration, jerk and effort [Nm or N]."""
 
     lower: float = -np.inf
     upper: float = np.inf
@@ -68,7 +70,9 @@ class JointLimits:
 @dataclass(frozen=True)
 @checked()
 class Mimic:
-    """Mimic rule of a robot joint: `position = multiplier * position(other joint) + offset`."""
+    """Rule by which a mimic joint of a robot follows another: `position = multiplier * position(other joint)
+    + offset`.
+    """
 
     joint: str
     multiplier: float = 1.0
@@ -78,7 +82,7 @@ class Mimic:
 @dataclass(frozen=True)
 @checked()
 class Servo:
-    """Gains of a robot joint's position servo: force = kp (target - q) + kv (target speed - speed)."""
+    """Gains of the position servo of a robot joint: force = kp (target - q) + kv (target speed - speed)."""
 
     kp: float  # [Nm/rad or N/m]
     kv: float = 0.0  # [Nm s/rad or N s/m]
@@ -105,7 +109,7 @@ class MjcfPart:
     states: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False, compare=False)
 
     def prefixed(self, prefix: str) -> MjcfPart:
-        """Return a copy of a robot model's MJCF part with `prefix` before every name."""
+        """Return a copy of the MJCF part of a robot model with `prefix` before every name."""
         return replace(
             self,
             root=prefix + self.root,
@@ -118,7 +122,7 @@ class MjcfPart:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Joint:
-    """A robot's joint between two links: fixed, or with one degree of freedom.
+    """Joint between two links of a robot. It is fixed or has one degree of freedom.
 
     The movable types are revolute, continuous and prismatic.
     """
@@ -146,7 +150,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Group:
-    """Planning group of a robot model: its actuated joints, its links, and its base and tip link.
+    """Planning group of a robot model, with its actuated joints, its links, and its base and tip link.
 
     Attributes:
         ik_solver: name of the inverse kinematics solver; empty: armcell chooses one.
@@ -162,7 +166,7 @@ class Group:
 
 @dataclass(frozen=True)
 class EndEffector:
-    """End effector of a robot model (from the SRDF): a gripper group mounted on a link of the robot.
+    """End effector of a robot model, as in the SRDF: a gripper group that is mounted on a link of the robot.
 
     Attributes:
         group: planning group of the gripper.
@@ -179,7 +183,7 @@ class EndEffector:
 @dataclass(frozen=True)
 @checked()
 class Gripper:
-    """A robot's gripper with two jaws that close along the y axis of the tcp frame.
+    """Gripper of a robot with two jaws that close along the y axis of the tcp frame.
 
     The z axis of the tcp frame points out of the hand, between the fingertips. `width` [m] is the gap between
     the finger pads. With sliding fingers, `width = width_per_joint * q + width_offset`, with `q` the position
@@ -206,31 +210,31 @@ class Gripper:
 
     @cached_property
     def _table(self) -> Array:
-        """Return the columns (4, k) of the `curve` of a robot's gripper."""
+        """Return the `curve` of a robot's gripper as columns (4, k)."""
         return np.array(self.curve, dtype=float).reshape(-1, 4).T
 
     def joint_position(self, width: float) -> float:
-        """Return the position of a robot gripper's driven joint for a gap [m] between the pads."""
+        """Return the position of the joint that drives a robot's gripper for a gap [m] between the pads."""
         if self.curve:
             return float(np.interp(width, self._table[1], self._table[0]))
         return (width - self.width_offset) / self.width_per_joint
 
     def width(self, joint_position: float) -> float:
-        """Return the gap [m] between a robot gripper's pads for a position of the driven joint."""
+        """Return the gap [m] between the pads of a robot's gripper at a position of the driven joint."""
         if self.curve:
             ways = np.sign(self._table[0, -1] - self._table[0, 0])
             return float(np.interp(ways * joint_position, ways * self._table[0], self._table[1]))
         return joint_position * self.width_per_joint + self.width_offset
 
     def center(self, width: float) -> SE3:
-        """Return T_tcp_center, the grip center of a robot's gripper at a gap [m] between the pads."""
+        """Return T_tcp_center, the center of the grip of a robot's gripper at a gap [m] between the pads."""
         if not self.curve:
             return SE3.identity()
         return SE3.from_xyz(0.0, *(float(np.interp(width, self._table[1], self._table[k])) for k in (2, 3)))
 
     def grip_center(self, width: float, opening: float) -> SE3:
-        """Return a robot gripper's T_tcp_center for an object `width` [m] wide, approached with `opening`
-        [m].
+        """Return T_tcp_center of a robot's gripper for an object `width` [m] wide that it approaches with
+        `opening` [m].
 
         A single moving jaw approaches with the object centered between the jaws.
         """
@@ -239,7 +243,7 @@ class Gripper:
 
     @property
     def scale(self) -> float:
-        """Finger travel of a robot's gripper per unit of the driven joint; 1 for symmetric sliding
+        """Finger travel of a robot's gripper per unit of its driven joint; 1 for symmetric sliding
         fingers.
         """
         return abs(self.width_per_joint) / 2
@@ -247,7 +251,8 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """Robot model: tree of links and joints, planning groups, end effectors, allowed collisions.
+    """Model of a robot: its tree of links and joints, its planning groups, end effectors and allowed
+    collisions.
 
     `joint_names` is the canonical order of the actuated joints: depth first from the root, children in file
     order. Every position vector `q` without names has this order.
@@ -272,17 +277,19 @@ class RobotModel:
 
     @cached_property
     def movable_joint_names(self) -> tuple[str, ...]:
-        """Return the names of all robot joints that are not fixed: actuated and mimic joints."""
+        """Return the names of all joints of the robot that are not fixed, which are the actuated and the
+        mimic joints.
+        """
         return tuple(j.name for j in self.joints.values() if j.movable)
 
     @cached_property
     def parent_joint(self) -> Mapping[str, Joint]:
-        """Return a robot model's parent joint of each link by link name; the root link has none."""
+        """Return the parent joint of each link of the robot model, by link name. The root link has none."""
         return {j.child: j for j in self.joints.values()}
 
     @cached_property
     def _column(self) -> Mapping[str, int]:
-        """Return the index of each actuated joint in a robot model's `joint_names`, by joint name."""
+        """Return the index of each actuated joint in `joint_names` of the robot model, by joint name."""
         return {name: i for i, name in enumerate(self.joint_names)}
 
     @property
@@ -305,7 +312,8 @@ class RobotModel:
         return self.groups[name]
 
     def gripper(self, name: str | None = None, arm_group: str | None = None) -> Gripper:
-        """Return a robot model's gripper by name, or the gripper on an arm group, or the only gripper.
+        """Return a gripper of the robot model by its name or by the arm group that carries it, or the only
+        gripper.
 
         Raises:
             UnknownNameError: the robot has no gripper of that name.
@@ -325,7 +333,7 @@ class RobotModel:
         return fitting[0]
 
     def columns(self, joint_names: Iterable[str]) -> list[int]:
-        """Return the indices of the given joints in the robot model's `joint_names`.
+        """Return the indices of the given joints in `joint_names` of the robot model.
 
         Raises:
             UnknownNameError: a name is not an actuated joint of this robot.
@@ -346,7 +354,7 @@ class RobotModel:
         return np.array([self.joints[n].limits.upper for n in self.joint_names])
 
     def limits(self, joint_names: Iterable[str], kind: str) -> Array:
-        """Return a robot model's joint limits of one kind, such as "velocity", for given joints, (n,).
+        """Return the limits (n,) of one kind, such as "velocity", for given joints of the robot model.
 
         Args:
             joint_names: the n joints.
@@ -355,7 +363,9 @@ class RobotModel:
         return np.array([getattr(self.joint(n).limits, kind) for n in joint_names])
 
     def neutral(self) -> Array:
-        """Return a robot model's zero positions (dof,), or mid-range positions if zero is out of limits."""
+        """Return the zero positions (dof,) of the robot model. A joint whose limits exclude zero is at
+        mid-range.
+        """
         low = np.where(np.isfinite(self.lower), self.lower, -np.inf)
         high = np.where(np.isfinite(self.upper), self.upper, np.inf)
         bounded = np.isfinite(low) & np.isfinite(high)
@@ -363,7 +373,7 @@ class RobotModel:
         return np.where((low <= 0) & (high >= 0), 0.0, middle)
 
     def named_state(self, group: str, name: str) -> JointState:
-        """Return a named state of a robot model's planning group (`group_state` in the SRDF).
+        """Return a named state of a planning group in the robot model (`group_state` in the SRDF).
 
         Raises:
             UnknownNameError: the group or the state does not exist.
@@ -375,7 +385,7 @@ class RobotModel:
         return JointState.from_mapping(states[name])
 
     def default_positions(self) -> Array:
-        """Return a robot model's default joint positions [rad or m], (dof,).
+        """Return the default joint positions (dof,) [rad or m] of the robot model.
 
         The positions are `neutral()`, with each group's "home" state applied; a group without "home" uses
         "ready", "default" or "open" instead, if one exists.
@@ -393,7 +403,8 @@ class RobotModel:
     def check_positions(
         self, q: ArrayLike, joint_names: Iterable[str] | None = None, margin: float = 1e-9
     ) -> Array:
-        """Check a robot model's joint positions [rad or m] against the limits; return an array (n,).
+        """Check joint positions [rad or m] against the limits of the robot model and return them as an array
+        (n,).
 
         Args:
             q: the positions.
@@ -419,7 +430,8 @@ class RobotModel:
         return values
 
     def enforce_bounds(self, q: ArrayLike, joint_names: Iterable[str] | None = None) -> Array:
-        """Clip a robot model's joint positions [rad or m]; wrap continuous joints to (-pi, pi].
+        """Clip joint positions [rad or m] to the limits of the robot model. Continuous joints are wrapped to
+        (-pi, pi].
 
         Raises:
             InputError: wrong length or a non-finite value.
@@ -433,7 +445,9 @@ class RobotModel:
         return np.clip(values, self.limits(names, "lower"), self.limits(names, "upper"))
 
     def subtree(self, link: str) -> tuple[str, ...]:
-        """Return the names of a robot model's link and all links below it, the link itself first."""
+        """Return the names of a link of the robot model and of all links below it, starting with the link
+        itself.
+        """
         self.link(link)
         found = [link]
         for joint in self.joints.values():  # one pass is enough: joints are in topological order
@@ -442,7 +456,8 @@ class RobotModel:
         return tuple(found)
 
     def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
-        """Return a robot model's joints on the path from link `base` down to link `tip`, base first.
+        """Return the joints of the robot model on the path from link `base` down to link `tip`, starting at
+        `base`.
 
         Raises:
             InputError: `tip` is not below `base`.
@@ -460,7 +475,7 @@ class RobotModel:
 
     @cached_property
     def rigid_groups(self) -> tuple[frozenset[str], ...]:
-        """Return a robot model's sets of links that fixed joints connect rigidly."""
+        """Return the sets of links in the robot model that fixed joints connect rigidly."""
         of: dict[str, set[str]] = {self.root_link: {self.root_link}}
         for joint in self.joints.values():
             if joint.movable:

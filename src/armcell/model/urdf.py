@@ -32,7 +32,7 @@ def load_urdf(
     home: Path | None = None,
     xacro_args: Mapping[str, str] | None = None,
 ) -> RobotModel:
-    """Load a robot from a URDF or xacro file (`*.xacro`); the result has no planning groups.
+    """Load a robot from a URDF or xacro file. The result has no planning groups.
 
     Args:
         path: the URDF or xacro file.
@@ -69,7 +69,7 @@ def parse_urdf(text: str, file: Path) -> RobotModel:
 
 
 class _Reader:
-    """URDF parser for one file; error messages contain the file name, line and element."""
+    """Parser for one URDF file. Its error messages contain the file name, line and element."""
 
     def __init__(self, file: Path):
         self.file = file
@@ -144,7 +144,7 @@ class _Reader:
         return RobotModel(name=name, root_link=root_link, links=links, joints=ordered, source=str(self.file))
 
     def check_mimic(self, joint: Joint, joints: dict[str, Joint]) -> None:
-        """Check that a URDF mimic joint follows an actuated joint, directly or via other mimic joints.
+        """Check that a mimic joint in a URDF follows an actuated joint, directly or via other mimic joints.
 
         Raises:
             InputError: the followed joint does not exist or is fixed, or mimic joints follow each other in a
@@ -164,7 +164,7 @@ class _Reader:
             source = joints[name]
 
     def tree(self, links: dict[str, Link], joints: dict[str, Joint]) -> tuple[str, dict[str, Joint]]:
-        """Return the root link's name and a URDF robot's joints in depth-first order.
+        """Return the name of the root link and the joints of a URDF robot in depth-first order.
 
         Raises:
             InputError: a link has two parents, there is not exactly one root link, or joints form a loop.
@@ -240,7 +240,7 @@ class _Reader:
         return Inertial(mass, self.origin(element), I)
 
     def check_inertia(self, element: etree._Element, mass: float, inertia: np.ndarray) -> None:
-        """Warn about a URDF inertia matrix that no body of the given mass can have.
+        """Warn about an inertia matrix in a URDF that no body with the given mass can have.
 
         Planning does not need the inertia.
         """
@@ -286,7 +286,7 @@ class _Reader:
         raise self.fail(geometry, "unknown geometry", hint=f"{', '.join(sized)} and mesh exist")
 
     def checked_size(self, geometry: etree._Element, mesh: Mesh) -> Mesh:
-        """Return a URDF link's mesh after checking that its size is plausible in meters."""
+        """Check that the mesh of a URDF link has a plausible size in meters, and return the mesh."""
         size = float(np.ptp(mesh.vertices, axis=0).max())
         if size > LARGEST_LINK:
             hint = 'if its file is in millimeters, add scale="0.001 0.001 0.001"'
@@ -313,7 +313,7 @@ class _Reader:
         return Visual(self.origin(element), shape=self.shape(element), color=color)
 
     def joint(self, element: etree._Element, links: dict[str, Link]) -> list[Joint]:
-        """Convert a URDF joint element to a joint, or to several for a planar or floating joint.
+        """Convert a joint element of a URDF to one joint, or to several for a planar or floating joint.
 
         Massless links connect the joints of such a chain.
         """
@@ -396,7 +396,7 @@ class _Reader:
 
     @staticmethod
     def expanded(joint: Joint, links: dict[str, Link], steps: list[tuple[str, str, tuple]]) -> list[Joint]:
-        """Return the chain of single joints that replaces URDF's planar or floating joint.
+        """Return the chain of single joints that replaces a planar or floating joint of a URDF.
 
         The joints are named `joint/x` and so on, as MoveIt names the variables of a multi-DOF joint. The
         method adds the massless links of the chain to `links`.
@@ -427,7 +427,7 @@ FLOATING_STEPS = [
 
 
 def planar_steps(normal: np.ndarray) -> list[tuple[str, str, tuple]]:
-    """Return the three single joints that replace a URDF's planar joint with a given normal.
+    """Return the three single joints that replace a planar joint of a URDF whose plane has a given normal.
 
     Returns:
         (suffix, type, axis) of two prismatic joints in the plane and one continuous joint about the normal.

@@ -13,7 +13,7 @@ from armcell.model.robot import Joint, Link, RobotModel
 
 
 def urdf_of(model: RobotModel) -> str:
-    """Return a URDF of a robot model: links with visuals and inertia, joints with limits.
+    """Return URDF text for a robot model: its links with visuals and inertia, and its joints with limits.
 
     Mesh paths refer to files on this machine. Collision geometry is limited to boxes, cylinders and spheres;
     collision meshes are omitted, because armcell does the planning.

@@ -24,7 +24,9 @@ _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 @dataclass(eq=False)
 class CameraRecord:
-    """Newest camera images, point clouds and transforms of an MCAP record (bag), by frame."""
+    """Newest camera images, point clouds and transforms in an MCAP file (bag), each by the name of
+    its frame.
+    """
 
     file: Path
     infos: dict[str, Pinhole] = field(default_factory=dict)
@@ -34,7 +36,7 @@ class CameraRecord:
     transforms: dict[str, tuple[str, SE3]] = field(default_factory=dict)  # child -> parent, T_parent_child
 
     def pose(self, frame: str) -> SE3:
-        """Return the pose T_world_frame of a frame in an MCAP bag of camera data.
+        """Return the pose T_world_frame of a frame according to the transforms in an MCAP bag of camera data.
 
         The world is the root of the transform tree.
         """
@@ -46,7 +48,7 @@ class CameraRecord:
         return T
 
     def image(self, frame: str | None = None) -> CameraImage:
-        """Return the newest image of a camera in an MCAP bag, by frame.
+        """Return the newest image in an MCAP bag of the camera that has a given frame.
 
         By default, the camera is the only one.
 
@@ -73,7 +75,7 @@ class CameraRecord:
 
 
 def load_record(path: str | Path) -> CameraRecord:
-    """Read camera images and clouds from an MCAP bag of ROS 2 messages.
+    """Read camera images and point clouds from an MCAP bag with ROS 2 messages.
 
     Raises:
         InputError: the file is not MCAP or is truncated, or an image's data do not match its size.
@@ -116,7 +118,7 @@ def _image(found: CameraRecord, m: Any) -> None:
 
 
 def depth_pixels(m: Any) -> NDArray[np.float32]:
-    """Return the depths (h, w) [m] of a bag's sensor_msgs/Image; 0 for missing values.
+    """Return the depths (h, w) [m] of a sensor_msgs/Image message from a bag; 0 where the depth is missing.
 
     Raises:
         InputError: the encoding has no depth, or the data do not match the size.
@@ -158,7 +160,7 @@ def _cloud(found: CameraRecord, m: Any) -> None:
 
 
 def cloud_points(m: Any) -> F64:
-    """Return the points (n, 3) [m] of a bag's sensor_msgs/PointCloud2; NaN for missing points.
+    """Return the points (n, 3) [m] of a sensor_msgs/PointCloud2 message from a bag; NaN for missing points.
 
     Raises:
         InputError: x, y or z is missing, or the data do not match the size.

@@ -23,13 +23,15 @@ class CameraInfo:
     pinhole: Pinhole
 
     def rectified(self) -> Pinhole:
-        """Return a calibrated camera's intrinsics without distortion, for rectified images."""
+        """Return the intrinsics of a calibrated camera without distortion, which apply to rectified
+        images.
+        """
         p = self.pinhole
         return Pinhole(p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
 
 def load_camera_info(path: str | Path) -> CameraInfo:
-    """Load a camera calibration file of ROS's `cameracalibrator` or image_transport.
+    """Load a camera calibration file as written by ROS's `cameracalibrator` or read by image_transport.
 
     Raises:
         InputError: a key is missing or has the wrong size, or the distortion model is not plumb_bob.
@@ -74,7 +76,7 @@ def load_camera_info(path: str | Path) -> CameraInfo:
 
 
 def save_camera_info(path: str | Path, name: str, pinhole: Pinhole) -> None:
-    """Write a camera calibration file that ROS and `load_camera_info` can read."""
+    """Write a camera calibration file that both ROS and `load_camera_info` can read."""
     p = pinhole
     d = [*p.distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
 
@@ -95,7 +97,8 @@ def save_camera_info(path: str | Path, name: str, pinhole: Pinhole) -> None:
 
 
 def rectified(image: CameraImage) -> CameraImage:
-    """Rectify by a camera calibration: return an image without lens distortion, with the same focal length.
+    """Return a camera image with its lens distortion removed by the camera calibration, at the same focal
+    length.
 
     The distortion model is Brown's, as in OpenCV.
 

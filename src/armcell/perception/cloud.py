@@ -13,7 +13,7 @@ F64 = NDArray[np.float64]
 
 
 def meters(depth: ArrayLike) -> F32:
-    """Convert a depth image (h, w) to meters, with 0 for pixels without depth, for a point cloud.
+    """Convert a depth image (h, w) to meters, with 0 where depth is missing, as input for a point cloud.
 
     Integers are millimeters (ROS's 16UC1).
     """
@@ -25,7 +25,7 @@ def meters(depth: ArrayLike) -> F32:
 
 
 def organized(depth: ArrayLike, pinhole: Pinhole) -> F64:
-    """Convert to the organized point cloud (h, w, 3) [m, camera frame] of a depth image.
+    """Convert a depth image to an organized point cloud (h, w, 3) [m, camera frame].
 
     Pixels without depth yield NaN.
     """

@@ -17,7 +17,9 @@ DARK, BRIGHT = 0.2, 0.75  # HSV value limits of black and white
 
 
 def color_name(rgb: Sequence[float]) -> str:
-    """Return the nearest of `HUES`, or black, grey or white, for an RGB color in 0..1."""
+    """Return the name of the color in `HUES`, or black, grey or white, that is nearest to an RGB color in
+    0..1.
+    """
     hue, saturation, value = colorsys.rgb_to_hsv(*_rgb(rgb).tolist())
     if value < DARK:
         return "black"
@@ -31,7 +33,7 @@ def _rgb(color: Sequence[float]) -> NDArray[np.float64]:
 
 
 def color_distance(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the distance of two colors, 0 to 1, independent of brightness.
+    """Return the distance between two colors from 0 to 1. It does not depend on brightness.
 
     The distance is half the sum of the differences of their red, green and blue fractions. Brightness is left
     out because it depends on the lighting.

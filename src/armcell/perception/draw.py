@@ -21,7 +21,7 @@ _AXES = ((235, 50, 50), (50, 190, 50), (60, 90, 250))
 def drawn(
     image: CameraImage, sight: Sight | None = None, markers: tuple[SeenMarker, ...] = ()
 ) -> NDArray[np.uint8]:
-    """Return the image (h, w, 3) with perceived objects and markers drawn into it.
+    """Return the image (h, w, 3) with the perceived objects and markers drawn over it.
 
     Objects of the scene are green, fitted boxes, cylinders and spheres orange. Without color, the image shows
     the depth (near is bright).
@@ -63,7 +63,9 @@ def _background(image: CameraImage) -> NDArray[np.uint8]:
 
 @lru_cache(maxsize=64)
 def _edges(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
-    """Return the ends (n, 2, 3) of a drawn object's sharp edges, or of some edges of a smooth mesh."""
+    """Return the end points (n, 2, 3) of an object's sharp edges, or of some mesh edges if it is smooth, to
+    draw the object.
+    """
     import trimesh
 
     mesh = surface_mesh(shapes)

@@ -23,7 +23,7 @@ _SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 
 def save_image(path: str | Path, image: CameraImage) -> list[Path]:
-    """Write a camera image with depth as NAME.yaml, NAME_rgb.png and NAME_depth.png; return the files.
+    """Write a camera image with depth as NAME.yaml, NAME_rgb.png and NAME_depth.png, and return these files.
 
     Depth is rounded to millimeters, up to 65 m.
     """
@@ -54,7 +54,7 @@ def load_image(
     depth: str | Path | None = None,
     T_world_camera: SE3 | None = None,
 ) -> CameraImage:
-    """Load a camera image from its camera info, color and depth files, and rectify the image.
+    """Load a camera image from the files of its camera info, color and depth, and rectify it.
 
     Args:
         info: NAME.yaml. Without `rgb` and `depth`, NAME_rgb.png and NAME_depth.png are used.
@@ -87,12 +87,12 @@ def load_image(
 
 
 def load_rgb(path: str | Path) -> NDArray[np.uint8]:
-    """Load the colors (h, w, 3) uint8 of a camera image file."""
+    """Load the colors (h, w, 3) uint8 of a camera image from a file."""
     return np.asarray(_opened(path).convert("RGB"), dtype=np.uint8)
 
 
 def load_depth(path: str | Path) -> NDArray[np.float32]:
-    """Load a depth image (h, w) [m] from a file: 16-bit PNG in millimeters or .npy in meters."""
+    """Load a depth image (h, w) [m] from a file: a 16-bit PNG in millimeters or an .npy file in meters."""
     file = Path(path)
     if file.suffix.lower() == ".npy":
         try:
@@ -132,7 +132,8 @@ def _opened(path: str | Path):
 
 
 def cloud_image(points: F64, T_world_camera: SE3, name: str = "cloud") -> CameraImage:
-    """Render a cloud file's points (n, 3) [m, world] as depth image of a camera that sees all of them.
+    """Render the points (n, 3) [m, world frame] of a cloud file as the depth image of a camera that sees all
+    of them.
 
     Raises:
         InputError: no points are in front of the camera.

@@ -30,7 +30,7 @@ _LEAST = 0.002  # [m] smallest size of a fitted solid
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Camera evidence for a fit of one object: points (n, 3) on it, and rays that pass beside it.
+    """Camera evidence for fitting one object: points (n, 3) on the object, and rays that pass beside it.
 
     The rays start at `eye`, have unit directions `rays` (m, 3), and are free up to `free_to` (m,) [m].
     """
@@ -42,7 +42,8 @@ class Evidence:
     scale: float  # [m] larger residuals have less and less weight
 
     def thinned(self, points: int, rays: int) -> Evidence:
-        """Return a subset of a solid fit's evidence with about the given numbers of points and rays.
+        """Return a subset of the evidence for fitting a solid that has about the given numbers of points and
+        rays.
 
         The subset is evenly distributed.
         """
@@ -59,7 +60,7 @@ def _every(count: int, wanted: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted solid: its pose T_support_solid, its parameters, and how well it fits."""
+    """A solid fitted to camera evidence: its pose T_support_solid, its parameters, and how well it fits."""
 
     mode: int
     parameters: F64
@@ -70,7 +71,7 @@ class Fit:
 
 
 def fit(evidence: Evidence, solid: Solid, mode: int, start: F64, T0: SE3, iterations: int = 25) -> Fit:
-    """Fit a solid to camera evidence, starting near given parameters.
+    """Fit a solid to camera evidence, starting near the given parameters.
 
     Args:
         start: parameters of the mode. FREE: rotation vector and translation from T0. SLIDING: x, y, yaw from
@@ -102,7 +103,9 @@ def judged(e: Evidence, solid: Solid, mode: int, parameters: F64, T0: SE3, cost:
 
 
 def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
-    """Return how well a fitted solid at a pose explains the camera evidence: 0 is perfect, 1 worst."""
+    """Return how well a fitted solid at a given pose explains the camera evidence: 0 is perfect and 1 is
+    worst.
+    """
     e, s = evidence, solid
     zero = np.zeros(3)
     return float(
@@ -115,7 +118,7 @@ def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
 
 @njit(cache=True)
 def _place(mode, p, base, R, t, size):
-    """Compute a fitted solid's pose (R, t) and size from the parameters of a fit mode, in place."""
+    """Compute in place the pose (R, t) and the size of a fitted solid from the parameters of the fit."""
     size[:] = 0.0
     if mode == FREE:
         w = p[:3]
@@ -181,7 +184,7 @@ def _point_residuals(points, R, t, kinds, sizes, poses, grid, origin, step):
 
 @njit(cache=True)
 def _depth_of_ray(R, t, eye, ray, free_to, reach, kinds, sizes, poses, grid, origin, step, convex):
-    """Return the depth [m] by which a ray's free part enters a fitted solid, 0 if it passes beside.
+    """Return how deep [m] the free part of a camera ray enters a fitted solid; 0 if the ray passes beside it.
 
     The distance to a convex solid is convex along a line, so golden section finds its minimum.
     """
@@ -253,7 +256,7 @@ def _residuals(
 
 @njit(cache=True)
 def _robust(r, scale):
-    """Return the mean of Geman and McClure's loss of a solid fit's residuals, from 0 to 1."""
+    """Return the mean of Geman and McClure's loss, from 0 to 1, over the residuals of a fitted solid."""
     total = 0.0
     for x in r:
         q = (x / scale) ** 2

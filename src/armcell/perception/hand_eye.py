@@ -28,7 +28,8 @@ LEVER = 0.3  # [m] weight of a rotation error of 1 rad
 
 @dataclass(frozen=True)
 class HandEye(Outcome):
-    """Camera pose of a hand-eye calibration: T_hand_camera (in hand) or T_base_camera (to hand).
+    """Camera pose found by a hand-eye calibration: T_hand_camera (eye in hand) or T_base_camera
+    (eye to hand).
 
     Residuals are the deviations of each view's marker pose from the mean of all views.
     """
@@ -42,7 +43,7 @@ class HandEye(Outcome):
 
     @property
     def rms(self) -> tuple[float, float]:
-        """Return the rms residuals of a hand-eye calibration in position [m] and rotation [rad]."""
+        """Return the rms residuals of a hand-eye calibration: position [m] and rotation [rad]."""
         p, r = np.array(self.position_residuals), np.array(self.rotation_residuals)
         return float(np.sqrt(np.mean(p**2))), float(np.sqrt(np.mean(r**2)))
 
@@ -54,7 +55,8 @@ def calibrate_hand_eye(
     most_position: float = 0.005,
     most_rotation: float = 0.02,
 ) -> HandEye:
-    """Calibrate hand-eye: a camera's pose on the hand or beside the robot from views of a marker.
+    """Find the pose of a camera on the hand or beside the robot from several views of a marker (hand-eye
+    calibration).
 
     Args:
         hands: T_base_hand of each view.
@@ -99,7 +101,7 @@ def calibrate_hand_eye(
 
 
 def _refused(hands: Sequence[SE3]) -> str:
-    """Return why the views do not suffice for a hand-eye calibration; empty if they suffice."""
+    """Return the reason why the views do not suffice for a hand-eye calibration. Empty if they suffice."""
     if len(hands) < LEAST_POSES:
         return f"{len(hands)} views are too few (take {LEAST_POSES} or more, better 10 to 15)"
     turns = [(a.rotation.inv() @ b.rotation).log() for a, b in combinations(hands, 2)]
@@ -122,7 +124,9 @@ def _refused(hands: Sequence[SE3]) -> str:
 
 
 def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
-    """Solve hand-eye's A_i^-1 A_k X = X B_i B_k^-1 in closed form: rotation axes first, then translation."""
+    """Solve A_i^-1 A_k X = X B_i B_k^-1 of a hand-eye calibration in closed form: first the rotation, then
+    the translation.
+    """
     pairs = [(A[i].inv() @ A[k], B[i] @ B[k].inv()) for i, k in combinations(range(len(A)), 2)]
     turns = [(b.rotation.log(), a.rotation.log()) for a, b in pairs]
     clear = [t for t in turns if np.linalg.norm(t, axis=1).max() < HALF_TURN]
@@ -138,7 +142,9 @@ def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
 
 
 def _refined(A: list[SE3], B: list[SE3], X: SE3) -> tuple[SE3, SE3]:
-    """Refine hand-eye poses X and Y by least squares that minimize the errors of A_i X B_i = Y."""
+    """Refine the poses X and Y of a hand-eye calibration by least squares, which minimize the errors of A_i X
+    B_i = Y.
+    """
     from scipy.optimize import least_squares
 
     Y = A[0] @ X @ B[0]

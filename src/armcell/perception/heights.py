@@ -24,7 +24,8 @@ def height_map(
     floor: float,
     resolution: float = 0.003,
 ) -> HeightMap:
-    """Compute a bin's height map from a depth image: the highest visible point in each cell.
+    """Compute the height map of a bin from a depth image: each cell has the height of its highest visible
+    point.
 
     Points on the robot are ignored.
 
@@ -51,7 +52,9 @@ def height_map(
 
 
 def _filled(heights: F64) -> F64:
-    """Fill height-map cells without a height with their highest neighbor, from the rim inwards."""
+    """Fill each height-map cell that has no height with the height of its highest neighbor, from the rim
+    inwards.
+    """
     from scipy.ndimage import grey_dilation
 
     found = heights.copy()
@@ -66,7 +69,7 @@ def _filled(heights: F64) -> F64:
 def pieces(
     seen: HeightMap, where: NDArray[np.bool_], above: float, step: float = 0.010, smallest: int = 8
 ) -> NDArray[np.int64]:
-    """Label the separate pieces of a height map (nx, ny); -1 marks cells without a piece.
+    """Label the separate pieces in a height map (nx, ny). Cells that belong to no piece get -1.
 
     A height step between neighboring cells separates two pieces.
 

@@ -30,7 +30,7 @@ _TILTED = 0.7  # maximum cost of a tilted fit, relative to the resting fit
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Match: the estimated pose of a known object in the support's frame, with its errors."""
+    """Estimated pose of a known object in the frame of its support, with the errors of the match."""
 
     T: SE3
     cost: float
@@ -39,7 +39,9 @@ class Match:
 
 @lru_cache(maxsize=1)
 def cube_turns() -> tuple[SO3, ...]:
-    """Return the 24 rotations that map the axes onto each other, to start a known object's pose."""
+    """Return the 24 rotations that map the coordinate axes onto each other, from which the pose search of a
+    known object starts.
+    """
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -54,7 +56,7 @@ def cube_turns() -> tuple[SO3, ...]:
 def rough_match(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], stands: bool = True
 ) -> Match | None:
-    """Estimate a known object's pose from a subset of the camera evidence.
+    """Estimate the pose of a known object roughly, from a subset of the camera evidence.
 
     The result is None if the object's size does not match.
 
@@ -95,7 +97,7 @@ def match_known(
 def _starts(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], solid: Solid, stands: bool
 ) -> list[SE3]:
-    """Return start poses for a known object above the points, with each side down.
+    """Return start poses above the points for matching a known object, with each of its sides down.
 
     The poses are above the center of the points and have matching yaw.
     """
@@ -118,7 +120,7 @@ def _starts(
 
 @lru_cache(maxsize=64)
 def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
-    """Return the corners (n, 3) of a known object's convex hull."""
+    """Return the corners (n, 3) of the convex hull of a known object."""
     from scipy.spatial import ConvexHull
 
     vertices = surface_mesh(shapes).vertices
@@ -127,7 +129,8 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
-    """Return a known object's pose nearest to a prior pose, among those equal to T by symmetry.
+    """Return that pose of a known object which is nearest to a prior pose, among all that equal T because of
+    symmetry.
 
     Considers single spheres, cylinders and boxes; other objects are treated as asymmetric.
     """
@@ -154,7 +157,8 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """Return a known object's rotation turned so that its z axis is parallel to that of another rotation.
+    """Turn the rotation of a known object such that its z axis is parallel to that of another rotation, and
+    return it.
 
     The direction of the z axis may be opposite.
     """
@@ -165,5 +169,7 @@ def _spun(here: SO3, wanted: SO3) -> SO3:
 
 
 def pose_error(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, T_true: SE3) -> tuple[float, float]:
-    """Return the position [m] and rotation [rad] error of a known object's pose, up to its symmetry."""
+    """Return the position error [m] and rotation error [rad] of a known object's pose. Symmetric poses count
+    as equal.
+    """
     return closest_equivalent(shapes, T, T_true).distance_to(T_true)

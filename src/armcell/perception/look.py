@@ -76,7 +76,7 @@ class LookSettings:
 
 @dataclass(frozen=True)
 class SeenObject(Outcome):
-    """An object that `look` detected, with its pose, or with the reason why its pose is unknown.
+    """An object that `look` has detected, with its pose or the reason why its pose is unknown.
 
     Without a pose, `code` and `message` give the reason, and `points` remain.
     """
@@ -96,7 +96,7 @@ class SeenObject(Outcome):
         return type(self.shapes[0][0]).__name__.lower() if len(self.shapes) == 1 else "compound"
 
     def as_object(self, name: str | None = None, movable: bool = True) -> CollisionObject:
-        """Return an object detected by `look` as a collision object for the planning scene.
+        """Convert an object that `look` detected to a collision object for the planning scene.
 
         Its shape is the fitted one, or the points without a fit.
         """
@@ -108,7 +108,7 @@ class SeenObject(Outcome):
 
 @dataclass(frozen=True)
 class Sight(Outcome):
-    """Result of `look`: detected objects sorted by size, including objects without a pose.
+    """Result of `look`: the detected objects sorted by size, including those without a pose.
 
     The largest object comes first.
     """
@@ -133,7 +133,7 @@ def look(
     settings: LookSettings = LookSettings(),
     now: float | None = None,
 ) -> Sight:
-    """Look: detect the objects in a camera image with depth.
+    """Look for objects in a camera image with depth, and detect each of them with its pose.
 
     Args:
         scene: removed from the cloud: the robot in its present state, held objects, fixed objects.
@@ -196,7 +196,9 @@ def _names(known: Sequence[CollisionObject]) -> tuple[str, ...]:
 def _without(
     flat: F64, valid: NDArray[np.bool_], scene: PlanningScene | None, settings: LookSettings
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of the points that `look` uses: off robot and fixed objects, above the surface."""
+    """Return masks of the points that `look` uses: those off the robot and fixed objects, and those above the
+    surface.
+    """
     others, region = valid.copy(), np.ones(len(flat), bool)
     if scene is None:
         if settings.surface is not None:
@@ -218,7 +220,9 @@ def _without(
 
 
 def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the points that `look` sees at or above a support object's top."""
+    """Return a mask of the points from a camera image that are at or above the top of a support object, for
+    `look`.
+    """
     low, high = item.bounds()
     corners = np.array(
         [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
@@ -234,7 +238,7 @@ def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArra
 
 
 def _is_level(item: CollisionObject) -> bool:
-    """Return whether an object is flat and wide, so that `look` detects other objects on it."""
+    """Return whether an object is so flat and wide that `look` detects other objects on top of it."""
     if any(isinstance(shape, Plane) for shape, _ in item.shapes):
         return True
     sizes = [2 * local_bounds(shape)[1] for shape, _ in item.shapes]
@@ -254,7 +258,7 @@ def _plane(points: F64, settings: LookSettings) -> SupportPlane | None:
 
 @dataclass(frozen=True, eq=False)
 class _Thing:
-    """Cluster of points that `look` found as evidence of one object, in its support's frame."""
+    """Cluster of points that `look` takes for one object, as evidence in the frame of its support."""
 
     T_world_support: SE3
     evidence: Evidence
@@ -283,7 +287,8 @@ class _Thing:
 def _beside(
     pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
 ) -> tuple[F64, F64, float]:
-    """Return camera rays (m, 3) beside a cluster of `look`, their free lengths, and occlusion.
+    """Return the camera rays (m, 3) beside a cluster that `look` found, their free lengths, and how much of
+    the cluster is occluded.
 
     The occlusion is the fraction of the outline that a nearer object or the image border cuts off.
     """
@@ -308,7 +313,9 @@ def _beside(
 
 
 def _span(points: F64, pixels: NDArray[np.int64]) -> float:
-    """Return the largest distance [m] between the points of a cluster of `look`, by a subset."""
+    """Return the largest distance [m] between points of a cluster that `look` found, estimated from
+    a subset.
+    """
     some = points.reshape(-1, 3)[pixels[:: max(len(pixels) // 150, 1)]]
     return float(np.linalg.norm(some[:, None] - some[None], axis=-1).max())
 
@@ -319,7 +326,8 @@ def _named(
     settings: LookSettings,
     image_has_color: bool,
 ) -> tuple[SeenObject, ...]:
-    """Name the objects of `look`: assign each cluster to the best known object, or to a primitive.
+    """Name the objects that `look` found: each cluster becomes the best-matching known object, or else a
+    primitive.
 
     Among equal shapes, the one with the matching color wins. A known object may consist of two clusters if
     its middle is hidden; a match of two clusters is preferred to a similar match of one.

@@ -20,7 +20,7 @@ from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, SensorModel, wit
 @dataclass(frozen=True)
 @checked()
 class MapSettings:
-    """Settings of an occupancy map from camera images; lengths in meters."""
+    """Settings for an occupancy map from camera images; lengths in meters."""
 
     resolution: float = 0.02  # edge length of a voxel
     max_range: float = 2.5  # farther points only mark free space up to this range
@@ -43,7 +43,7 @@ class MapSettings:
 
 @dataclass(frozen=True)
 class MapUpdate(Outcome):
-    """Result of adding one camera image or point cloud to an occupancy map (map update)."""
+    """Result of adding one camera image or point cloud to an occupancy map."""
 
     hits: int = 0  # number of obstacle points
     robot_points: int = 0
@@ -53,7 +53,7 @@ class MapUpdate(Outcome):
 
 
 class CameraMap:
-    """Camera map: an occupancy map updated with camera images, one by one.
+    """Occupancy map that is updated with camera images, one after the other.
 
     `map` and `octree` contain the current state.
     """
@@ -67,7 +67,7 @@ class CameraMap:
         self.octree = self.map.octree()
 
     def update(self, image: CameraImage, scene: PlanningScene, now: float | None = None) -> MapUpdate:
-        """Update the camera map: add one camera image to the occupancy map.
+        """Add one camera image to the occupancy map.
 
         Rays mark the cells they pass as free, also rays that end on the robot or on an object of the scene.
 
@@ -107,7 +107,8 @@ class CameraMap:
 
 
 def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Return a camera map's pixel mask without connected patches of fewer than `least` pixels.
+    """Return the pixel mask of a camera image without connected patches of fewer than `least` pixels, for the
+    occupancy map.
 
     Pixels are 8-connected.
 

@@ -43,7 +43,7 @@ CROOKED_PX = 0.3  # [px] minimum median distance from its line of a partly hidde
 
 @dataclass(frozen=True, eq=False)
 class SeenMarker:
-    """A detected ArUco marker or AprilTag with its number and pose.
+    """A detected ArUco marker or AprilTag, with its number and pose.
 
     The marker's frame has its origin in the center, x right, y up, z out of the marker.
     """
@@ -59,7 +59,7 @@ class SeenMarker:
 
 @dataclass(frozen=True)
 class MarkerSight(Outcome):
-    """Markers detected in one camera image, with their numbers."""
+    """The ArUco markers or AprilTags detected in one camera image."""
 
     markers: tuple[SeenMarker, ...] = ()
     missing: tuple[int, ...] = ()  # wanted but not visible
@@ -141,7 +141,7 @@ def _why(name: str, family: str, missing: tuple[int, ...], found: list[SeenMarke
 
 
 def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
-    """Return the image of an ArUco or AprilTag marker (n, n), with one pixel per cell and a white border.
+    """Return the image (n, n) of an ArUco or AprilTag marker, with one pixel per cell and a white border.
 
     The border is `QUIET` cells wide.
 
@@ -159,7 +159,7 @@ def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
 
 
 def picture_size(family: str, size: float) -> float:
-    """Return the edge [m] of an ArUco marker's whole image, given the edge [m] of its black square."""
+    """Return the edge length [m] of an ArUco marker's whole image, given that of its black square."""
     cells = _dictionary(family)[1].markerSize + 2
     return size * (cells + 2 * QUIET) / cells
 
@@ -175,7 +175,7 @@ def _dictionary(family: str) -> tuple[Any, Any]:
 
 
 def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
-    """Refine an ArUco marker's corners (4, 2) [px] as intersections of lines through its edges.
+    """Refine the corners (4, 2) [px] of an ArUco marker as intersections of the lines along its edges.
 
     OpenCV's own refinement is 0.1 to 0.7 px off, depending on its window size, which means millimeters at a
     distance of ten times the marker's size. Here an edge is the center of the transition from black to white,
@@ -223,7 +223,7 @@ def refined_corners(grey: F64, corners: F64, cells: int) -> tuple[F64, float]:
 
 
 def _line(points: F64) -> tuple[F64, float]:
-    """Fit a line to a marker's edge points (n, 2) by least squares; return its normal (2,) and offset."""
+    """Fit a line by least squares to points (n, 2) on a marker's edge. Return its normal (2,) and offset."""
     center = points.mean(axis=0)
     normal = np.linalg.eigh((points - center).T @ (points - center))[1][:, 0]
     return normal, float(normal @ center)

@@ -21,7 +21,7 @@ _SUBSET = 1500  # number of points with which trials are evaluated
 
 @dataclass(frozen=True, eq=False)
 class SupportPlane:
-    """A support plane n . p = offset in a point cloud, with the quality of its fit."""
+    """Support plane n . p = offset found in a point cloud, with the quality of the fit."""
 
     normal: F64  # (3,) unit vector, toward the supported objects
     offset: float  # [m]
@@ -32,11 +32,11 @@ class SupportPlane:
         float_array(self.normal, (3,), "a plane's normal")
 
     def heights(self, points: F64) -> F64:
-        """Return the heights (...) [m] of points (..., 3) above a support plane; negative below it."""
+        """Return the heights (...) [m] of points (..., 3) above the support plane; negative below it."""
         return float_array(points, (-1, 3), "points", finite=False) @ self.normal - self.offset
 
     def frame(self, point: F64) -> SE3:
-        """Return the frame of a support plane, with the origin at a point's projection.
+        """Return a frame on the support plane whose origin is the projection of a given point.
 
         The z axis is the plane's normal. The shortest rotation from the world frame determines x and y.
         """
@@ -48,7 +48,7 @@ class SupportPlane:
 def find_plane(
     points: F64, up: F64, max_tilt: float, thickness: float, seed: int = 0, trials: int = 120
 ) -> SupportPlane | None:
-    """Find the support plane with the most points of a point cloud (n, 3), by RANSAC and least squares.
+    """Find the plane that supports the most points of a point cloud (n, 3), by RANSAC and least squares.
 
     The result is None if no trial finds a valid plane.
 

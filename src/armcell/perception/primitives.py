@@ -23,7 +23,7 @@ GOOD = 0.05  # kinds with at most this cost are always refined
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Footprint of a point cluster: the smallest rectangle around it from above, with its height."""
+    """Smallest rectangle that contains a point cluster seen from above, with the cluster's height."""
 
     x: float
     y: float
@@ -34,7 +34,8 @@ class Footprint:
 
 
 def footprint(points: F64) -> Footprint:
-    """Return a point cluster's footprint: smallest rectangle around points (n, 3), seen from above.
+    """Return the footprint of a point cluster: the smallest rectangle that contains its points (n, 3) seen
+    from above.
 
     The rectangle has an edge of the convex hull (Freeman and Shapira, Communications of the ACM 18(7), 1975).
     """
@@ -66,7 +67,7 @@ def footprint(points: F64) -> Footprint:
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Primitive shape fitted to a point cluster, with its pose in the support's frame."""
+    """Primitive shape that was fitted to a point cluster, with its pose in the frame of the support."""
 
     shape: Shape
     T: SE3
@@ -79,7 +80,7 @@ class Guess:
 
 
 def fit_primitives(evidence: Evidence) -> list[Guess]:
-    """Fit to a point cluster boxes, cylinders and spheres that rest on z = 0, best first."""
+    """Fit boxes, cylinders and spheres that rest on z = 0 to a point cluster. The best fit comes first."""
     rough = evidence.thinned(FIRST_POINTS, FIRST_RAYS)
     fits = sorted((_tried(rough, *start, iterations=12) for start in _starts(evidence.points)), key=_cost)
     fine, seen = evidence.thinned(POINTS, RAYS), set()
@@ -117,7 +118,8 @@ def _starts(points: F64) -> list[tuple[int, F64]]:
 
 
 def _ball(points: F64) -> tuple[float, float, float] | None:
-    """Fit to a point cluster a sphere that rests on z = 0 by linear least squares; return x, y and radius.
+    """Fit a sphere that rests on z = 0 to a point cluster by linear least squares. Return its x, y and
+    radius.
 
     (x - a)^2 + (y - b)^2 + z^2 - 2 r z = 0.
     """

@@ -10,7 +10,8 @@ F64 = NDArray[np.float64]
 
 
 def clusters(points: F64, wanted: NDArray[np.bool_], gap: float, smallest: int) -> list[NDArray[np.int64]]:
-    """Segment an organized point cloud: pixel indices (n,) of each cluster, largest first.
+    """Segment an organized point cloud into clusters. Return the pixel indices (n,) of each cluster, largest
+    first.
 
     Args:
         points: (h, w, 3) [m].

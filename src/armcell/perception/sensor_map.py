@@ -15,7 +15,7 @@ from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, with_octomap
 
 
 class SensorMap:
-    """Sensor map: an occupancy map from point clouds of several sensors, like move_group's.
+    """Occupancy map that is updated with point clouds from several sensors, like that of move_group.
 
     `map` and `octree` contain the current state.
     """
@@ -31,7 +31,7 @@ class SensorMap:
     def update(
         self, points: ArrayLike, T_world_sensor: SE3, scene: PlanningScene, sensor: Sensor3d
     ) -> tuple[MapUpdate, NDArray[np.float64]]:
-        """Add a sensor's point cloud to the sensor map (octomap).
+        """Add the point cloud of one sensor to the occupancy map (octomap).
 
         Rays mark the cells they pass as free, also rays that end on the robot, a held object or an object of
         the scene. Cells that no ray reaches stay unknown, which counts as free.
@@ -62,5 +62,5 @@ class SensorMap:
         return done, seen[~free]
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the planning scene with the sensor map as its octomap."""
+        """Return the planning scene with the occupancy map from all sensors as its octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)

@@ -27,7 +27,7 @@ _SAMPLES = 40_000  # number of samples on the surface
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Solid for signed distances: primitive parts, or one grid of distances.
+    """Solid for computing signed distances. It consists of primitive parts or of one grid of distances.
 
     The parts have kinds (k,), sizes (k, 3) and poses (k, 12) as rows of 3x4 matrices; kind GRID has a grid
     (i, j, k).
@@ -44,16 +44,18 @@ class Solid:
 
     @property
     def radius(self) -> float:
-        """Return the radius [m] of the ball around the frame's origin that contains a fitted solid."""
+        """Return the radius [m] of the ball around the frame's origin that contains the whole solid."""
         return float(np.linalg.norm(np.maximum(np.abs(self.low), np.abs(self.high))))
 
     @property
     def diameter(self) -> float:
-        """Return the diagonal [m] of a fitted solid's bounding box."""
+        """Return the diagonal [m] of a solid's bounding box."""
         return float(np.linalg.norm(self.high - self.low))
 
     def distances(self, points: F64) -> F64:
-        """Return the signed distances (n,) [m] of points (n, 3) in a fitted solid's frame."""
+        """Return the signed distances (n,) [m] from points (n, 3), given in the solid's frame, to
+        the solid.
+        """
         return _distances(points, self.kinds, self.sizes, self.poses, self.grid, self.origin, self.step)
 
 
@@ -61,7 +63,7 @@ NO_GRID = np.zeros((1, 1, 1))
 
 
 def primitive(kind: int, size: tuple[float, float, float]) -> Solid:
-    """Create a solid for signed distances from one primitive in its own frame.
+    """Create a solid from a single primitive in its own frame, for computing signed distances.
 
     The size is a box's half extents, a cylinder's radius and half length, or a sphere's radius.
     """
@@ -75,7 +77,7 @@ def primitive(kind: int, size: tuple[float, float, float]) -> Solid:
 
 
 def solid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """Return the solid of an object's shapes, for distance computations.
+    """Create a solid from the shapes of an object, for computing signed distances.
 
     Args:
         shapes: (shape, T_object_shape) pairs, as in `CollisionObject.shapes`.
@@ -116,7 +118,7 @@ def _part(shape: Shape) -> tuple[int, tuple[float, float, float]] | None:
 
 
 def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
-    """Return the triangle mesh of the shapes of an object to fit, in the object's frame."""
+    """Return a triangle mesh of all shapes of an object to fit, in the object's frame."""
     import trimesh
 
     from armcell.core import Capsule, Cone
@@ -155,7 +157,7 @@ def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
 
 
 def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """Return a solid for fits with a grid of signed distances to an object's shapes.
+    """Create a solid for fitting that stores the signed distances to an object's shapes in a grid.
 
     A node's distance is that to the plane of the nearest of many samples on the surface. Near the surface, a
     node is inside if it is behind the sample's triangle; elsewhere, if it is not connected to the outside.
@@ -193,7 +195,7 @@ def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
 
 @njit(cache=True)
 def part_distance(kind, size, x, y, z, grid, origin, step):
-    """Return the signed distance [m] of a point to a solid's part, in the part's frame."""
+    """Return the signed distance [m] from a point, given in the frame of a solid's part, to this part."""
     if kind == SPHERE:
         return np.sqrt(x * x + y * y + z * z) - size[0]
     if kind == BOX:
@@ -208,7 +210,7 @@ def part_distance(kind, size, x, y, z, grid, origin, step):
 
 @njit(cache=True)
 def _interpolated(x, y, z, grid, origin, step):
-    """Interpolate a signed distance [m] at a point in a solid's distance grid.
+    """Interpolate the signed distance [m] at a point in the distance grid of a solid.
 
     Beyond the grid, the distance to the grid's edge is added.
     """
@@ -234,7 +236,7 @@ def _interpolated(x, y, z, grid, origin, step):
 
 @njit(cache=True)
 def solid_distance(x, y, z, kinds, sizes, poses, grid, origin, step):
-    """Return the signed distance [m] of a point to a solid, in the fitted solid's frame."""
+    """Return the signed distance [m] from a point, given in the frame of a fitted solid, to the solid."""
     least = np.inf
     for k in range(len(kinds)):
         P = poses[k]

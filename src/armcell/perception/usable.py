@@ -8,7 +8,9 @@ from armcell.core import CameraImage, ErrorCode, Outcome
 
 
 def stale(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is unusable because older than `max_age` [s], else None."""
+    """Return an error outcome if a camera image is older than `max_age` [s] and therefore unusable, else
+    None.
+    """
     if now is None or now - image.time <= max_age:
         return None
     age = now - image.time
@@ -21,7 +23,9 @@ def stale(image: CameraImage, max_age: float, now: float | None) -> Outcome | No
 
 
 def unusable(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is unusable: too old or without depth; else None."""
+    """Return an error outcome if a camera image is unusable because it is too old or has no depth,
+    else None.
+    """
     old = stale(image, max_age, now)
     if old is not None:
         return old

@@ -26,7 +26,7 @@ AT_ONCE = NANO // 1000
 
 @dataclass(frozen=True)
 class FirstDivergence:
-    """First difference between two compared runs."""
+    """First difference that was found between two compared runs."""
 
     time: float  # [s]
     what: str  # "position of elbow_joint", "pose of cube", "time", "length"
@@ -42,7 +42,7 @@ class FirstDivergence:
 
 @dataclass(frozen=True)
 class Distance:
-    """Largest deviation between two compared runs for one joint or object."""
+    """Largest deviation of one joint or object between two compared runs."""
 
     what: str  # joint or object
     largest: float  # [rad or m]
@@ -52,7 +52,7 @@ class Distance:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of two recorded runs: their inputs, states, events, plans and outcomes."""
+    """Comparison of two recorded runs with respect to their inputs, states, events, plans and outcomes."""
 
     input_differences: tuple[str, ...]  # cell, seed, versions, ...
     states: int  # number of compared states
@@ -91,7 +91,7 @@ class Comparison:
 
 
 def compare(first: Record, second: Record) -> Comparison:
-    """Compare two recorded runs; states are paired by the cell's clock."""
+    """Compare two recorded runs. States are paired by the time of the cell's clock."""
     pairs = list(_pairs(first.states, second.states))
     state, same = None, 0
     for a, b in pairs:
@@ -132,7 +132,7 @@ def _input_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> Iterator[s
 def _pairs(
     a: tuple[RecordedState, ...], b: tuple[RecordedState, ...]
 ) -> Iterator[tuple[RecordedState, RecordedState]]:
-    """Yield pairs of states of two compared runs at the same time.
+    """Yield the pairs of states that two compared runs have at the same time.
 
     Paced and real runs have irregular sampling times: each state is paired with the nearest state of the
     other run that is within half a sampling period.
@@ -195,7 +195,9 @@ def _known(value: Any) -> str:
 
 
 def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distance, ...]:
-    """Return the deviation of each joint and object that differs between two compared runs, largest first."""
+    """Return how far each differing joint and object deviates between two compared runs, largest deviation
+    first.
+    """
     found: dict[str, list[tuple[float, float]]] = {}
     for a, b in pairs:
         theirs = dict(zip(b.joints.names, b.joints.positions.tolist()))
@@ -217,7 +219,7 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
 
 # --- events, plans, outcome ---
 def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """Return the first difference between the data of two compared runs' events.
+    """Return the first difference between the event data of two compared runs.
 
     Returns:
         Path of the value ("stages[0].passed") and both values, or None.
@@ -242,7 +244,7 @@ def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | N
 
 
 def _compared(event: Event) -> Mapping[str, Any]:
-    """Return an event's data without search statistics, to compare runs.
+    """Return the data of an event without search statistics, so that two runs can be compared.
 
     Planners with a time limit evaluate varying numbers of samples; the motion itself is compared separately.
     """

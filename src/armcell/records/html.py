@@ -80,7 +80,7 @@ def section(title: str, body: str) -> str:
 
 
 def text(value: Any) -> str:
-    """Format a value as escaped HTML text of a report page; None and empty text become a dash."""
+    """Format a value as escaped HTML text for a report page. None and empty text become a dash."""
     if value is None or value == "":
         return NONE
     if isinstance(value, bool):
@@ -91,12 +91,14 @@ def text(value: Any) -> str:
 
 
 def name(value: Any) -> str:
-    """Format a name as HTML for a report page, with breaks only after underscores."""
+    """Format a name as HTML for a report page, where it may break only after underscores."""
     return f'<span class="name">{text(value).replace("_", "_<wbr>")}</span>'
 
 
 def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> str:
-    """Format `value * scale` with unit for an HTML page; other values become text or a dash."""
+    """Format the number `value * scale` with its unit for an HTML page. Other values become text or
+    a dash.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return text(value)
     if not math.isfinite(value):
@@ -105,7 +107,7 @@ def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> s
 
 
 def millimeters(value: Any, digits: int = 2) -> str:
-    """Format a length given in meters as millimeters for an HTML page."""
+    """Format a length in millimeters for an HTML page, given in meters."""
     return number(value, "mm", 1000.0, digits)
 
 
@@ -152,7 +154,9 @@ def image(png: bytes, alt: str, css_class: str = "plot") -> str:
 
 
 def picture_png(rgb: NDArray[np.uint8]) -> bytes:
-    """Encode an inline HTML image (h, w, 3) as PNG, downscaled to at most `MAX_PICTURE_PX` pixels width."""
+    """Encode an image (h, w, 3) as PNG for embedding in an HTML page, reduced to at most `MAX_PICTURE_PX`
+    pixels in width.
+    """
     picture = Image.fromarray(rgb)
     if picture.width > MAX_PICTURE_PX:
         picture = picture.resize(

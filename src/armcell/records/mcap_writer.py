@@ -48,17 +48,19 @@ _MAX_URDF_BYTES = 4_000_000
 
 @cache
 def typestore() -> Any:
-    """Return the ROS message definitions that the MCAP writer uses."""
+    """Return the ROS message definitions that the writer of MCAP files uses."""
     return get_typestore(STORE)
 
 
 def schema_text(message_type: str) -> str:
-    """Return the MCAP file's message definition with all nested definitions (`ros2msg` encoding)."""
+    """Return a message definition for the MCAP file with all nested definitions, in the `ros2msg`
+    encoding.
+    """
     return typestore().generate_msgdef(message_type, ros_version=2)[0]
 
 
 def ros_name(name: str) -> str:
-    """Convert a name to a legal ROS topic segment in the MCAP file.
+    """Convert a name to a legal part of a ROS topic name, for the MCAP file.
 
     The segment contains letters, digits and underscores and does not begin with a digit.
     """
@@ -67,7 +69,7 @@ def ros_name(name: str) -> str:
 
 
 class McapWriter:
-    """Writer of one run's MCAP file; the file has a temporary name until `close`.
+    """Writer for the MCAP file of one run. The file has a temporary name until `close`.
 
     Args:
         file: final path of the record.
@@ -108,7 +110,7 @@ class McapWriter:
 
     # --- recording ---
     def write_state(self, sample: StateSample, q: ArrayLike) -> None:
-        """Write the cell's state at one time to the MCAP file, with link transforms at q (dof,)."""
+        """Write the cell's state at one time to the MCAP file, with the link transforms at q (dof,)."""
         time, object_poses = sample.time, sample.object_poses
         stamp = self._stamp(time)
         self._write_joints("/joint_states", time, sample.joints)
@@ -153,7 +155,7 @@ class McapWriter:
         )  # fmt: skip
 
     def write_image(self, camera: str, time: float, png: bytes) -> None:
-        """Write a camera image, given as PNG data, into the MCAP file."""
+        """Write a camera image, given as PNG data, to the MCAP file."""
         header = self._header(self._stamp(time), camera)
         data = np.frombuffer(png, dtype=np.uint8)
         topic, kind = f"/camera/{ros_name(camera)}/compressed", "sensor_msgs/msg/CompressedImage"
@@ -204,7 +206,7 @@ class McapWriter:
         )
 
     def close(self) -> None:
-        """Finish the MCAP file and give it its final name; repeated calls have no effect."""
+        """Finish the MCAP file and rename it to its final name. Repeated calls have no effect."""
         if self._closed:
             return
         self._closed = True
@@ -269,7 +271,9 @@ class McapWriter:
         return self._topics[name]
 
     def _link_transforms(self, q: ArrayLike, joints: list[int], stamp: Any) -> list[Any]:
-        """Return the MCAP file's TransformStamped messages (parent to child link) of joints at q (dof,)."""
+        """Return the transforms from parent to child links at joint positions q (dof,), as TransformStamped
+        messages for the MCAP file.
+        """
         Ts = self._tree.link_transforms(q)
         found = []
         for i in joints:
@@ -280,7 +284,7 @@ class McapWriter:
         return found
 
     def _both(self, T: SE3) -> tuple[Any, Any]:
-        """Convert a transform to a geometry_msgs Transform and a Pose for the MCAP file."""
+        """Convert a transform to a Transform and a Pose of geometry_msgs, for the MCAP file."""
         x, y, z = T.translation.tolist()
         qw, qx, qy, qz = T.quat_wxyz.tolist()
         rotation = self._type("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw)
@@ -309,7 +313,9 @@ class McapWriter:
 
 
 def urdf_text(scene: PlanningScene) -> str | None:
-    """Return the robot's URDF text for the MCAP file; None without a URDF file or if it is too large."""
+    """Return the robot's URDF as text for the MCAP file, or None if there is no URDF file or it is
+    too large.
+    """
     source = scene.model.source
     if not source.endswith(".urdf"):
         return None
@@ -321,7 +327,7 @@ def urdf_text(scene: PlanningScene) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """Convert values that JSON does not support, for the MCAP file.
+    """Convert values that JSON does not support, so that they can be written to the MCAP file.
 
     Arrays and numpy numbers become lists and numbers; objects, contacts, poses and mappings become
     dictionaries; other values become text.

@@ -20,7 +20,7 @@ FORMAT = 1
 def run_metadata(
     cell: Cell, seed: int | None, mode: str, values: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return JSON-ready run metadata, which suffices to execute the run again.
+    """Return the metadata of a run in a form that JSON supports. They suffice to execute the run again.
 
     The metadata are the cell with changed values, the seed, mode, content hashes, versions and machine.
 
@@ -43,12 +43,13 @@ def run_metadata(
 
 
 def this_machine() -> str:
-    """Return the computer's name and processor for a record's run metadata."""
+    """Return the name and processor of this computer, which a record's metadata contain."""
     return f"{platform.node()} {platform.machine()} {platform.processor()}".strip()
 
 
 def origin_of(metadata: Mapping[str, Any], file: Path) -> str:
-    """Describe the origin of another user's or computer's record from its metadata; empty if own.
+    """Describe from its metadata where a record comes from if another user or computer wrote it; otherwise
+    return an empty text.
 
     Args:
         metadata: run metadata of the record.
@@ -67,7 +68,7 @@ def _printable(text: str) -> str:
 
 
 def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
-    """Return the cell from a record's run metadata, independent of the cell's current file.
+    """Return the cell stored in the run metadata of a record, independent of the current cell file.
 
     Meshes, scripts and robots in separate files are read in their current version; see `changed_since`.
 
@@ -81,7 +82,8 @@ def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
 
 
 def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
-    """List the parts of a cell and the library versions that differ from a record's run metadata.
+    """List the parts of a cell and the library versions that differ from those in the run metadata of a
+    record.
 
     An empty list means that executing the run again must give bit-identical results.
     """
@@ -96,7 +98,7 @@ def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
 
 
 def checked_metadata(data: Any, file: Path) -> dict[str, Any]:
-    """Check a record's run metadata and return it.
+    """Check the run metadata of a record and return them.
 
     Raises:
         InputError: the record has another format version.

@@ -34,7 +34,7 @@ MAX_OBJECTS = len(PALETTE)
 
 
 def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) -> dict[str, bytes]:
-    """Plot joint positions and velocities over time as PNG for the run report, one figure per arm.
+    """Plot joint positions and velocities over time for the run report, as one PNG figure per arm.
 
     Returns:
         Image by name of the arm's group; "joints" for joints without an arm.
@@ -51,7 +51,7 @@ def joint_plots(series: Series, model: RobotModel, stages: Sequence[StageSpan]) 
 
 
 def response_plot(times: Array, curves: Mapping[str, Array], title: str) -> bytes:
-    """Plot step responses over time as PNG in the run report's style, one panel per joint.
+    """Plot step responses over time as PNG in the style of the run report, with one panel per joint.
 
     Args:
         times: (k,) [s].
@@ -77,7 +77,9 @@ def response_plot(times: Array, curves: Mapping[str, Array], title: str) -> byte
 
 
 def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
-    """Plot gripper width and force over time as PNG for the run report; None if neither was recorded."""
+    """Plot the gripper's width and force over time as PNG for the run report; return None if neither was
+    recorded.
+    """
     rows = [
         ("width [mm]", {name: 1000 * v for name, v in series.gripper_width.items()}),
         ("force per finger [N]", dict(series.gripper_force)),
@@ -95,7 +97,7 @@ def gripper_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
 
 
 def height_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
-    """Plot the height (world z) of the most moved objects as PNG for the run report."""
+    """Plot the heights (world z) of the objects that move most, as PNG for the run report."""
     heights = {n: 1000 * z for n, z in series.object_heights.items() if np.isfinite(z).any()}
     if not heights:
         return None
@@ -107,7 +109,7 @@ def height_plot(series: Series, stages: Sequence[StageSpan]) -> bytes | None:
 
 
 def _arms(model: RobotModel) -> dict[str, list[str]]:
-    """Group the revolute joints by arm, for the run report's plots.
+    """Group the revolute joints by arm, for the plots of the run report.
 
     Prismatic finger joints are excluded, because the gripper width shows them.
     """
@@ -122,7 +124,9 @@ def _arms(model: RobotModel) -> dict[str, list[str]]:
 
 # --- common style ---
 def _figure(rows: int, row_in: float, entries: int) -> tuple[Figure, tuple[Axes, ...]]:
-    """Create the figure of run report plots: stacked axes, each `row_in` high [in], and legend space."""
+    """Create the figure for a plot of the run report: stacked axes, each `row_in` inches high, and space for
+    the legend.
+    """
     legend = math.ceil(entries / _legend_columns(entries)) * LEGEND_ROW_IN if entries else 0.0
     bottom = BOTTOM_IN + legend
     height = TOP_IN + rows * row_in + (rows - 1) * GAP_IN + bottom
@@ -177,7 +181,7 @@ def _finish(
 
 
 def _name_stages(ax: Axes, stages: Sequence[StageSpan], begin: float, end: float) -> None:
-    """Write slanted stage names into a run report's plot above the topmost axes.
+    """Write the names of the stages, slanted, above the topmost axes of a plot for the run report.
 
     If two names would overlap, the name of the shorter stage is omitted.
     """

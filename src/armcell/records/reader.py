@@ -30,7 +30,7 @@ _JOINTS = ("/joint_states", "/joint_targets", "/gripper_states")
 
 @dataclass(frozen=True, eq=False)
 class RecordedJoints:
-    """JointState message of a record, as the reader returns it; empty arrays for unknown values."""
+    """JointState message read from a record. Arrays are empty where values are unknown."""
 
     names: tuple[str, ...]
     positions: Array
@@ -44,7 +44,7 @@ class RecordedJoints:
 
 @dataclass(frozen=True, eq=False)
 class RecordedState:
-    """Recorded state of the cell at one time, with the exact recorded values."""
+    """State of the cell at one time, read from a record with exactly the recorded values."""
 
     nanoseconds: int  # time of the cell's clock
     joints: RecordedJoints
@@ -55,11 +55,11 @@ class RecordedState:
 
     @property
     def time(self) -> float:
-        """Return the time [s] of a recorded state that the reader returned."""
+        """Return the time [s] of a recorded state that was read from a record."""
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
-        """Return the recorded state as the `StateSample` that observers receive."""
+        """Return a recorded state as the `StateSample` that observers receive."""
         t, g = self.time, self.grippers
         return StateSample(
             t,
@@ -74,7 +74,7 @@ class RecordedState:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Recorded run, as read from its file.
+    """A recorded run, as read from its file.
 
     Attributes:
         metadata: run metadata, see `run_metadata`; empty if the record is not of a cell's task.
@@ -93,16 +93,18 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """Return a read record's duration [s, cell's clock] from first to last recorded state."""
+        """Return the duration [s, cell's clock] of a record that was read, from its first to its
+        last state.
+        """
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
-        """Return the index of a read record's last state at or before a time [s]."""
+        """Return the index of the last state at or before a given time [s] in a record that was read."""
         return max(bisect.bisect_right(self.states, round(time * NANO), key=lambda s: s.nanoseconds) - 1, 0)
 
 
 def record_file(run: str | Path) -> Path:
-    """Return the record file to read in a run folder, or the given file itself.
+    """Return the file to read the record from: the one in a run folder, or the given file itself.
 
     Raises:
         InputError: there is no record.
@@ -120,7 +122,7 @@ def record_file(run: str | Path) -> Path:
 
 
 def read_record(run: str | Path) -> Record:
-    """Read a run's record from a run folder or an MCAP file.
+    """Read the record of a run from a run folder or an MCAP file.
 
     Raises:
         InputError: no record, not an MCAP file, unsupported version, or cut off before the first state.
@@ -140,7 +142,7 @@ def read_record(run: str | Path) -> Record:
 
 
 class _Reading:
-    """State of a record's reader, which assembles a file's messages."""
+    """State of the record reader, which assembles the record from the messages in its file."""
 
     def __init__(self, file: Path):
         self.file = file
@@ -157,7 +159,9 @@ class _Reading:
         self._poses: dict[str, Array] = {}
 
     def read(self) -> str:
-        """Read the record file; return the cause if the file is cut off, else an empty string."""
+        """Read the file of a record. If the file is cut off, return the cause; otherwise return an empty
+        string.
+        """
         from mcap.exceptions import InvalidMagic, McapError
         from mcap.stream_reader import StreamReader
         from rosbags.serde.errors import SerdeError
@@ -265,7 +269,7 @@ def _trajectory(message: Any) -> JointTrajectory:
 
 
 def scenes_of(record: Record, start: PlanningScene) -> list[tuple[float, PlanningScene]]:
-    """Read from a record the run's scene at its start and after each change, with times [s].
+    """Read the scene of a recorded run at its start and after each change, with the times [s].
 
     The robot and the movable objects keep their initial poses; the recorded states contain their motion.
     """
@@ -299,12 +303,14 @@ class StageSpan:
 
 
 def stage_name(event: Event) -> str:
-    """Read a recorded stage event's name: `data["name"]` or `data["stage"]`, else its text."""
+    """Return the stage name in an event that was read from a record: `data["name"]` or `data["stage"]`, or
+    else the event's text.
+    """
     return str(event.data.get("name") or event.data.get("stage") or event.text)
 
 
 def ends_stage(event: Event) -> bool:
-    """Return True if a stage event that was read from a record marks the end of the stage.
+    """Return whether a stage event that was read from a record marks the end of the stage.
 
     The phase is `data["phase"]`, by default "begin".
     """
@@ -312,7 +318,7 @@ def ends_stage(event: Event) -> bool:
 
 
 def stage_spans(events: Iterable[Event], until: float) -> list[StageSpan]:
-    """Read the time spans of a recorded run's stages, in time order.
+    """Read the time spans of the stages from a recorded run, in time order.
 
     A stage ends with its end event, the start of the next stage or `until` [s], whichever comes first. Empty
     spans are omitted.

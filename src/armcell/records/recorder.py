@@ -32,7 +32,7 @@ MOST_SAMPLES = 60_000
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Picture for the run recorder: image `rgb` (h, w, 3) uint8 of a key moment of a run."""
+    """Image `rgb` (h, w, 3) uint8 of a key moment of a run, kept by the run recorder."""
 
     time: float  # [s]
     title: str
@@ -41,7 +41,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Recorder's series: sampled values of a run as arrays over time; unknown values are NaN."""
+    """Values sampled during a run, kept by the run recorder as arrays over time. Unknown values are NaN."""
 
     times: Array  # (n,) [s]
     joint_names: tuple[str, ...]  # the model's order
@@ -55,12 +55,15 @@ class Series:
 
     @property
     def object_heights(self) -> dict[str, Array]:
-        """Return the world z of each object's origin (n,) [m] from the recorder's series, by object name."""
+        """Return the height (world z) of each object's origin (n,) [m] during a recorded run, by
+        object name.
+        """
         return {name: xyz[:, 2] for name, xyz in self.object_positions.items()}
 
 
 def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
-    """Create the run recorder's folder `root/<YYYYmmdd-HHMMSS>-<cell>/`, with suffix "-2" if it exists.
+    """Create the folder for a recorded run, `root/<YYYYmmdd-HHMMSS>-<cell>/`, with the suffix "-2" if it
+    already exists.
 
     Args:
         root: usually "runs"; created if missing.
@@ -87,7 +90,7 @@ def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
 
 
 class RunRecorder:
-    """Run recorder: observer that writes `run.mcap` into a folder and keeps the data for the report.
+    """Observer that records a run: it writes `run.mcap` into a folder and keeps the data for the report.
 
     The MCAP file has a temporary name until `close`. Leaving the `with` block closes it, also after an error.
     If an error occurs before the first state, the folder is removed.
@@ -137,7 +140,7 @@ class RunRecorder:
 
     @property
     def mcap_file(self) -> Path:
-        """Return the path that the run recorder's MCAP file has after `close`."""
+        """Return the path that the MCAP file of the run recorder has after `close`."""
         return self._mcap.file
 
     # --- Observer ---
@@ -162,7 +165,7 @@ class RunRecorder:
 
     # --- additions ---
     def add_picture(self, time: float, title: str, rgb: NDArray[np.uint8]) -> None:
-        """Add an image `rgb` (h, w, 3) uint8 of a key moment to the run recorder, for the report."""
+        """Add an image `rgb` (h, w, 3) uint8 of a key moment to the run recorder, for use in the report."""
         image = np.asarray(rgb)
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
             raise InputError(
@@ -172,7 +175,7 @@ class RunRecorder:
             self.pictures.append(Picture(time, title, image.copy()))
 
     def add_frame(self, time: float, camera: str, rgb: NDArray[np.uint8]) -> None:
-        """Write a camera image `rgb` (h, w, 3) uint8 into the run recorder's MCAP file."""
+        """Write a camera image `rgb` (h, w, 3) uint8 to the MCAP file of the run recorder."""
         from PIL import Image
 
         file = io.BytesIO()
@@ -181,14 +184,16 @@ class RunRecorder:
             self._keep_on_disk(lambda: self._mcap.write_image(camera, time, file.getvalue()))
 
     def finish(self, result: Mapping[str, Any]) -> None:
-        """Write the run's result and close the run recorder."""
+        """Write the result of the run and close the run recorder."""
         with self._lock:
             self._keep_last()
             self._keep_on_disk(lambda: self._mcap.write_result(result))
         self.close()
 
     def series(self) -> Series:
-        """Return the run recorder's samples, evenly thinned if there are more than `MOST_SAMPLES`."""
+        """Return the samples that the run recorder keeps, thinned evenly if there are more than
+        `MOST_SAMPLES`.
+        """
         with self._lock:
             samples, newest = list(self._samples), self._skipped or self._last
         if newest is not None and newest is not samples[-1]:
@@ -196,7 +201,9 @@ class RunRecorder:
         return _series(self.scene.model.joint_names, samples)
 
     def close(self) -> None:
-        """Close the run recorder: write the last sample and end the MCAP file; a repeat has no effect."""
+        """Close the run recorder: write the last sample and finish the MCAP file. Repeated calls have no
+        effect.
+        """
         with self._lock:
             if self._closed:
                 return
@@ -222,7 +229,7 @@ class RunRecorder:
             self._keep(self._skipped)
 
     def _keep_on_disk(self, write: Callable[[], None]) -> None:
-        """Call a write function; a disk error ends the run recording but not the run.
+        """Call a function that writes to disk. A disk error ends the recording but not the run.
 
         A real arm may be moving when the error occurs.
         """
@@ -282,7 +289,7 @@ def _series(joint_names: tuple[str, ...], samples: list[StateSample]) -> Series:
 
 
 def _in_order(joint_names: tuple[str, ...], state: JointState, kind: str) -> Array | None:
-    """Return the recorder's values of one kind in the given joint order, NaN for missing joints."""
+    """Return recorded values of one kind in the given joint order, with NaN for missing joints."""
     values = getattr(state, kind)
     if values is None or state.joint_names == joint_names:
         return values

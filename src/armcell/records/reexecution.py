@@ -20,7 +20,7 @@ REPEATABLE = ("sim", "fake")
 def reexecute(
     record: Record, folder: Path, anyway: bool = False, observers: Sequence[Observer] = ()
 ) -> tuple[Comparison, dict[str, Any], RunRecorder]:
-    """Re-execute a recorded run's task and record it into a folder.
+    """Execute the task of a recorded run again and record the new run into a folder.
 
     Args:
         anyway: execute even if files or versions have changed since the recording.
@@ -42,7 +42,7 @@ def reexecute(
 
 
 def checked_cell(record: Record, anyway: bool = False) -> Any:
-    """Return a record's cell if re-execution must reproduce the run.
+    """Return the cell of a record after checking that executing it again can reproduce the run.
 
     Raises:
         InputError: the run is not reproducible; the text gives the cause.
@@ -75,7 +75,7 @@ def checked_cell(record: Record, anyway: bool = False) -> Any:
 
 
 def command_of(record: Record) -> str:
-    """Return the shell command that started the recorded run, for its re-execution."""
+    """Return the shell command that started a recorded run, so that it can be executed again."""
     result: Mapping[str, Any] = record.result or {}
     return str(
         result.get("command") or f"armcell run {record.metadata['cell']} --seed {record.metadata['seed']}"

@@ -22,7 +22,7 @@ MAX_EVENTS = 2000
 
 
 def write_report(folder: Path, result: Mapping[str, Any], recorder: RunRecorder) -> Path:
-    """Write the run report `report.html` atomically into the run's folder.
+    """Write the run report `report.html` into the run's folder, atomically.
 
     Args:
         folder: the run's folder; created if missing.
@@ -85,7 +85,7 @@ def _headline(result: Mapping[str, Any]) -> str:
 
 
 def _error_words(result: Mapping[str, Any]) -> str:
-    """Format an error code as words for the run report, e.g. "goal in collision (-12)"."""
+    """Format an error code in words for the run report, for example "goal in collision (-12)"."""
     code, name = result.get("error_code"), result.get("error_name")
     if not name and isinstance(code, int):
         name = next((c.name for c in ErrorCode if c.value == code), None)
@@ -100,7 +100,9 @@ def _footer(recorder: RunRecorder) -> str:
 
 # --- tables ---
 def _rows(result: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """Return a list of the result as mappings for the run report; other entries become {"what": entry}."""
+    """Return a list from a run's result as mappings for the report. Entries of other types become {"what":
+    entry}.
+    """
     value = result.get(key) or []
     if not isinstance(value, list | tuple):
         value = [value]
@@ -187,7 +189,9 @@ def _contacts(result: Mapping[str, Any]) -> str:
 
 
 def _column_title(key: str) -> str:
-    """Format a JSON key as a run report heading with its unit: `force_n` -> "force [N]"."""
+    """Convert a JSON key to a heading with its unit for the run report, for example `force_n` to
+    "force [N]".
+    """
     stem, _, unit = key.rpartition("_")
     known = {"s": "s", "n": "N", "m": "mm", "rad": "rad"}
     return f"{stem.replace('_', ' ')} [{known[unit]}]" if stem and unit in known else key.replace("_", " ")
@@ -221,7 +225,9 @@ def _events(recorder: RunRecorder) -> str:
 
 
 def _event_words(event: Event) -> str:
-    """Return an event's text for the run report; stage events get missing name, phase and error."""
+    """Return the text of an event for the run report. Stage events also get their name, phase and error if
+    these are missing.
+    """
     if event.kind != "stage":
         return event.text
     words = event.text if stage_name(event) in event.text else f"{stage_name(event)}: {event.text}"

@@ -15,7 +15,7 @@ def pose_data(T: SE3) -> dict[str, Any]:
 
 
 def object_data(item: CollisionObject) -> dict[str, Any]:
-    """Convert a scene object's shapes and properties to JSON data for a run's record.
+    """Convert the shapes and properties of a scene object to JSON data for the record of a run.
 
     Point clouds and octrees are stored by name only, because they are large and may arrive ten times a
     second.
@@ -29,7 +29,7 @@ def object_data(item: CollisionObject) -> dict[str, Any]:
 
 
 def object_of(name: str, data: dict[str, Any]) -> CollisionObject | None:
-    """Create a scene object from a record's JSON data of shapes; None if none were recorded."""
+    """Create a scene object from the JSON data of a record. Return None if no shapes were recorded."""
     shapes = [
         (shape, SE3.from_mapping(each["pose"], "pose"))
         for each in data["shapes"]

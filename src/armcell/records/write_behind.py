@@ -12,7 +12,8 @@ MOST_WAITING = 256 << 20  # [bytes] about one hour of recording; a disk this far
 
 
 class WriteBehindFile:
-    """Write-behind file: sequential binary file with background writes, e.g. for the `mcap` writer.
+    """Binary file that a background thread writes sequentially (write-behind), for example for the `mcap`
+    writer.
 
     `write` and `flush` never wait for the disk. The next call of either raises the error of a failed write.
 
@@ -32,7 +33,7 @@ class WriteBehindFile:
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Queue data for the write-behind file's disk; return the number of bytes.
+        """Queue data for the thread that writes the write-behind file to disk. Return the number of bytes.
 
         Raises:
             OSError: the disk is full, or too much data is waiting for it.
@@ -49,14 +50,14 @@ class WriteBehindFile:
 
     @property
     def waiting(self) -> int:
-        """Return the number of bytes of a write-behind file that are not on the disk yet."""
+        """Return how many bytes of a write-behind file are still waiting to be written to disk."""
         return self._bytes
 
     def tell(self) -> int:
         return self._position
 
     def flush(self) -> None:
-        """Hand all queued data to the write-behind file's thread.
+        """Hand all buffered data to the background thread that writes the write-behind file.
 
         Raises:
             OSError: an earlier write failed.
@@ -70,7 +71,7 @@ class WriteBehindFile:
                 self._wake.notify()
 
     def wait(self) -> None:
-        """Flush the write-behind file and wait until all data is on the disk.
+        """Flush the write-behind file and wait until the background thread has written all data to disk.
 
         Raises:
             OSError: a write failed.
@@ -84,7 +85,7 @@ class WriteBehindFile:
         return self._file.fileno()
 
     def close(self) -> None:
-        """Close the write-behind file when all data is on the disk; repeated calls have no effect.
+        """Close the write-behind file after all data has been written to disk. Repeated calls have no effect.
 
         Raises:
             OSError: a write failed.
@@ -103,7 +104,9 @@ class WriteBehindFile:
         self._raise()
 
     def _failed(self, error: OSError) -> None:
-        """Store a write error of the write-behind file, discard the waiting data and end the thread."""
+        """Store an error that occurred while the write-behind file was written, discard the waiting data and
+        end the thread.
+        """
         with self._wake:
             self._error, self._closing = error, True
             self._waiting.clear()

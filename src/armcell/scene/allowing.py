@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 
 def expanded(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
-    """Return a scene's allowed collision pairs, with per-body defaults expanded to body pairs.
+    """Return the allowed collision pairs of a scene, with the defaults of single bodies expanded to pairs of
+    bodies.
 
     An entry for a pair takes precedence over defaults. If the defaults of two bodies disagree, their contact
     is not allowed, as in MoveIt's AllowedCollisionMatrix.
@@ -29,7 +30,7 @@ def expanded(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
 
 
 def forgotten(scene: PlanningScene, name: str) -> PlanningScene:
-    """Return the scene without any allowed-collision entries of a given body."""
+    """Return the scene without any allowed-collision entries for a given body."""
     return replace(
         scene,
         allowed_pairs={pair: allow for pair, allow in scene.allowed_pairs.items() if name not in pair},

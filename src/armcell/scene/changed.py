@@ -8,7 +8,7 @@ from armcell.scene.scene import PlanningScene
 
 
 def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]:
-    """Return the changed objects and allowed collision pairs between two scenes.
+    """Return what has changed between two scenes: the objects and the allowed collision pairs that differ.
 
     Joint positions and attached objects are not compared.
 
@@ -42,7 +42,9 @@ def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]
 
 
 def new_obstacles(before: PlanningScene, now: PlanningScene) -> list[str]:
-    """Return the world objects new, moved or reshaped in a changed scene, for replanning."""
+    """Return the world objects that are new, moved or reshaped in a changed scene. They may require
+    replanning.
+    """
     found = []
     for name, item in now.objects.items():
         was = before.objects.get(name)

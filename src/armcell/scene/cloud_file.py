@@ -30,7 +30,7 @@ OCTREES = (".bt", ".ot", ".npz")
 
 
 def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud | Octree:
-    """Load an obstacle from a cloud or octomap file: a point cloud with a radius [m], or an octomap.
+    """Load an obstacle from a file: a point cloud whose points have a radius [m], or an octomap.
 
     The suffix determines the format. Octomaps have cells and need no radius.
     """
@@ -47,7 +47,7 @@ def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud |
 
 
 def load_points(path: str | Path) -> F64:
-    """Load the finite points (n, 3) [m] of a point cloud file.
+    """Load the points (n, 3) [m] of a point cloud file. Points that are not finite are dropped.
 
     Other points, which mark pixels without depth, are dropped and logged.
 
@@ -79,7 +79,7 @@ def _text(data: bytes, file: Path) -> str:
 
 
 def _table(lines: list[str], columns: list[int], first: int, file: Path) -> F64:
-    """Parse some columns of a point cloud's text file with commas or white space between the numbers.
+    """Parse some columns of a point cloud's text file, whose numbers are separated by commas or white space.
 
     `first` is the line number of the first line, for error messages.
     """
@@ -160,7 +160,7 @@ _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
 def _pcd(data: bytes, file: Path) -> F64:
-    """Parse the points of a point cloud file in the Point Cloud Library's format PCD, up to version 0.7."""
+    """Parse the points of a point cloud in the Point Cloud Library's file format PCD, up to version 0.7."""
     header: dict[str, list[str]] = {}
     at, line = 0, 0
     while "DATA" not in header:
@@ -216,7 +216,7 @@ def _pcd(data: bytes, file: Path) -> F64:
 
 
 def _unpacked(body: bytes, size: int, file: Path) -> bytes:
-    """Decompress the data of a compressed PCD file: two sizes (uint32), then LZF data."""
+    """Decompress the data of a compressed PCD file, which consists of two sizes (uint32) and LZF data."""
     if len(body) < 8:
         raise InputError("PCD is cut off before its compressed data", file=file)
     packed, unpacked = (int(n) for n in np.frombuffer(body, "<u4", 2))
@@ -232,7 +232,8 @@ def _unpacked(body: bytes, size: int, file: Path) -> bytes:
 
 @njit(cache=True)
 def _unlzf(data, out):
-    """Decompress a point cloud file's LZF data (Marc Lehmann's liblzf); return the number of written bytes.
+    """Decompress the LZF data of a point cloud file (Marc Lehmann's liblzf). Return the number of bytes
+    written.
 
     The result is -1 if the data are invalid. A control byte n below 32 precedes n + 1 literal bytes. The
     upper three bits of any other control byte are the length of a copy (if 7, the next byte is added); the

@@ -19,14 +19,14 @@ OCTOMAP = "<octomap>"
 
 
 class Change(Protocol):
-    """One change in a scene diff; `applied_to` returns the changed planning scene."""
+    """One change in a scene diff. `applied_to` returns the changed planning scene."""
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene: ...
 
 
 @dataclass(frozen=True, eq=False)
 class SceneDiff:
-    """Scene diff: an ordered list of scene changes; either all or none of them are applied."""
+    """Ordered list of changes to a planning scene (scene diff). Either all of them are applied or none."""
 
     changes: tuple[Change, ...] = ()
 
@@ -38,7 +38,7 @@ class SceneDiff:
         return SceneDiff((*self.changes, *other.changes))
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the scene with all changes of a scene diff applied; the argument never changes.
+        """Return the scene with all changes of a scene diff applied. The given scene itself does not change.
 
         Raises:
             InputError: a change cannot be applied; the message names the first such change.
@@ -68,7 +68,7 @@ class SceneDiff:
 def _placed_object(
     change: Change, placed: Mapping[str, CollisionObject], scene: PlanningScene
 ) -> CollisionObject | None:
-    """Return the world object that results from a scene diff's change, or None.
+    """Return the world object that a change in a scene diff adds or modifies, or None.
 
     The change may add the object, move it in the world frame, or set its color or type.
 
@@ -111,7 +111,9 @@ class AddObject:
 
 @dataclass(frozen=True, eq=False)
 class AppendShapes:
-    """A change in a scene diff that adds shapes and subframes to a world object, in its frame."""
+    """A change in a scene diff that adds shapes and subframes to a world object, given in the
+    object's frame.
+    """
 
     name: str
     shapes: tuple[tuple[Shape, SE3], ...] = ()  # (shape, T_object_shape)
@@ -254,7 +256,7 @@ class AllowByDefault:
 @dataclass(frozen=True)
 @checked()
 class SetPadding:
-    """A change in a scene diff that sets link padding [m] and link scale factors for collision checks.
+    """A change in a scene diff that sets the padding [m] and the scale factors of links for collision checks.
 
     Links that `links` and `scales` do not name keep their individual values.
 
@@ -308,7 +310,7 @@ class SetFixedFrame:
 def with_octomap(
     scene: PlanningScene, octree: Octree | None, T_world_octomap: SE3 = SE3.identity()
 ) -> PlanningScene:
-    """Return the scene with a scene diff's octomap, or without octomap if `octree` is None.
+    """Return the scene with the octomap of a scene diff, or without an octomap if `octree` is None.
 
     The octomap is the object named `OCTOMAP`.
 

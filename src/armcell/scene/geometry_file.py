@@ -39,7 +39,7 @@ MAX_PARTS = 1_000_000
 
 
 def save_scene_file(objects: Iterable[CollisionObject], path: str | Path, name: str = "armcell") -> list[str]:
-    """Write scene objects to a .scene file in MoveIt's new format, with full numeric precision.
+    """Write scene objects to a .scene file in MoveIt's newer format, with full numeric precision.
 
     Args:
         objects: the objects.
@@ -69,7 +69,7 @@ def save_scene_file(objects: Iterable[CollisionObject], path: str | Path, name: 
 
 
 def load_scene_file(path: str | Path) -> tuple[CollisionObject, ...]:
-    """Load the objects of MoveIt's .scene file, in the new or the old format, as fixed world objects.
+    """Load the objects of a MoveIt .scene file, in the newer or the older format, as fixed world objects.
 
     Raises:
         InputError: the file is not a valid .scene file; the message contains file, line and reason.
@@ -101,7 +101,7 @@ def _shape_lines(name: str, shape: Shape) -> list[str]:
 
 
 class _Reader:
-    """Word-by-word reader of a .scene file that knows the current line number.
+    """Reader that reads a .scene file word by word and knows the current line number.
 
     As in MoveIt's reader, line breaks only matter in object names.
     """
@@ -215,7 +215,7 @@ class _Reader:
         raise self.fail(f"{what} is a {kind!r}; known: {', '.join(sized)}, plane, mesh")
 
     def _plane(self, equation: list[float]) -> tuple[Shape, SE3]:
-        """Return a .scene file's plane a x + b y + c z + d = 0 as half-space with its pose."""
+        """Return the plane a x + b y + c z + d = 0 of a .scene file as a half-space with its pose."""
         normal, d = np.array(equation[:3]), equation[3]
         length = float(np.linalg.norm(normal))
         if length == 0:

@@ -50,7 +50,7 @@ def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
 
 
 def solid_inertia(shapes: Iterable[tuple[Shape, SE3]], mass: float) -> tuple[Array, Array]:
-    """Return an object's center of mass (3,) [m] and its inertia (3, 3) [kg m^2] about the center.
+    """Return the center of mass (3,) [m] of an object and its inertia (3, 3) [kg m^2] about that center.
 
     Both are in the object's frame. The mass is distributed evenly over the shapes' volumes; overlaps count
     twice.

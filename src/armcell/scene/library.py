@@ -24,7 +24,9 @@ WALL_PIECES = 16  # number of flat segments of a mug's round wall
 @dataclass(frozen=True)
 @checked()
 class Kind:
-    """A kind of everyday object in the library: a function of sizes, density, friction and color."""
+    """A kind of everyday object in the object library: a function that creates it from sizes, density,
+    friction and color.
+    """
 
     solids: Callable[..., Solids]
     density: float  # [kg/m^3] mean density of the solids, including the content of a full can
@@ -33,7 +35,7 @@ class Kind:
 
     @property
     def sizes(self) -> dict[str, float]:
-        """Return the adjustable sizes of a library object by name, with default values [m]."""
+        """Return the adjustable sizes of an object of the library, by name, with their default values [m]."""
         return {p.name: float(p.default) for p in inspect.signature(self.solids).parameters.values()}
 
 
@@ -54,7 +56,7 @@ def library_object(
     sizes: dict[str, float] | None = None,
     **properties,
 ) -> CollisionObject:
-    """Create an object from the library of everyday objects.
+    """Create an everyday object from the object library.
 
     Args:
         kind: name of the library object, see `object_names()`.
@@ -193,7 +195,8 @@ def _open_box(length: float, width: float, height: float, wall: float) -> Solids
 
 # --- convex meshes ---
 def prism(outline: np.ndarray, height: float) -> Mesh:
-    """Return, for library objects, a closed prism mesh over a convex outline, from z = 0 to a height [m].
+    """Return a closed mesh of a prism with a convex outline, from z = 0 up to a height [m], for objects of
+    the library.
 
     Args:
         outline: corners (n, 2) [m], counterclockwise.
@@ -208,7 +211,8 @@ def prism(outline: np.ndarray, height: float) -> Mesh:
 
 
 def frustum(low: float, high: float, height: float, edges: int = 32) -> Mesh:
-    """Return, for library objects, a closed mesh of a conical frustum with radius `low` [m] at z = 0.
+    """Return a closed mesh of a conical frustum whose radius at z = 0 is `low` [m], for objects of the
+    library.
 
     The radius at `height` [m] is `high` [m].
     """

@@ -21,7 +21,9 @@ SMALLEST = 5e-4  # [m] along the longest axis
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """Measurements of a mesh file's object: size, closedness, convexity and volume."""
+    """Measurements of an object that a mesh file describes: its size and volume, and whether it is closed and
+    convex.
+    """
 
     size: tuple[float, float, float]  # [m] along its axes
     closed: bool  # every edge has two triangles with consistent orientation
@@ -31,7 +33,7 @@ class MeshFacts:
 
 
 def mesh_facts(mesh: Mesh) -> MeshFacts:
-    """Measure an object's mesh: size, closedness, convexity and volume.
+    """Measure the mesh of an object: its size and volume, and whether it is closed and convex.
 
     Raises:
         InputError: the mesh is flat, so it has no volume and no inertia.
@@ -50,7 +52,7 @@ def mesh_facts(mesh: Mesh) -> MeshFacts:
 
 
 def check_mesh(mesh: Mesh, movable: bool) -> MeshFacts:
-    """Check an object's mesh: reject it with an implausible size, warn if it is not closed.
+    """Check the mesh of an object: reject an implausible size, and warn if the mesh is not closed.
 
     For a movable object with an open mesh, mass and inertia are those of the convex hull.
 

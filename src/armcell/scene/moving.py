@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MovingObject:
-    """Moving obstacle: an object with a known motion, given by poses at times (k,) [s].
+    """Moving obstacle: an object whose motion is known, given by its poses at times (k,) [s].
 
     Between two times the object moves in a straight line and turns evenly; before the first and after the
     last time it is at rest. `object.T_world_object` is ignored.
@@ -47,7 +47,7 @@ class MovingObject:
 
     @property
     def reach(self) -> float:
-        """Return an upper bound of the distance [m] from a moving obstacle's origin to its points."""
+        """Return an upper bound on the distance [m] from the origin of a moving obstacle to its points."""
         found = 0.0
         for shape, T in self.object.shapes:
             center, half = local_bounds(shape)
@@ -56,7 +56,7 @@ class MovingObject:
         return found
 
     def pose(self, t: float) -> SE3:
-        """Return a moving obstacle's pose T_world_object at time `t` [s]."""
+        """Return the pose T_world_object of a moving obstacle at time `t` [s]."""
         i = int(np.searchsorted(self.times, t, side="right")) - 1
         if i < 0:
             return self.poses[0]
@@ -66,7 +66,7 @@ class MovingObject:
         return self.poses[i].interpolate(self.poses[i + 1], float(share))
 
     def travel(self, t0: float, t1: float) -> float:
-        """Return an upper bound of a moving obstacle's travel [m] between times t0 and t1 [s].
+        """Return an upper bound on how far [m] a moving obstacle travels between the times t0 and t1 [s].
 
         The bound holds for every point of the object.
         """
@@ -74,7 +74,8 @@ class MovingObject:
         return float(b - a)
 
     def swept(self, t0: float, t1: float, step: float = 0.02, most: int = 200) -> CollisionObject:
-        """Return one fixed object made of copies of a moving obstacle between times t0 and t1.
+        """Return one fixed object that consists of copies of a moving obstacle along its path between the
+        times t0 and t1.
 
         The result does not cover the space between the copies, so a motion planned around it must still be
         checked against the moving object at its times.

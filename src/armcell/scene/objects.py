@@ -39,7 +39,8 @@ USE_A_SOLID = "describe what moves by solids or a mesh"
 @dataclass(frozen=True)
 @checked()
 class Material:
-    """Material of a collision object: Coulomb friction: static, dynamic, torsional and rolling.
+    """Material of a collision object, with its coefficients of Coulomb friction: static, dynamic, torsional
+    and rolling.
 
     The coefficients of torsional and rolling friction are lengths [m]. The defaults are those of painted wood
     on rubber.
@@ -68,21 +69,21 @@ class Material:
 
     @property
     def sliding(self) -> float:
-        """Return the friction coefficient of an object's material in a sliding contact.
+        """Return the friction coefficient that an object's material has in a sliding contact.
 
         The result is `dynamic_friction`, or `friction` if that is None.
         """
         return self.friction if self.dynamic_friction is None else self.dynamic_friction
 
     def scaled(self, factor: float) -> Material:
-        """Return an object's material with static and dynamic friction multiplied by `factor`."""
+        """Return an object's material with its static and dynamic friction multiplied by `factor`."""
         dynamic = None if self.dynamic_friction is None else self.dynamic_friction * factor
         return replace(self, friction=self.friction * factor, dynamic_friction=dynamic)
 
 
 @dataclass(frozen=True)
 class ObjectType:
-    """The type of a collision object as a database key, like object_recognition_msgs/ObjectType."""
+    """Type of a collision object as a key in a database, like object_recognition_msgs/ObjectType."""
 
     key: str = ""
     db: str = ""
@@ -91,7 +92,8 @@ class ObjectType:
 @dataclass(frozen=True)
 @checked()
 class Thread:
-    """Screw thread of a collision object, which turns only about its own z axis and moves along it.
+    """Screw thread of a collision object, which can only turn about its own z axis and thereby moves along
+    it.
 
     The thread is right-handed: turned clockwise, as seen from the tip of its z axis, the object moves along
     -z.
@@ -112,7 +114,7 @@ class Thread:
 
 
 def is_color(color: Any) -> bool:
-    """Return whether a value is an RGBA color of scene objects: a tuple of four numbers from 0 to 1."""
+    """Return whether a value is a valid RGBA color for scene objects: a tuple of four numbers from 0 to 1."""
     return len(color) == 4 and all(0 <= part <= 1 for part in color)
 
 
@@ -123,7 +125,7 @@ def _bad_color(name: str, color: Any) -> InputError:
 @dataclass(frozen=True, eq=False)
 @checked()
 class CollisionObject:
-    """Collision object: a named rigid object of a planning scene, made of one or more shapes.
+    """Collision object: a named rigid object of a planning scene that is made of one or more shapes.
 
     Attributes:
         name: unique name in the scene.
@@ -176,15 +178,16 @@ class CollisionObject:
 
     @staticmethod
     def single(name: str, shape: Shape, pose: SE3 | None = None, **properties) -> CollisionObject:
-        """Create a collision object with a single shape at the origin of the object's frame."""
+        """Create a collision object with a single shape, located at the origin of the object's frame."""
         return CollisionObject(name, ((shape, SE3.identity()),), pose or SE3.identity(), **properties)
 
     def at(self, T_world_object: SE3) -> CollisionObject:
-        """Return the collision object at another pose, without validating other fields again."""
+        """Return the collision object at another pose. Its other fields are not validated again."""
         return self._copy(T_world_object=T_world_object)
 
     def colored(self, color: Color) -> CollisionObject:
-        """Return the collision object in another RGBA color (0 to 1), without validating other fields.
+        """Return the collision object in another RGBA color (0 to 1). Its other fields are not validated
+        again.
 
         Raises:
             InputError: the color is invalid.
@@ -200,12 +203,12 @@ class CollisionObject:
 
     @property
     def has_cloud(self) -> bool:
-        """Return whether one of a collision object's shapes is a point cloud or an octree."""
+        """Return whether any shape of a collision object is a point cloud or an octree."""
         return any(isinstance(shape, PointCloud | Octree) for shape, _ in self.shapes)
 
     @property
     def volume(self) -> float:
-        """Return the sum of the volumes of a collision object's shapes [m^3]."""
+        """Return the volume [m^3] of a collision object, which is the sum over its shapes."""
         return sum(shape_volume(shape) for shape, _ in self.shapes)
 
     @property
@@ -213,7 +216,7 @@ class CollisionObject:
         return self.mass if self.mass is not None else DEFAULT_DENSITY * self.volume
 
     def extent(self, direction: NDArray[np.float64]) -> float:
-        """Return a collision object's size [m] along a unit direction (3,) in the object's frame."""
+        """Return the size [m] of a collision object along a unit direction (3,) in the object's frame."""
         ends, direction = [], float_array(direction, (3,), "a direction")
         for shape, T in self.shapes:
             low, high = extent(shape, T.rotation.matrix.T @ direction)
@@ -222,7 +225,9 @@ class CollisionObject:
         return max(e[1] for e in ends) - min(e[0] for e in ends)
 
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the corners (3,), (3,) [m] of a collision object's bounding box, in the object's frame."""
+        """Return the lowest and the highest corner (3,) [m] of a collision object's bounding box, in the
+        object's frame.
+        """
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for shape, T in self.shapes:
             center, half = local_bounds(shape)
@@ -233,7 +238,7 @@ class CollisionObject:
 
 
 def shape_volume(shape: Shape) -> float:
-    """Return the volume of a collision object's shape [m^3]; a plane has volume 0.
+    """Return the volume [m^3] of one shape of a collision object. A plane has volume 0.
 
     A mesh that is not closed counts as its convex hull. Overlapping points of a cloud count several times.
     """

@@ -32,7 +32,9 @@ MAX_CELLS = 1 << 28
 @dataclass(frozen=True)
 @checked()
 class SensorModel:
-    """Probabilities with which sensor data update an octomap (occupancy map); OctoMap's by default."""
+    """Probabilities by which sensor data update an octomap (occupancy map). The defaults are those of
+    OctoMap.
+    """
 
     hit: float = 0.7  # probability that a voxel with a point is occupied
     miss: float = 0.4  # probability that a voxel on a ray is occupied
@@ -54,7 +56,7 @@ def log_odds(probability: float) -> np.float32:
 @dataclass(frozen=True, eq=False)
 @checked()
 class OccupancyMap:
-    """Octomap: an immutable occupancy map of free and occupied voxels; unknown voxels are not stored.
+    """Octomap: an immutable occupancy map of free and occupied voxels. Unknown voxels are not stored.
 
     `updated` returns a new map. `codes` (n,) are sorted and interleave the bits of x, y and z; `values` (n,)
     are the log-odds of these voxels.
@@ -76,7 +78,7 @@ class OccupancyMap:
         max_range: float = np.inf,
         only_free: ArrayLike | None = None,
     ) -> OccupancyMap:
-        """Return the octomap after an update with one more point cloud.
+        """Return the octomap after one more point cloud has been added.
 
         A voxel counts once per cloud: as occupied if the voxel contains a point, otherwise as free.
 
@@ -127,7 +129,9 @@ class OccupancyMap:
         return replace(self, codes=codes, values=values)
 
     def at(self, points: ArrayLike) -> F32:
-        """Return the log-odds (n,) of an octomap's voxels at points (n, 3) [m]; NaN for unknown voxels."""
+        """Return the log-odds (n,) of the octomap's voxels that contain the points (n, 3) [m]; NaN for
+        unknown voxels.
+        """
         keys = np.floor(
             float_array(points, (-1, 3), "points", finite=False).reshape(-1, 3) / self.resolution
         ).astype(np.int64)
@@ -141,7 +145,9 @@ class OccupancyMap:
         return out
 
     def octree(self) -> Octree:
-        """Return the octomap's occupied voxels as an octree obstacle; merge eight full neighbors."""
+        """Return the occupied voxels of the octomap as an octree obstacle, in which eight full neighbors form
+        one cell.
+        """
         level = self.codes[self.values >= log_odds(self.sensor.occupied)]
         codes, sizes, edge = [], [], 1
         while len(level):
@@ -159,7 +165,8 @@ class OccupancyMap:
 
 @njit(cache=True)
 def _trace(grid, low, ends, far, eye, size):
-    """Mark in an octomap's voxel grid the voxels that sensor rays cross (bit 1) and end in (bit 2).
+    """Mark those voxels in an octomap's grid that sensor rays cross (bit 1) and those in which rays end
+    (bit 2).
 
     A ray with `far` True only marks free voxels, so its end gets bit 1.
 
@@ -198,7 +205,7 @@ def _trace(grid, low, ends, far, eye, size):
 
 @njit(cache=True)
 def _spread(v):
-    """Spread an integer's low 16 bits by two zero bits each, for an octomap's Z-order codes."""
+    """Insert two zero bits after each of an integer's low 16 bits, for the Z-order codes of an octomap."""
     v &= 0xFFFF
     v = (v | (v << 16)) & 0x0000FF0000FF
     v = (v | (v << 8)) & 0x00F00F00F00F
@@ -217,7 +224,9 @@ def _gather(v):
 
 @njit(cache=True)
 def voxel_codes(keys):
-    """Return the Z-order codes (n,) of an octomap's voxels (n, 3), counted from the map's origin."""
+    """Return the Z-order codes (n,) of an octomap's voxels (n, 3), whose indices count from the
+    map's origin.
+    """
     out = np.empty(len(keys), np.int64)
     for i in range(len(keys)):
         out[i] = (
@@ -230,7 +239,9 @@ def voxel_codes(keys):
 
 @njit(cache=True)
 def _keys(codes):
-    """Return an octomap's voxels (n, 3) of Z-order codes (n,), counted from the map's lowest corner."""
+    """Return the octomap voxels (n, 3) that have given Z-order codes (n,). Their indices count from the map's
+    lowest corner.
+    """
     out = np.empty((len(codes), 3), np.int64)
     for i in range(len(codes)):
         for d in range(3):
@@ -240,7 +251,9 @@ def _keys(codes):
 
 @njit(cache=True)
 def _seen(grid, low):
-    """Return the Z-order codes of an octomap grid's marked voxels, and whether each voxel was hit."""
+    """Return the Z-order codes of the marked voxels in an octomap's grid, and whether each of them was hit by
+    a ray.
+    """
     count = 0
     for value in grid.ravel():
         count += value != 0
@@ -260,7 +273,7 @@ def _seen(grid, low):
 
 @njit(cache=True)
 def _merged(codes, values, seen, hit, plus, minus, lowest, highest):
-    """Merge an octomap's voxels with a cloud's voxels, whose log-odds change by `plus` or `minus`.
+    """Merge the voxels of a point cloud into those of an octomap. Their log-odds change by `plus` or `minus`.
 
     The codes of both are sorted, and so is the result.
     """

@@ -56,7 +56,7 @@ def load_octree(path: str | Path) -> Octree:
 def octree_from_bytes(
     body: bytes, resolution: float, binary: bool, kind: str = "OcTree", file: Path | None = None
 ) -> Octree:
-    """Decode the occupied leaves of an octomap from the data of an octree file or message.
+    """Decode the occupied leaves of an octomap from the bytes of an octree file or message.
 
     The message is octomap_msgs/Octomap.
 
@@ -84,7 +84,7 @@ def octree_from_bytes(
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """Return the bytes of a regular octree file that has at most `limit` bytes."""
+    """Return the bytes of an octree file, which must be a regular file of at most `limit` bytes."""
     try:
         if not path.is_file():
             raise InputError("file not found" if not path.exists() else "is no regular file", file=path)
@@ -100,7 +100,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 @njit(cache=True)
 def _read_binary(data):
-    """Decode a .bt file's octomap in OctoMap's binary format and return its occupied leaves.
+    """Decode the octomap of a .bt file, which has OctoMap's binary format, and return its occupied leaves.
 
     A node has two bytes with two bits per child: 01 is occupied, 10 is free, and 11 is a child with children
     of its own, whose node follows.
@@ -136,7 +136,7 @@ def _read_binary(data):
 
 @njit(cache=True)
 def _read_full(data, width):
-    """Decode an .ot file's octomap in OctoMap's full format and return its occupied leaves.
+    """Decode the octomap of an .ot file, which has OctoMap's full format, and return its occupied leaves.
 
     A node has `width` bytes with its log-odds (and color), and one byte with a bit per child. The results
     are those of `_read_binary`.

@@ -69,7 +69,9 @@ def save_octree(octree: Octree, path: str | Path) -> None:
 
 
 def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
-    """Return the code of the first voxel (n,) and the voxel count (n,) of each octree cell to write."""
+    """Return the code of the first voxel (n,) and the number of voxels (n,) for each cell of an octree to
+    write.
+    """
     edges = octree.sizes / resolution
     whole = 2.0 ** np.round(np.log2(edges))
     low = octree.centers / resolution - edges[:, None] / 2
@@ -89,7 +91,8 @@ def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
 
 
 def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
-    """Return the voxels (m, 3) that cells off the written octree's grid overlap.
+    """Return the voxels (m, 3) that octree cells overlap which are not aligned with the grid of the octree to
+    write.
 
     Args:
         low: lowest corners of the cells (n, 3) [voxels].
@@ -108,7 +111,9 @@ def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
 
 
 def _apart(starts: I64, numbers: I64) -> tuple[I64, I64]:
-    """Return the octree cells that are not inside another cell, to write the octree."""
+    """Return only those octree cells that are not inside another cell, before the octree is written to a
+    file.
+    """
     order = np.lexsort((-numbers, starts))
     starts, numbers = starts[order], numbers[order]
     ends = np.maximum.accumulate(starts + numbers)

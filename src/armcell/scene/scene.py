@@ -26,7 +26,9 @@ WORLD = "world"
 
 @dataclass(frozen=True, eq=False)
 class AttachedBody:
-    """Object attached to a robot link in a planning scene; may touch the links in `touch_links`."""
+    """Object that is attached to a robot link in a planning scene. It may touch the links in
+    `touch_links`.
+    """
 
     object: CollisionObject
     link: str
@@ -75,7 +77,7 @@ class PlanningScene:
         return JointState(self.model.joint_names, self.positions)
 
     def with_positions(self, positions: ArrayLike) -> PlanningScene:
-        """Return the planning scene with other joint positions (dof,) [rad or m].
+        """Return the planning scene with other joint positions (dof,) [rad or m] of the robot.
 
         Raises:
             InputError: wrong length, a non-finite value, or a position outside the limits.
@@ -85,7 +87,8 @@ class PlanningScene:
         )
 
     def with_state(self, state: JointState) -> PlanningScene:
-        """Return the planning scene with the positions of a joint state; other joints do not move.
+        """Return the planning scene with the positions of a joint state. Joints that it does not name stay in
+        place.
 
         Mimic joints, as ROS's /joint_states names them, follow their own joints and are ignored here.
         """
@@ -97,7 +100,7 @@ class PlanningScene:
 
     # --- objects ---
     def object(self, name: str) -> CollisionObject:
-        """Return a planning scene's world object or attached object by name, with its current pose.
+        """Return a world object or attached object of the planning scene by name, with its current pose.
 
         Raises:
             UnknownNameError: the scene has no such object.
@@ -109,7 +112,7 @@ class PlanningScene:
         raise UnknownNameError("object", name, [*self.objects, *self.attached])
 
     def with_object(self, item: CollisionObject) -> PlanningScene:
-        """Return the planning scene with an object added; an object of the same name is replaced.
+        """Return the planning scene with one more object. It replaces any object with the same name.
 
         Raises:
             InputError: a link, a fixed frame or an attached object has the same name.
@@ -117,7 +120,7 @@ class PlanningScene:
         return self.with_objects((item,))
 
     def with_objects(self, items: Iterable[CollisionObject]) -> PlanningScene:
-        """Return the planning scene with several objects added or replaced by name.
+        """Return the planning scene with several objects added. They replace objects with the same names.
 
         Raises:
             InputError: a link, a fixed frame or an attached object has the name of one of them.
@@ -128,7 +131,9 @@ class PlanningScene:
         return replace(self, objects={**self.objects, **added})
 
     def check_new_name(self, name: str) -> None:
-        """Raise an InputError if a link, fixed frame or attached object of the planning scene has a name."""
+        """Raise an InputError if a link, a fixed frame or an attached object of the planning scene already
+        has a name.
+        """
         if name in self.model.links or name == WORLD:
             raise InputError(f"object {name!r} has the name of a link", hint="give it another name")
         if name in self.fixed_frames:
@@ -142,7 +147,7 @@ class PlanningScene:
         return replace(self, objects={**self.objects, name: self.objects[name].at(T_world_object)})
 
     def without_object(self, name: str) -> PlanningScene:
-        """Return the planning scene without a world object and without its allowed-collision entries.
+        """Return the planning scene without a world object and its allowed-collision entries.
 
         The entries are removed because a later object of the same name is a different object.
 
@@ -179,7 +184,8 @@ class PlanningScene:
         return replace(self, objects=rest, attached={**self.attached, name: body})
 
     def with_detached(self, name: str) -> PlanningScene:
-        """Return the planning scene with an attached object moved back to the world at its current pose.
+        """Return the planning scene with an attached object detached: it becomes a world object at its
+        current pose.
 
         Raises:
             UnknownNameError: no attached object has this name.
@@ -192,7 +198,7 @@ class PlanningScene:
 
     # --- allowed collisions ---
     def with_allowed(self, a: str, b: str | Iterable[str], allow: bool = True) -> PlanningScene:
-        """Return the planning scene with contact between given bodies allowed or forbidden.
+        """Return the planning scene in which contact between the given bodies is allowed or forbidden.
 
         Args:
             a: a link, world object or attached object.
@@ -210,7 +216,8 @@ class PlanningScene:
         return replace(self, allowed_pairs={**self.allowed_pairs, **pairs})
 
     def with_default_allowed(self, name: str, allow: bool | None) -> PlanningScene:
-        """Return the planning scene with a default for whether a body may touch other bodies.
+        """Return the planning scene with a default that allows or forbids a body's contact with all other
+        bodies.
 
         The default applies to pairs without an entry of their own, including bodies added later. If the
         defaults of two bodies disagree, their contact is not allowed, as in MoveIt.
@@ -229,7 +236,8 @@ class PlanningScene:
 
     @cached_property
     def allowed(self) -> Mapping[frozenset[str], bool]:
-        """Return the allowed (True) and forbidden (False) collision pairs of the planning scene.
+        """Return the collision pairs of the planning scene that are explicitly allowed (True) or forbidden
+        (False).
 
         Per-body defaults are expanded to pairs.
         """
@@ -247,7 +255,7 @@ class PlanningScene:
 
     def with_padding(self, padding: float | None = None, link_padding: Mapping[str, float] | None = None,
                      link_scale: Mapping[str, float] | None = None) -> PlanningScene:  # fmt: skip
-        """Return the planning scene with links enlarged for collision checks against objects.
+        """Return the planning scene in which links are enlarged for collision checks against objects.
 
         Args:
             padding: padding of all links [m]; None keeps the current value.
@@ -273,7 +281,7 @@ class PlanningScene:
 
     # --- frames ---
     def with_fixed_frame(self, name: str, T_parent_frame: SE3, parent: str = WORLD) -> PlanningScene:
-        """Return the planning scene with a named frame that is fixed in the world.
+        """Return the planning scene with a named frame added that is fixed in the world.
 
         Args:
             name: name of the frame.
@@ -290,13 +298,16 @@ class PlanningScene:
 
     @property
     def frame_names(self) -> list[str]:
-        """Return a planning scene's frame names: world, links, fixed frames, objects and their subframes."""
+        """Return the names of all frames in a planning scene: world, links, fixed frames, objects and
+        subframes of objects.
+        """
         items = [*self.objects.values(), *(body.object for body in self.attached.values())]
         own = [name for item in items for name in (item.name, *(f"{item.name}/{s}" for s in item.subframes))]
         return [WORLD, *self.model.links, *self.fixed_frames, *own]
 
     def anchor(self, name: str) -> tuple[str, SE3]:
-        """Return the link with which a planning scene's frame moves, and the frame's pose in that link.
+        """Return the link with which a frame of the planning scene moves, and the pose of the frame relative
+        to this link.
 
         For a frame that is fixed in the world, the link is the robot's root link.
 
@@ -322,7 +333,8 @@ class PlanningScene:
         raise UnknownNameError("frame", name, self.frame_names)
 
     def frame_pose(self, name: str) -> SE3:
-        """Return T_world_frame of a link, object, subframe ("cup/handle") or fixed frame in a planning scene.
+        """Return the pose T_world_frame of a link, object, subframe ("cup/handle") or fixed frame in a
+        planning scene.
 
         Raises:
             UnknownNameError: the frame does not exist.
@@ -333,7 +345,9 @@ class PlanningScene:
         return kinematic_tree(self.model).link_pose(self.positions, link) @ T_link_frame
 
     def transform(self, target: str, source: str) -> SE3:
-        """Return T_target_source between two frames of the planning scene, like TF's `lookup_transform`."""
+        """Return the transform T_target_source between two frames of the planning scene, like TF's
+        `lookup_transform`.
+        """
         return self.frame_pose(target).inv() @ self.frame_pose(source)
 
     # --- many changes at once ---

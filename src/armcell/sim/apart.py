@@ -27,7 +27,8 @@ BEYOND = 0.05  # [m] assumed largest overshoot of a slide joint beyond its limit
 
 
 class Apart:
-    """Body pairs that are far apart, with motion bounds; MuJoCo skips pairs that cannot touch yet.
+    """Pairs of bodies that are far apart, with bounds on their motion. MuJoCo skips a pair as long as its
+    bodies cannot touch.
 
     `stepping.take_steps` reads and updates the arrays.
 
@@ -85,7 +86,7 @@ class Apart:
         self.forget()
 
     def forget(self) -> None:
-        """Forget how far apart bodies are: let MuJoCo test every body pair again."""
+        """Forget how far apart bodies are, so that MuJoCo tests every pair for contact again."""
         model = self._model
         self._left[:], self._shut[:], self._open[:] = -1.0, False, self._looked_at
         model.geom_conaffinity[self._bit > 0] = ALL
@@ -98,7 +99,9 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    """Return the pairs of body ids that MuJoCo tests for contact, to skip those far apart."""
+    """Return the pairs of body ids that MuJoCo tests for contact and that may be skipped while the bodies are
+    far apart.
+    """
     excluded = {(s >> 16, s & 0xFFFF) for s in model.exclude_signature.tolist()}
     weld = model.body_weldid.tolist()
     above = [weld[parent] for parent in model.body_parentid[weld].tolist()]
@@ -113,7 +116,8 @@ def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
-    """Return whether a body's geoms allow skipping pairs far apart: default masks, known distances.
+    """Return whether pairs with a body may be skipped while far apart: its geoms have the default masks and
+    known distance functions.
 
     A body without geoms yields False.
     """
@@ -123,7 +127,8 @@ def _plain(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
-    """Return motion bounds (p, nq) [m] per qpos value of body pairs, to skip those far apart.
+    """Return bounds (p, nq) [m] on the relative motion of body pairs per unit of each qpos value, to skip
+    pairs that are far apart.
 
     Entry [i, j] bounds how far a point of one body of pair i can move against the other body when qpos[j]
     changes by one unit.
@@ -141,7 +146,8 @@ def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
 
 
 def _way_up(model: mujoco.MjModel, body: int) -> dict[int, list[tuple[int, tuple[float, ...]]]]:
-    """Return a body's joints and those of its ancestors with motion bounds, to skip pairs far apart.
+    """Return the joints of a body and its ancestors with bounds on the body's motion, to skip body pairs that
+    are far apart.
 
     Returns:
         The joints by body id, from the given body up to the world. Each joint is a tuple: start index in

@@ -26,7 +26,7 @@ RENDER_CAMERA = "render"
 
 
 def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
-    """Return a planning scene's objects by name at their current poses, to build a MuJoCo model.
+    """Return the objects of a planning scene by name at their current poses, for building a MuJoCo model.
 
     Attached objects are included, because they are free bodies in physics.
     """
@@ -34,7 +34,7 @@ def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
 
 
 def same_build(a: PlanningScene, b: PlanningScene) -> bool:
-    """Return whether two planning scenes build the same MuJoCo model.
+    """Return whether `build` would create the same MuJoCo model from two planning scenes.
 
     Joint positions and poses of free bodies may differ.
     """
@@ -68,7 +68,7 @@ def build(
     visuals: bool = False,
     decals: Iterable[Decal] = (),
 ) -> BuiltModel:
-    """Build a MuJoCo model: compile a planning scene.
+    """Build a compiled MuJoCo model from a planning scene.
 
     Args:
         visuals: also add the links' visual meshes, without contacts or mass, for rendering. A model without

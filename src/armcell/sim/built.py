@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class GripperIndex:
-    """Indices and limits of one gripper's position servo in a built MuJoCo model.
+    """Indices and limits of the position servo that drives one gripper in a MuJoCo model built from a scene.
 
     The length of the servo's tendon is the driven joint's position, averaged over the fingers.
     """
@@ -38,7 +38,8 @@ class GripperIndex:
     tcp_body: int
 
     def length(self, qpos: Array) -> float:
-        """Return the tendon length [m] of a built MuJoCo model's gripper at a state `qpos`.
+        """Return the length [m] of the tendon that drives a gripper in a built MuJoCo model at a state
+        `qpos`.
 
         MuJoCo's own tendon length is one step old after a step.
         """
@@ -47,7 +48,7 @@ class GripperIndex:
 
 @dataclass(frozen=True, eq=False)
 class BuiltModel:
-    """Built model: a compiled MuJoCo model with index tables by name.
+    """A MuJoCo model that was built and compiled from a scene, with tables that map names to its indices.
 
     `owners` lists the links, then the objects.
     """
@@ -76,7 +77,9 @@ class BuiltModel:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """Return a built MuJoCo model's objects whose poses can change: free and screwed-in objects."""
+        """Return the objects whose poses can change in a built MuJoCo model: free objects and screwed-in
+        objects.
+        """
         return (*self.object_qpos, *self.threaded)
 
 

@@ -14,7 +14,7 @@ from armcell.core.checks import checked, float_array
 @dataclass(frozen=True)
 @checked()
 class DepthNoise:
-    """Depth noise of a simulated camera; all zero means a perfect camera.
+    """Noise in the depth images of a simulated camera. If all values are zero, the camera is perfect.
 
     Stereo and structured-light cameras measure disparity, so their noise and depth resolution grow with the
     square of the distance (Khoshelham and Elberink, Sensors 12(2), 2012). `for_stereo` approximates an Intel
@@ -49,7 +49,9 @@ class DepthNoise:
         return self == DepthNoise()
 
     def applied(self, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-        """Return a simulated camera's depth image (h, w) [m] with noise; 0 without measurement."""
+        """Add noise to the depth image (h, w) [m] of a simulated camera and return it. Pixels without a
+        measurement are 0.
+        """
         z = depth.astype(float)
         seen = (z > 0) & (z >= self.nearest) & (z <= self.farthest)
         noisy = z + rng.standard_normal(z.shape) * (self.floor + self.growth * z**2)
@@ -65,7 +67,9 @@ class DepthNoise:
 
 
 def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of a simulated camera's depth pixels next to a discontinuity (3 % and 1 cm)."""
+    """Return a mask of the depth pixels of a simulated camera that are next to a jump in depth of 3 % and 1
+    cm.
+    """
     jump = np.zeros(z.shape, bool)
     for axis in (0, 1):
         near, far = (slice(None), slice(1, None)), (slice(None), slice(None, -1))
@@ -80,7 +84,7 @@ def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Camera:
-    """Simulated pinhole camera with an optical frame: z forward, x right, y down.
+    """Simulated pinhole camera. Its optical frame has z forward, x to the right and y down.
 
     Without `pinhole`, pixels are square and the principal point is the image center. For a camera on a link,
     `T_link_camera` is its pose in the link's frame, and `T_world_camera` is its pose at the start.
@@ -119,7 +123,7 @@ class Camera:
 
     @staticmethod
     def looking_at(name: str, eye: ArrayLike, target: ArrayLike, **properties) -> Camera:
-        """Create a simulated camera at `eye` (3,) that looks at `target` (3,) [m, world frame].
+        """Create a simulated camera that is at `eye` (3,) and looks at `target` (3,) [m, world frame].
 
         World z points up in the image.
         """
@@ -133,12 +137,15 @@ class Camera:
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
-        """Return a simulated camera's matrix K (3, 3) [px]; pixel centers have integer coordinates."""
+        """Return the camera matrix K (3, 3) [px] of a simulated camera. Pixel centers have integer
+        coordinates.
+        """
         return self.model.matrix
 
 
 def look_at(eye: ArrayLike, target: ArrayLike) -> SE3:
-    """Return the pose of a simulated camera's optical frame at `eye` (3,) that looks at `target` (3,).
+    """Return the pose of the optical frame of a simulated camera that is at `eye` (3,) and looks at `target`
+    (3,).
 
     The z axis of the frame in which both points are given points up in the image.
 

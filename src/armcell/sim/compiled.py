@@ -27,7 +27,9 @@ _NONE, _NO_ROWS, _NO_COLUMNS = np.zeros(0), np.zeros((0, 0)), np.zeros(0, dtype=
 
 
 class CompiledSteps:
-    """Compiled physics steps of one `MjData` with gripper control and contact checks."""
+    """Stepper that advances the physics of one `MjData` in compiled code, including gripper control and
+    contact checks.
+    """
 
     def __init__(
         self, built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding,
@@ -44,7 +46,7 @@ class CompiledSteps:
 
     @property
     def possible(self) -> bool:
-        """Return whether MuJoCo has enough memory for the compiled stepper (`CompiledSteps`).
+        """Return whether MuJoCo has enough memory left for the compiled stepper (`CompiledSteps`).
 
         In compiled code a MuJoCo error ends the process, so compiled steps are unavailable once the peak use
         of the arena has reached half its size.
@@ -52,14 +54,17 @@ class CompiledSteps:
         return self._data.maxuse_arena * 2 < self._data.narena
 
     def take(self, n: int, monitor: ContactMonitor) -> None:
-        """Take n steps with the compiled stepper and record unwanted contacts in a contact monitor."""
+        """Take n physics steps with the compiled stepper and record unwanted contacts in a contact
+        monitor.
+        """
         self._run(n, monitor, n, _NO_ROWS, _NO_COLUMNS, _NO_COLUMNS, np.inf, _NONE)
 
     def follow(
         self, targets: Array, steps: int, tolerance: float, controls: Controls,
         columns: NDArray[np.int64], monitor: ContactMonitor,
     ) -> tuple[int, Array]:  # fmt: skip
-        """Track joint targets with the compiled stepper until they end or a joint leaves the tolerance.
+        """Track joint targets with the compiled stepper until the targets end or a joint leaves the
+        tolerance.
 
         Args:
             targets: (k, 2j) positions, then velocities, of j joints; one row for every `steps` physics steps.
@@ -80,7 +85,9 @@ class CompiledSteps:
         self, n: int, monitor: ContactMonitor, period: int, targets: Array, where: NDArray[np.int64],
         columns: NDArray[np.int64], limit: float, worst: Array,
     ) -> int:  # fmt: skip
-        """Take up to n steps with the compiled stepper until a joint leaves the limit; return the number."""
+        """Take up to n steps with the compiled stepper, until a joint deviates too far. Return the number of
+        steps.
+        """
         taken, off = 0, False
         model, data = self._engine
         while taken < n and not off:
@@ -96,7 +103,8 @@ class CompiledSteps:
 def compiled_steps(
     built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding
 ) -> CompiledSteps | None:
-    """Return a compiled physics stepper, or None if MuJoCo's memory layout is unknown.
+    """Return a stepper that advances the physics in compiled code, or None if MuJoCo's memory layout is
+    unknown.
 
     The stepper reads MuJoCo's number of contacts at a fixed offset in mjData; `_count_is_found` checks this
     offset.
@@ -105,7 +113,9 @@ def compiled_steps(
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return a live view (1,) of MuJoCo's contact count for compiled stepping, behind mjData's timers."""
+    """Return a live view (1,) of MuJoCo's number of contacts for the compiled stepper. It follows the timers
+    in mjData.
+    """
     timers = data.timer.duration
     address = timers.__array_interface__["data"][0] + timers.shape[0] * timers.strides[0]
     return np.ctypeslib.as_array((ctypes.c_int32 * 1).from_address(address))
@@ -113,7 +123,8 @@ def _count(data: mujoco.MjData) -> NDArray[np.int32]:
 
 @cache
 def _count_is_found() -> bool:
-    """Return whether a test model confirms the offset of MuJoCo's contact count for compiled stepping.
+    """Return whether a test model confirms where mjData stores MuJoCo's number of contacts, on which the
+    compiled stepper relies.
 
     The test places three boxes on a floor, in the air, and on the floor again.
     """

@@ -25,7 +25,7 @@ _NO_END = 1 << 20
 
 @dataclass(frozen=True)
 class PhysicsContact:
-    """One contact point of the last physics step, with the names of its links or objects."""
+    """One contact point of the last physics step, with the names of the links or objects that touch."""
 
     body_a: str
     body_b: str
@@ -67,7 +67,7 @@ def read_contacts(built: BuiltModel, data: mujoco.MjData) -> list[PhysicsContact
 
 
 class ContactMonitor:
-    """A monitor that records unwanted contacts at every physics step.
+    """Monitor that checks every physics step for unwanted contacts and records them.
 
     A contact is unwanted if a robot link touches a body that it must not touch, or if a watched (held) object
     touches an object other than its supports. MuJoCo detects contacts at the beginning of a step, so the
@@ -99,7 +99,9 @@ class ContactMonitor:
 
     @property
     def unwanted(self) -> tuple[UnwantedContact, ...]:
-        """Return the unwanted contacts that the contact monitor recorded, in order of first contact."""
+        """Return the unwanted contacts that the monitor has recorded, in the order in which they first
+        occurred.
+        """
         return tuple(self._found.values())
 
     @property
@@ -107,15 +109,16 @@ class ContactMonitor:
         return frozenset(self._allowed)
 
     def allow(self, a: str, b: str | Iterable[str]) -> None:
-        """Let the contact monitor allow contact between a body and other bodies (links or objects)."""
+        """Allow contact between a body and other bodies (links or objects) in the contact monitor."""
         self._change(a, b, True)
 
     def forbid(self, a: str, b: str | Iterable[str]) -> None:
-        """Let the contact monitor forbid contact between a body and other bodies; reverses `allow`."""
+        """Forbid contact between a body and other bodies in the contact monitor, which reverses `allow`."""
         self._change(a, b, False)
 
     def watch(self, item: str, supports: Iterable[str] = ()) -> None:
-        """Let the contact monitor treat an object's contacts, except with its supports, as unwanted.
+        """Make the contact monitor treat all contacts of an object as unwanted, except those with its
+        supports.
 
         Contact with the supports stays allowed until `forbid` revokes it.
         """
@@ -129,11 +132,11 @@ class ContactMonitor:
         self._rule()
 
     def clear(self) -> None:
-        """Clear the contact monitor's recorded contacts, and keep its contact rules."""
+        """Clear the contacts that the monitor has recorded. Its rules about allowed contacts stay."""
         self._found = {}
 
     def update(self, data: mujoco.MjData) -> None:
-        """Update the contact monitor: check the last physics step and record unwanted ones."""
+        """Check the contacts of the last physics step with the monitor and record those that are unwanted."""
         count = data.ncon
         if count == 0:
             return
@@ -152,7 +155,7 @@ class ContactMonitor:
             self._fine.add(seen)
 
     def _attach(self, data: mujoco.MjData) -> None:
-        """Attach a live array view of MuJoCo's contact list to the contact monitor.
+        """Give the contact monitor a live array view of MuJoCo's list of contacts.
 
         The list starts at the arena's base, whatever its length.
         """
@@ -174,7 +177,7 @@ class ContactMonitor:
         self._rule()
 
     def _rule(self) -> None:
-        """Rebuild the contact monitor's table (ngeom, ngeom) of geom pairs whose contact is unwanted.
+        """Rebuild the contact monitor's table (ngeom, ngeom) of the geom pairs whose contact is unwanted.
 
         With the table, a contact check needs one lookup.
         """

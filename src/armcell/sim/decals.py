@@ -22,7 +22,8 @@ _REPEAT = 16  # texels per image pixel and axis: graphics drivers blur between t
 @dataclass(frozen=True, eq=False)
 @checked()
 class Decal:
-    """Decal: a square grayscale image (n, n) uint8 that is attached to a frame, such as a marker.
+    """Decal: a square grayscale image (n, n) uint8, such as a marker, that is attached to a frame in the
+    simulation.
 
     The decal is visible from the side that its z axis points to. Its x axis points right and its y axis up in
     the image. `size` [m] is the edge length of the image.
@@ -41,7 +42,7 @@ class Decal:
             raise InputError(f"decal {self.name!r} needs a square picture of grey")
 
     def brightness(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return a decal's brightness (m,) from 0 to 1 at points (m, 2+) [m, decal frame]."""
+        """Return the brightness (m,) of a decal, from 0 to 1, at points (m, 2+) [m, decal frame]."""
         n = len(self.picture)
         column = np.clip(np.floor((points[:, 0] / self.size + 0.5) * n), 0, n - 1).astype(int)
         row = np.clip(np.floor((0.5 - points[:, 1] / self.size) * n), 0, n - 1).astype(int)
@@ -53,7 +54,7 @@ def geom_name(decal: Decal) -> str:
 
 
 def add_decals(spec: mujoco.MjSpec, bodies: dict[str, Any], decals: Iterable[Decal]) -> None:
-    """Add decals as textured meshes to the bodies of a MuJoCo spec.
+    """Add decals to the bodies of a MuJoCo spec, as meshes with a texture.
 
     Raises:
         UnknownNameError: a decal's frame does not exist.

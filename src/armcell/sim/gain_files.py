@@ -27,12 +27,13 @@ KEYS = (
 
 
 def gains_names() -> list[str]:
-    """Return the names of the joint gain sets that armcell ships."""
+    """Return the names of the sets of joint gains that come with armcell."""
     return sorted(p.stem for p in SETS.glob("*.yaml"))
 
 
 def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> dict[str, Any]:
-    """Read the physics settings of a joint gain set or gain file as a cell's `physics` block.
+    """Read a set of joint gains or a gain file, and return its physics settings as the `physics` block of a
+    cell.
 
     A ros_control controller file yields `arm_control: torque` and `joint_gains`: like a ros_control
     controller, the simulation computes the efforts once per step from the tracking error. Entries without an
@@ -75,7 +76,7 @@ def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> 
 def with_gains(
     settings: PhysicsSettings, gains: str | Path, model: RobotModel, folder: Path = Path()
 ) -> PhysicsSettings:
-    """Return physics settings with the arm control and gains of a joint gain set or gain file.
+    """Return physics settings with the arm control and the joint gains of a gain set or gain file.
 
     See `gain_values`. The result does not keep any `joint_gains` of `settings`.
     """
@@ -85,7 +86,7 @@ def with_gains(
 
 
 def with_gains_file(physics: Mapping[str, Any], model: RobotModel, folder: Path) -> dict[str, Any]:
-    """Merge joint gains into a cell's `physics` block: the gain file that its key `gains` names.
+    """Merge the joint gains of the gain file named by the key `gains` into the `physics` block of a cell.
 
     Other keys of the block override the file, and `joint_gains` are merged joint by joint.
 

@@ -32,7 +32,7 @@ Sides = tuple[float, float, float, float]
 
 @lru_cache(maxsize=1)
 def gl_backend() -> str | None:
-    """Return the offscreen OpenGL backend that works on this machine ("egl" or "osmesa"), or None.
+    """Return the OpenGL backend that can render offscreen on this machine ("egl" or "osmesa"), or None.
 
     The environment variable MUJOCO_GL selects a backend, or disables OpenGL with "off". The test runs in a
     separate process, because a broken driver may end the process.
@@ -55,7 +55,7 @@ def gl_backend() -> str | None:
 
 
 class GLRenderer:
-    """Offscreen OpenGL renderer of one MuJoCo model at a fixed image size (height, width, 3).
+    """Offscreen OpenGL renderer for one MuJoCo model, with a fixed image size (height, width, 3).
 
     Shadows and reflections are off: without a graphics card they take ten times as long as the rest.
 
@@ -82,7 +82,7 @@ class GLRenderer:
         self._open = True
 
     def render(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.uint8]:
-        """Render with OpenGL an RGB image (height, width, 3) with one of the model's cameras.
+        """Render an RGB image (height, width, 3) with one of the MuJoCo model's cameras in OpenGL.
 
         Args:
             camera: id of the camera in the model.
@@ -97,7 +97,7 @@ class GLRenderer:
         return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
 
     def depth(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.float32]:
-        """Render with OpenGL a depth image (height, width) [m] along a camera's optical axis.
+        """Render a depth image (height, width) [m], measured along the camera's optical axis, in OpenGL.
 
         Pixels beyond the far plane are 0.
         """
@@ -122,7 +122,9 @@ class GLRenderer:
         mujoco.mjr_render(mujoco.MjrRect(0, 0, *self.size), self._scene, self._context)
 
     def _meters(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert OpenGL's depth buffer (1 at the near plane, 0 at the far plane) to meters."""
+        """Convert the values of OpenGL's depth buffer (1 at the near plane and 0 at the far plane)
+        to meters.
+        """
         extent, clip = self._model.stat.extent, self._model.vis.map
         near, far = clip.znear * extent, clip.zfar * extent
         b = buffer.astype(np.float64)

@@ -36,7 +36,7 @@ _WIDTH_TOLERANCE = 1e-4  # [m]
 
 @dataclass(frozen=True)
 class GripperState:
-    """State of a simulated gripper: width [m], finger force [N], and held object.
+    """State of a simulated gripper: its width [m], its finger force [N] and the object that it holds.
 
     `force_per_finger` [N] acts along the closing axis. `held` is the object that both fingers touch, or None.
     """
@@ -48,7 +48,7 @@ class GripperState:
 
 @dataclass(frozen=True)
 class WeldEvent:
-    """Record of a simulated weld that fixed an object to a gripper.
+    """Record of the moment when the simulation fixed an object to a gripper by a weld.
 
     A weld replaces friction, so every report must list it.
     """
@@ -62,7 +62,7 @@ class WeldEvent:
 
 
 class GripperDrive:
-    """Position servo of one simulated gripper with limited finger speed and limited force per finger.
+    """Position servo of one simulated gripper, with a limited finger speed and a limited force per finger.
 
     The set point leads the fingers by at most the distance that yields the commanded force. Blocked fingers
     therefore press with exactly this force, and free fingers move at `max_speed`.
@@ -86,13 +86,13 @@ class GripperDrive:
         return min(force, self.index.max_force) * self._ratio / self._kp
 
     def hold(self, data: mujoco.MjData, joint_position: float) -> None:
-        """Hold a simulated gripper's driven joint at a position [m] with the gripper's full force."""
+        """Hold the driven joint of a simulated gripper at a position [m] with the gripper's full force."""
         self._law[[SET_POINT, TARGET]] = joint_position
         data.ctrl[self.index.ctrl] = joint_position
         self._law[LEAD] = self._force_lead(self.index.max_force)
 
     def command(self, width: float, force_per_finger: float) -> None:
-        """Drive a simulated gripper to a width [m] with a limited finger force.
+        """Drive a simulated gripper to a width [m] with limited force per finger.
 
         At the closed end, the fingers press on the object between them with `force_per_finger` [N].
         """
@@ -106,7 +106,9 @@ class GripperDrive:
         self._law[TARGET], self._law[LEAD] = target, lead
 
     def closing(self, data: mujoco.MjData) -> bool:
-        """Return whether a simulated gripper's target width is smaller than its current width."""
+        """Return whether a simulated gripper is to close: its target width is smaller than its
+        current width.
+        """
         width = self.index.gripper.width
         return width(self._law.item(TARGET)) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
 
@@ -118,7 +120,7 @@ class GripperDrive:
 
 
 class Fingers:
-    """Servos of all simulated grippers' fingers, with the arrays that the compiled stepper uses.
+    """Servos of the fingers of all simulated grippers, with the arrays that the compiled stepper uses.
 
     Attributes:
         law: (g, 7) one row per gripper for `stepping.drive_fingers`.
@@ -138,12 +140,12 @@ class Fingers:
                 self.joints[row, k], self.weights[row, k] = joint, weight
 
     def update(self, data: mujoco.MjData) -> None:
-        """Write the set points of all simulated gripper servos for the next step to `data.ctrl`."""
+        """Write the set points of all simulated gripper servos to `data.ctrl` for the next physics step."""
         drive_fingers(self.law, self.joints, self.weights, data.qpos, data.ctrl)
 
 
 def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
-    """Return the contact force on each finger [N] along a simulated gripper's closing axis.
+    """Return the contact force [N] on each finger along the closing axis of a simulated gripper.
 
     The closing axis is the tcp's y axis.
 
@@ -185,7 +187,7 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperS
 
 
 def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """Return the pose T_a_b between two MuJoCo bodies, as of the last step, for grip checks.
+    """Return the pose T_a_b between two MuJoCo bodies after the last step, to check a grip.
 
     Both poses come from the same instant.
     """
@@ -193,13 +195,15 @@ def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
 
 
 def body_pose(data: mujoco.MjData, body: int) -> SE3:
-    """Return the pose T_world_body of a MuJoCo body, as of the last step, for grip checks."""
+    """Return the pose T_world_body of a MuJoCo body after the last step, to check a grip."""
     return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())
 
 
 @dataclass(frozen=True)
 class _Grip:
-    """Grip of one gripper in the weld modes: held object, slip reference, active weld."""
+    """State of one gripper's grip in the weld modes: the held object, the reference pose for slip, and the
+    active weld.
+    """
 
     item: str | None = None
     since: float = 0.0  # [s] simulation time since which both fingers press the object
@@ -208,7 +212,8 @@ class _Grip:
 
 
 class Welder:
-    """The grip modes "weld" and "hybrid", which fix held objects by weld constraints.
+    """Implementation of the grip modes "weld" and "hybrid", which fix held objects to the gripper by weld
+    constraints.
 
     `events` records every weld and its release.
     """
@@ -231,11 +236,11 @@ class Welder:
                 self._grips[name] = self._look(data, name, grip)
 
     def fix(self, data: mujoco.MjData, gripper: str, item: str, reason: str) -> None:
-        """Weld an object to a gripper at its current relative pose, in any grip mode."""
+        """Weld an object to a simulated gripper at its current relative pose. This works in any grip mode."""
         self._grips[gripper] = self._weld(data, gripper, _Grip(item, float(data.time)), reason)
 
     def release(self, data: mujoco.MjData, gripper: str) -> None:
-        """Release the weld constraint of a simulated gripper that opens."""
+        """Remove the weld constraint between a simulated gripper and its object when the gripper opens."""
         grip = self._grips[gripper]
         if grip.event is not None:
             event = self.events[grip.event]

@@ -43,7 +43,9 @@ CONTROL = sum(
 @dataclass(frozen=True)
 @checked()
 class TrialSettings:
-    """Durations and motions of a hand's grasp trial without the arm: close, settle, lift, shake, hold."""
+    """Durations and motions in a grasp trial of a hand without an arm: close, settle, lift, shake
+    and hold.
+    """
 
     timestep: float = 0.004  # [s]
     settle: float = 0.15  # [s] time the fingers press before the support is removed
@@ -59,7 +61,9 @@ class TrialSettings:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Trial:
-    """Hand trial: one grasp to test without the arm: hand pose, opening, force, object properties."""
+    """One grasp trial of a hand without an arm: the hand's pose, opening and force, and the object's
+    properties.
+    """
 
     T_object_tcp: SE3
     opening: float  # [m] gripper width at the start
@@ -72,7 +76,9 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """Result of a hand's grasp trial: motion of the object in the hand, and whether it fell."""
+    """Result of one grasp trial of a hand without an arm: how the object moved in the hand, and whether it
+    fell.
+    """
 
     closing: float  # [m] displacement of the center of mass while the hand closed
     slip: float  # [m] displacement of the object's point between the pads, from the closed hand to the end
@@ -88,7 +94,7 @@ def run_trials(
     settings: TrialSettings = TrialSettings(),
     threads: int | None = None,
 ) -> list[TrialResult]:
-    """Run hand-only grasp trials of one object in parallel and return one result per trial.
+    """Run grasp trials of one object in parallel, with a hand without an arm. Return one result per trial.
 
     Args:
         threads: largest number of threads; by default one per processor.
@@ -145,7 +151,9 @@ class _World:
         return _World(built, mj, gripper, settings, T_root_tcp, center, item.shapes, mj.body(OBJECT).id)
 
     def variant(self, trial: Trial) -> mujoco.MjModel:
-        """Return a copy of the MuJoCo model with a hand trial's friction, mass, and finger force."""
+        """Return a copy of the MuJoCo model with the friction, mass and finger force of one grasp trial of a
+        hand.
+        """
         mj = copy.copy(self.mj)
         scale = trial.mass / float(self.mj.body_mass[self.body])
         mj.body_mass[self.body] *= scale

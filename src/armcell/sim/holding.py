@@ -39,7 +39,7 @@ HOLDING = (_F8, _F8, _I8, _I8, _I8, _I8, _I8, _B, _F8, _I8, _F8, _F8, _F8, _F8)
 
 
 class Holding:
-    """A correction of the creep and drift of held objects in MuJoCo physics.
+    """Correction for the creep and drift of held objects that MuJoCo's soft contacts cause.
 
     Call `carry` after each step.
 
@@ -82,11 +82,13 @@ class Holding:
         self._qpos = data.qpos
 
     def forget(self) -> None:
-        """Forget the hand poses for holding objects, after the state changed without a physics step."""
+        """Forget the last poses of hands that hold objects, because the state changed without a
+        physics step.
+        """
         self._past[:, 0] = 0.0
 
     def update(self, count: int, pairs: NDArray[np.int32]) -> None:
-        """Correct the creep and drift of held objects after a physics step taken from Python.
+        """Correct the creep and drift of held objects after a physics step that was taken from Python.
 
         Args:
             count: number of contacts.
@@ -102,7 +104,7 @@ class Holding:
 
 
 def lag(settings: PhysicsSettings) -> float:
-    """Return a held object's lag behind the hand per physics step, as a multiple of dt^2/2 dJ/dt v.
+    """Return how far a held object lags behind the hand per physics step, as a multiple of dt^2/2 dJ/dt v.
 
     This product is the distance between the hand's arc and its tangent.
 
@@ -117,7 +119,8 @@ def lag(settings: PhysicsSettings) -> float:
 
 
 def _impratio(mj: mujoco.MjModel) -> Array:
-    """Return a live view (1,) of MuJoCo's option `impratio`, which the correction of held objects changes.
+    """Return a live view (1,) of MuJoCo's option `impratio`, which changes while the pose of held objects is
+    corrected.
 
     The result is a private array if the memory layout is unknown.
     """
@@ -131,7 +134,8 @@ def _view(address: int) -> Array:
 
 @cache
 def _offset() -> int:
-    """Return the offset of `impratio` from `gravity` in MuJoCo's options, to correct held objects.
+    """Return where `impratio` is stored relative to `gravity` in MuJoCo's options. The correction of held
+    objects changes it there.
 
     The result is 0 if the memory layout is unknown.
 
@@ -147,7 +151,9 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """Return `Holding.arrays` from a table of addresses, starting at row k, to correct held objects."""
+    """Return `Holding.arrays`, the arrays for correcting held objects, from a table of addresses that starts
+    at row k.
+    """
     return (
         vector(fixed, k, _F8), vector(fixed, k + 1, _F8), matrix(fixed, k + 2, _I8),
         matrix(fixed, k + 3, _I8), vector(fixed, k + 4, _I8), matrix(fixed, k + 5, _I8),
@@ -159,7 +165,9 @@ def holding(fixed, k):
 
 @njit(cache=True)
 def _partner(owner, pairs, i, finger):
-    """Return the link or object that touches a holding finger in contact i, as owner index, or -1."""
+    """Return the owner index of the link or object that touches a finger of the holding hand in contact i, or
+    -1.
+    """
     a, b = owner[pairs[i, 0]], owner[pairs[i, 1]]
     if a == finger:
         return b
@@ -176,7 +184,9 @@ def _touches(count, pairs, owner, finger, item):
 
 @njit(cache=True)
 def _in_hand(count, pairs, owner, free, fingers):
-    """Return the held object that all fingers (f,) of a hand touch, as owner index, or -1."""
+    """Return the owner index of the object that all fingers (f,) of a hand touch and therefore
+    hold, or -1.
+    """
     for i in range(count):
         item = _partner(owner, pairs, i, fingers[0])
         if item < 0 or free[item, 1] < 0:
@@ -191,7 +201,8 @@ def _in_hand(count, pairs, owner, free, fingers):
 
 @njit(cache=True)
 def _move(qpos, start, R, shift, turn):
-    """Correct a held object: shift its body [m] and turn it by a small vector [rad], world axes.
+    """Correct the pose of a held object: shift its body [m] and turn it by a small rotation vector [rad],
+    along the world axes.
 
     Args:
         start: index of x, y, z, qw, qx, qy, qz in qpos.
@@ -214,7 +225,8 @@ def _move(qpos, start, R, shift, turn):
 
 @njit(cache=True)
 def _lags(x, R, v, w, point, past, dt, scale):
-    """Compute a held body's lag behind the hand in the last step: shift [m] and rotation [rad].
+    """Compute how far a held body lagged behind the hand in the last physics step: shift [m] and rotation
+    [rad].
 
     The shift (3,) is that of a point of the body; the rotation is a rotation vector (3,).
 
@@ -246,7 +258,8 @@ def _lags(x, R, v, w, point, past, dt, scale):
 
 @njit(cache=True)
 def carry(count, pairs, qpos, arrays):
-    """Correct held objects after a physics step: choose `impratio`, and move each object by its lag.
+    """Correct held objects after a physics step: choose `impratio`, and move each object by its lag behind
+    the hand.
 
     Args:
         count: number of contacts.

@@ -21,7 +21,7 @@ INTEGRAL_SHARE = 0.2  # largest integral effort as a fraction of the effort limi
 @dataclass(frozen=True)
 @checked()
 class JointGains:
-    """PID gains of one joint, used without scaling (`full_gain_effort` does not apply).
+    """PID gains of one joint. They apply without scaling by `full_gain_effort`.
 
     Effort = p e + clamp(i ∫e) + d (target speed - speed) + ff_velocity_scale * target speed, with
     e = target - position. The control law and the names are those of ros_control's `control_toolbox::Pid`.
@@ -48,7 +48,7 @@ class JointGains:
 
 
 class GainTable(Mapping[str, JointGains]):
-    """Immutable, hashable table of PID gains by joint name.
+    """Immutable and hashable table of PID gains by joint name.
 
     `PhysicsSettings` requires hashable fields.
     """
@@ -73,7 +73,7 @@ class GainTable(Mapping[str, JointGains]):
 
     @classmethod
     def from_setting(cls, value: Any, what: str) -> GainTable:
-        """Parse joint gains from a mapping such as {JOINT: {p: 80, i: 0.5, d: 1.5, i_clamp: 10}}.
+        """Create a table of joint gains from a mapping such as {JOINT: {p: 80, i: 0.5, d: 1.5, i_clamp: 10}}.
 
         Args:
             value: mapping from joint names to gains, or a `GainTable`.
@@ -89,7 +89,7 @@ class GainTable(Mapping[str, JointGains]):
         return cls({str(joint): gains_of(entry, f"{what}/{joint}") for joint, entry in value.items()})
 
     def plain(self) -> dict[str, dict[str, Any]]:
-        """Return the joint gains as a plain mapping without default values, by joint.
+        """Return the joint gains as a plain mapping by joint, from which default values are omitted.
 
         `from_setting` reads this mapping.
         """
@@ -118,7 +118,7 @@ def gains_of(entry: Any, what: str) -> JointGains:
 
 
 class Drive(NamedTuple):
-    """The effective PID gains of one joint after scaling, with the limits of the integral's effort."""
+    """Effective PID gains of one joint after scaling, with the limits on the effort of the integral term."""
 
     kp: float
     ki: float
@@ -130,7 +130,7 @@ class Drive(NamedTuple):
 
 
 def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
-    """Return the effective PID gains that physics uses for an arm joint."""
+    """Return the effective PID gains that the simulation uses for a joint of an arm."""
     effort = joint.limits.effort
     most = INTEGRAL_SHARE * effort if np.isfinite(effort) else np.inf
     own = settings.joint_gains.get(joint.name)
@@ -150,13 +150,15 @@ def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
 
 
 def arm_joints(model: RobotModel) -> list[str]:
-    """Return the arm joints with gains: actuated joints that belong to no gripper, in model order."""
+    """Return the joints that have arm gains, in model order: all actuated joints that belong to no
+    gripper.
+    """
     fingers = {gripper.joint_name for gripper in model.grippers.values()}
     return [name for name in model.joint_names if name not in fingers]
 
 
 def check_joint_gains(settings: PhysicsSettings, model: RobotModel, **where: Any) -> None:
-    """Raise an error if `joint_gains` names a joint that is not an arm joint.
+    """Raise an error if the setting `joint_gains` names a joint that does not belong to an arm.
 
     Raises:
         UnknownNameError: the robot's arms do not have a joint; the message lists the arm joints and suggests

@@ -30,7 +30,7 @@ _copy_model.argtypes, _copy_model.restype = (ctypes.c_void_p, ctypes.c_void_p), 
 
 
 class ModelLease:
-    """Lease (exclusive use) of a compiled MuJoCo model from the model pool, until `release`.
+    """Lease of a compiled MuJoCo model from the model pool. The holder has exclusive use until `release`.
 
     Attributes:
         built: the model of a scene.
@@ -42,7 +42,7 @@ class ModelLease:
         self.released = False
 
     def release(self) -> None:
-        """Give a leased MuJoCo model back to the model pool; a second call has no effect.
+        """Return a leased MuJoCo model to the model pool. A second call has no effect.
 
         From now on the caller must not access the model, its data or views of their arrays: the pool leases
         them to another world. A lease that is dropped without `release` is safe: the pool then replaces the
@@ -58,7 +58,7 @@ def _no_lease() -> None:
 
 
 class _PooledModel:
-    """A compiled MuJoCo model of the model pool in its original state, with one copy to lease."""
+    """A compiled MuJoCo model in the model pool in its original state, with one copy that can be leased."""
 
     def __init__(self, built: BuiltModel):
         self._built = built
@@ -69,7 +69,7 @@ class _PooledModel:
         self, scene: PlanningScene, objects: dict[str, CollisionObject], loose: list[CollisionObject],
         settings: PhysicsSettings,
     ) -> ModelLease | None:  # fmt: skip
-        """Lease the copy of a pooled MuJoCo model for a scene, or return None while it is leased."""
+        """Lease the copy of a pooled MuJoCo model for a scene. Return None if it is already leased."""
         if self._lease() is not None:
             return None
         mj, data = self._free or self._copied()
@@ -99,7 +99,7 @@ _lock = threading.Lock()  # makes checking and leasing a model atomic
 
 
 def lease_model(scene: PlanningScene, settings: PhysicsSettings) -> ModelLease:
-    """Lease a compiled MuJoCo model of a scene with data, from the model pool if possible.
+    """Lease a compiled MuJoCo model with data for a scene. It comes from the model pool if possible.
 
     The model equals that of `build(scene, settings)`.
     """
@@ -126,7 +126,8 @@ def _new(built: BuiltModel) -> ModelLease:
 
 
 def _seen(item: CollisionObject, loose: bool) -> Hashable:
-    """Return the properties of an object that `build` reads, as part of the model pool's key.
+    """Return the properties of an object that `build` reads. They are part of the key in the pool of MuJoCo
+    models.
 
     For a free object, the result leaves out the values that `_put_in` writes.
     """
@@ -138,7 +139,8 @@ def _seen(item: CollisionObject, loose: bool) -> Hashable:
 def _put_in(
     built: BuiltModel, loose: list[CollisionObject], settings: PhysicsSettings, scratch: mujoco.MjData
 ) -> None:
-    """Write the poses, inertias, and friction of free objects into a MuJoCo model leased from the pool.
+    """Write the poses, inertias and friction of free objects into a MuJoCo model that was leased from the
+    pool.
 
     The function also updates the quantities that MuJoCo derives from them at compilation.
     """

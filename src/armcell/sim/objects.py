@@ -50,7 +50,7 @@ def add_object(
 
 
 def add_free_body(parent: Any, item: CollisionObject, T_parent_object: SE3) -> Any:
-    """Add a scene object's body with free joint and inertia, but without geoms, to a MuJoCo spec."""
+    """Add a body for a scene object, with free joint and inertia but without geoms, to a MuJoCo spec."""
     body = parent.add_body(name=item.name, pos=T_parent_object.translation, quat=T_parent_object.quat_wxyz)
     body.add_freejoint(name=f"{item.name}:free")
     _set_inertia(body, item)
@@ -64,12 +64,15 @@ def _set_inertia(body: Any, item: CollisionObject) -> None:
 
 
 def sliding(item: CollisionObject) -> list[float]:
-    """Return the friction coefficients of a scene object for MuJoCo: sliding, torsional, rolling."""
+    """Return the friction coefficients of a scene object as MuJoCo needs them: sliding, torsional and
+    rolling.
+    """
     return [item.material.friction, item.material.torsional_friction, item.material.rolling_friction]
 
 
 def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> None:
-    """Add a slide joint to a conveyor belt object's MuJoCo body along the belt's direction of motion.
+    """Add a slide joint along the direction of motion to the MuJoCo body of an object that is a conveyor
+    belt.
 
     Before every step, the world resets the joint's position to zero and its velocity to the belt speed. The
     belt therefore does not move, but the objects in contact with it see a moving surface.
@@ -82,7 +85,9 @@ def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> Non
 
 
 def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> None:
-    """Add a slide and a hinge joint for a screwed-in object in MuJoCo, coupled by the thread's pitch."""
+    """Add a slide joint and a hinge joint for a screwed-in object to MuJoCo. The pitch of the thread couples
+    them.
+    """
     per_radian = thread.pitch / (2 * np.pi)
     turns, axis = thread.travel / per_radian, [0.0, 0.0, 1.0]
     # In MuJoCo, a coupling of light joints is soft, so both joints get additional armature.

@@ -10,7 +10,7 @@ from armcell.core import InputError
 
 
 class Pacer:
-    """Pacer that runs a simulation in lock-step or at a multiple of real time.
+    """Pacer that lets a simulation run in lock-step with its caller or at a multiple of real time.
 
     With `time_scale` None the simulation runs in lock-step and never waits; a scale of 2.0 is twice real
     time. The clock starts at the first `wait_until`. If the simulation falls more than `MAX_LAG_S` behind,
@@ -28,11 +28,11 @@ class Pacer:
         self._zero: float | None = None  # wall time of simulation time 0
 
     def reset(self) -> None:
-        """Restart the wall clock of a paced simulation at the next `wait_until`."""
+        """Restart the wall clock of a paced simulation. It begins at the next `wait_until`."""
         self._zero = None
 
     def wait_until(self, sim_time: float) -> float:
-        """Sleep to pace a simulation until the wall clock reaches its time [s]; return the time slept."""
+        """Sleep until the wall clock reaches a time [s] of the paced simulation. Return the time slept."""
         if self.time_scale is None:
             return 0.0
         now = self._clock()

@@ -14,13 +14,17 @@ Poses = tuple[Array, Array]
 
 
 def write_free(data: mujoco.MjData, start: int, T_world_object: SE3) -> None:
-    """Write a free object's place (pose) into MuJoCo's qpos, where its joint starts at `start`."""
+    """Write the place (pose) of a free object into MuJoCo's qpos, where the object's joint starts
+    at `start`.
+    """
     data.qpos[start : start + 3] = T_world_object.translation
     data.qpos[start + 3 : start + 7] = T_world_object.quat_wxyz
 
 
 class FixedPlaces:
-    """Places (poses) of the fixed bodies of a compiled MuJoCo model, which may change until a reset."""
+    """Places (poses) of the fixed bodies in a compiled MuJoCo model, which can be changed until the next
+    reset.
+    """
 
     def __init__(self, model: mujoco.MjModel):
         self._model = model
@@ -31,7 +35,9 @@ class FixedPlaces:
         self._model.body_quat[body] = T_world_body.quat_wxyz
 
     def elsewhere(self, body: int) -> bool:
-        """Return whether a fixed body's place (pose) differs from the one in the compiled MuJoCo model."""
+        """Return whether the place (pose) of a fixed body differs from the one in the compiled
+        MuJoCo model.
+        """
         position, quaternion = self._first
         moved = (self._model.body_pos[body] != position[body]).any()
         return bool(moved or (self._model.body_quat[body] != quaternion[body]).any())

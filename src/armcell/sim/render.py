@@ -31,7 +31,7 @@ _CHECKER = 0.5  # [m] edge length of the checkerboard squares on an infinite pla
 
 
 def has_gl() -> bool:
-    """Return whether OpenGL can render simulated camera images on this machine.
+    """Return whether OpenGL can render images of simulated cameras on this machine.
 
     The result is cached.
     """
@@ -39,7 +39,8 @@ def has_gl() -> bool:
 
 
 def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
-    """Render a simulated camera's depth image (height, width) [m] along the optical axis by ray casting.
+    """Render the depth image (height, width) [m] of a simulated camera, along its optical axis, by ray
+    casting.
 
     Pixels where the rays hit nothing are 0. Links appear as their collision shapes, which enclose the visual
     meshes. The function never needs OpenGL.
@@ -53,7 +54,7 @@ def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
 def take_image(
     world: SimWorld, camera: Camera, gl: bool | None = None, rgb: bool = True, depth: bool | None = None
 ) -> CameraImage:
-    """Render the image of a simulated camera at its current pose: color, depth, depth noise.
+    """Render the image of a simulated camera at its current pose, with color, depth and depth noise.
 
     The image shows the visual meshes. The noise depends only on the world's seed, the camera's name, and the
     time, so two images of the same instant are identical.
@@ -100,7 +101,7 @@ Drawing = tuple[NDArray[np.uint8], NDArray[np.float32]]
 
 # --- copy of a world for rendering ---
 class _DrawnScene:
-    """Copy of a simulated world with visual meshes, to render camera images.
+    """Copy of a simulated world with visual meshes, from which camera images are rendered.
 
     The copy is separate from the physics, so rendering has no effect on the simulation.
     """
@@ -194,7 +195,8 @@ class _DrawnScene:
         return SE3.identity() if name == WORLD else body_pose(self.data, self.built.body[name])
 
     def _checker(self, camera: Camera, distance: NDArray, seen: NDArray, plane: int) -> NDArray:
-        """Return the brightness (n,) of points on an infinite plane with a checkerboard, in rendered images.
+        """Return the brightness (n,) of points on an infinite plane, which has a checkerboard pattern in
+        rendered images.
 
         The checkerboard fades with the distance from the camera.
         """
@@ -216,7 +218,9 @@ def _drawn(world: SimWorld) -> _DrawnScene:
 
 # --- rays ---
 def _rays(camera: Camera) -> NDArray[np.float64]:
-    """Return unit directions (height * width, 3) through pixel centers, to render depth by ray casting."""
+    """Return unit directions (height * width, 3) through the centers of a camera's pixels, to render depth by
+    ray casting.
+    """
     m = camera.model
     x = (np.arange(camera.width) - m.cx) / m.fx
     y = (np.arange(camera.height) - m.cy) / m.fy
@@ -228,7 +232,7 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _tiles(width: int, height: int) -> tuple[NDArray[np.int64], ...]:
-    """Return the pixel indices of each rectangular tile of an image to render by ray casting.
+    """Return the pixel indices of each rectangular tile of an image that is rendered by ray casting.
 
     Casting rays tile by tile takes half the time of one big cast, because most geoms are outside a tile's
     view.
@@ -248,7 +252,7 @@ def _cast(
     rays: NDArray[np.float64],
     groups: tuple[int, ...],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    """Cast rays from a camera at MuJoCo geoms, to render depth.
+    """Cast rays from a camera onto MuJoCo geoms, to render a depth image.
 
     Returns:
         Distance (n,) [m] along each ray, -1 where a ray hits nothing; geom id (n,), or -1; surface normal (n,

@@ -38,7 +38,7 @@ WORKER = "armcell.sim.render_worker"
 
 @dataclass(frozen=True, eq=False)
 class PhysicsState:
-    """A copy of the state of a simulated world at one instant, for a render process."""
+    """Copy of the state of a simulated world at one instant, to be sent to a render process."""
 
     time: float  # [s]
     qpos: NDArray[np.float64]  # (nq,) MuJoCo's generalized positions
@@ -51,7 +51,7 @@ class PhysicsState:
             return PhysicsState(data.time, data.qpos.copy(), (model.body_pos.copy(), model.body_quat.copy()))
 
     def put_into(self, world: SimWorld) -> None:
-        """Set a simulated world of the same scene and settings to a copied state in the render process."""
+        """Set a simulated world with the same scene and settings to the copied state, in a render process."""
         model, data = world.mj_model, world.mj_data
         data.time, data.qpos[:] = self.time, self.qpos
         model.body_pos[:], model.body_quat[:] = self.bodies
@@ -60,7 +60,9 @@ class PhysicsState:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredState:
-    """Measured joint positions and object poses of a robot that is not simulated, for the render process."""
+    """Measured joint positions and object poses of a robot that is not simulated, to be sent to a render
+    process.
+    """
 
     positions: NDArray[np.float64]  # (dof,) [rad or m] in the model's order
     object_poses: dict[str, SE3]  # T_world_object
@@ -76,7 +78,7 @@ State = PhysicsState | MeasuredState
 
 
 class Setup:
-    """The inputs from which a render process builds its copy of a simulated world.
+    """Data from which a render process builds its copy of a simulated world.
 
     The constructor pickles them at once, so later changes of the scene have no effect.
     """
@@ -94,7 +96,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """A request to a render process for one image."""
+    """Request for one image to a render process."""
 
     setup: Setup
     state: State
@@ -104,7 +106,7 @@ class Order:
 
 
 class RenderProcess:
-    """Render process: draws images on request, so that physics never waits.
+    """Process that renders images on request, so that the simulation never waits for them.
 
     The first `begin` starts the process; `begin` also restarts it after it has died. Only one thread may use
     the object: it calls `begin`, then `finish`.
@@ -118,11 +120,11 @@ class RenderProcess:
 
     @property
     def pid(self) -> int | None:
-        """Return the process id of the running render process of images, or None."""
+        """Return the process ID of the running render process, or None."""
         return None if self._process is None else self._process.pid
 
     def begin(self, order: Order) -> None:
-        """Request an image from the render process and return immediately; `finish` raises errors."""
+        """Request an image from the render process without waiting for it. Errors are raised by `finish`."""
         try:
             link = self._link or self._start()
             if order.setup is not self._setup:
@@ -133,7 +135,7 @@ class RenderProcess:
             self._trouble = error.strerror or str(error)
 
     def finish(self) -> CameraImage:
-        """Wait for the image requested from the render process and return it.
+        """Wait for the image that was requested from the render process, and return it.
 
         Raises:
             ArmcellError: rendering failed, or the process has died.
@@ -150,12 +152,12 @@ class RenderProcess:
         raise ArmcellError(str(answer))
 
     def kill(self) -> None:
-        """Kill the render process at once, from any thread; a waiting `finish` raises an error."""
+        """Kill the render process at once. Any thread may do this; a waiting `finish` raises an error."""
         if self._process is not None:
             self._process.kill()
 
     def close(self) -> None:
-        """End the render process and return when it has exited."""
+        """End the render process and wait until it has exited."""
         link, self._link, self._setup = self._link, None, None
         if link is not None:
             link.close()

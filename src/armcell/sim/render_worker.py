@@ -55,7 +55,7 @@ def _obey(link: Connection) -> None:
 
 
 def main(descriptor: int) -> None:
-    """Main function of the render worker: serve image requests on a socket until the parent closes it.
+    """Run the render worker: serve requests for images on a socket until the parent process closes it.
 
     The process ignores Ctrl-C and SIGTERM, which are meant for the parent.
     """

@@ -73,7 +73,9 @@ def add_robot(
 
 
 def _finger_scales(model: RobotModel) -> dict[str, float]:
-    """Return the simulated robot's finger travel [m] per unit of each turning gripper joint, by name."""
+    """Return how far [m] each turning gripper joint of the simulated robot moves its finger per unit of the
+    joint, by joint name.
+    """
     return {
         name: gripper.scale
         for gripper in model.grippers.values()
@@ -83,7 +85,9 @@ def _finger_scales(model: RobotModel) -> dict[str, float]:
 
 
 def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float = 1.0) -> None:
-    """Add a joint to the simulated robot; `scale` converts sliding-finger settings to a turning finger."""
+    """Add a joint to the body of a simulated robot. `scale` converts the settings of sliding fingers to a
+    turning finger.
+    """
     types = mujoco.mjtJoint
     limited = bool(np.isfinite(joint.limits.lower) and np.isfinite(joint.limits.upper))
     body.add_joint(
@@ -106,7 +110,8 @@ def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float 
 
 
 def _massless_carriers(model: RobotModel) -> set[str]:
-    """Return the robot's massless links on movable joints in MuJoCo, even with links fixed to them.
+    """Return the links of a simulated robot that are on movable joints and have no mass, even together with
+    links fixed to them.
 
     MuJoCo rejects moving bodies without mass.
     """
@@ -137,7 +142,7 @@ def _set_inertia(body: Any, link: Link, carrier: bool) -> None:
 
 
 def _group_geoms(body: Any, link: Link) -> None:
-    """Put the geoms of a robot's MJCF body into the geom group for armcell's collision geoms."""
+    """Put the geoms of a robot's MJCF body into the group that armcell uses for collision geoms."""
     for geom in body.geoms:
         geom.group = COLLISION_GROUP if link.visuals else OBJECT_GROUP
 
@@ -165,7 +170,7 @@ def _add_visuals(adder: GeomAdder, body: Any, link: Link) -> None:
 
 
 def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
-    """Exclude from MuJoCo's contacts the robot's link pairs that may touch or that one joint connects.
+    """Exclude contacts in MuJoCo between robot links that may touch or that one joint connects.
 
     The allowed pairs come from the scene and its model. The hulls of neighboring links overlap at their
     joint, so a contact there would be meaningless.
@@ -212,7 +217,8 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return a robot gripper's driven finger joint in MuJoCo and its mimic joints, with weights.
+    """Return the driven finger joint of a robot's gripper and the joints that mimic it, with weights, for
+    MuJoCo.
 
     The weighted sum of their positions is the mean finger position.
     """
@@ -224,7 +230,7 @@ def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
 
 
 def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
-    """Return the largest servo force [N] of a robot's gripper in MuJoCo.
+    """Return the largest force [N] of the servo that drives a robot's gripper in MuJoCo.
 
     A servo force f presses each finger with f / |width_per_joint|.
     """
@@ -232,7 +238,7 @@ def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
 
 
 def servo_gains(gripper: Gripper, settings: PhysicsSettings) -> tuple[float, float]:
-    """Return kp and kv of a simulated gripper's servo, per unit of its driven joint.
+    """Return the gains kp and kv of a robot's gripper servo in MuJoCo, per unit of its driven joint.
 
     The settings are those of sliding fingers; a turning joint gets the gains with the same effect there.
     """

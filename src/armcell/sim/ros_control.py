@@ -41,7 +41,7 @@ commands positions, whose gains ros_control ignores.
 
 @dataclass(frozen=True)
 class _Entry:
-    """The gains of one joint with their path in a ros_control controller file and their rank."""
+    """Gains of one joint, with their path in a controller file of ros_control and their rank."""
 
     place: str
     gains: JointGains
@@ -61,7 +61,7 @@ class _Reader:
             self.notes.append(text)
 
     def find_types(self, node: Mapping, name: str = "") -> None:
-        """Collect the controllers' types from ros2_control's controller manager parameters."""
+        """Collect the types of the controllers from the parameters of ros2_control's controller manager."""
         if isinstance(node.get("type"), str):
             self.types.setdefault(name, node["type"])
         for key, value in node.items():
@@ -90,7 +90,7 @@ class _Reader:
                 self.walk(value, (*path, str(key)))
 
     def joint_entries(self, node: Mapping) -> dict[str, Any]:
-        """Return the gains by joint of a ros_control controller with the gains under `pid`."""
+        """Return the gains that a controller of ros_control gives under `pid`, by joint."""
         if isinstance(node.get("joint"), str) and "pid" in node:
             return {node["joint"]: node["pid"]}
         names = node.get("joints")
@@ -100,7 +100,9 @@ class _Reader:
         return {n: entry["pid"] for n, entry in own.items() if isinstance(entry, Mapping) and "pid" in entry}
 
     def rank(self, place: str, kind: str, node: Mapping) -> int | None:
-        """Return the rank of a ros_control controller's gains, or None for a velocity controller."""
+        """Return the rank of the gains of a ros_control controller, or None if it is a velocity
+        controller.
+        """
         interfaces = node.get("command_interfaces") or node.get("command_interface") or []
         interfaces = [interfaces] if isinstance(interfaces, str) else interfaces
         package = kind.partition("/")[0]
@@ -191,7 +193,7 @@ class _Reader:
 
 
 def is_controllers(data: Mapping) -> bool:
-    """Return True if a parsed YAML file looks like a ros_control controller file.
+    """Return whether a parsed YAML file looks like a controller file of ros_control.
 
     Every top-level value of such a file is a mapping.
     """
@@ -199,7 +201,7 @@ def is_controllers(data: Mapping) -> bool:
 
 
 def controller_gains(data: Mapping, file: Path, model: RobotModel) -> tuple[GainTable, list[str]]:
-    """Read PID gains by joint from a parsed ros_control controller file.
+    """Return the PID gains by joint from a parsed controller file of ros_control.
 
     Args:
         data: the parsed file.
@@ -229,7 +231,7 @@ def controller_gains(data: Mapping, file: Path, model: RobotModel) -> tuple[Gain
 
 
 def _nested(data: Any) -> Any:
-    """Expand keys of controller files that are paths, such as /gazebo_ros_control/pid_gains/JOINT."""
+    """Expand keys that are paths, such as /gazebo_ros_control/pid_gains/JOINT, in a controller file."""
     if not isinstance(data, Mapping):
         return data
     made: dict[Any, Any] = {}
@@ -246,7 +248,9 @@ def _nested(data: Any) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Convert a ros_control gain from text to a float if possible: YAML 1.1 reads 10e-10 as text."""
+    """Convert a gain of ros_control from text to a number if possible, because YAML 1.1 reads
+    10e-10 as text.
+    """
     try:
         return float(value) if isinstance(value, str) else value
     except ValueError:

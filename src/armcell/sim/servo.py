@@ -20,7 +20,7 @@ The inputs are the position inputs, then the velocity inputs.
 
 
 class ArmServo:
-    """Arm servo: a controller that holds the targets of the arm joints and writes MuJoCo's controls.
+    """Servo for the arm joints: a controller that tracks their targets by writing MuJoCo's controls.
 
     With arm control "torque", the controls are torques [Nm or N], which `update` computes before every step.
     """
@@ -46,12 +46,14 @@ class ArmServo:
         self._feedforward = np.array([drive.feedforward for drive in drives])
 
     def controls(self, columns: list[int]) -> Controls:
-        """Return MuJoCo's control indices of the arm servo's joints, given indices in model order."""
+        """Return the indices of the arm servo's joints among MuJoCo's controls, given their indices in model
+        order.
+        """
         at = np.array([self._at[c] for c in columns], dtype=int)
         return at, self._pos[at], self._vel[at]
 
     def command(self, data: mujoco.MjData, controls: Controls, q: Array, v: Array) -> None:
-        """Set the arm servo's target positions and velocities of the arm joints that `controls` refers to.
+        """Set target positions and velocities of the arm servo for those joints that `controls` refers to.
 
         Args:
             q: (n,) positions [rad or m].
@@ -66,7 +68,8 @@ class ArmServo:
                 data.ctrl[velocity] = v
 
     def apply(self, controls: Controls, torque: Array) -> None:
-        """Let the arm servo apply efforts (n,) [Nm or N] until the next target; the PID law is off.
+        """Make the arm servo apply efforts (n,) [Nm or N] until the next target. Meanwhile its PID control is
+        off.
 
         Raises:
             InputError: the arm control is not "torque".
@@ -78,13 +81,15 @@ class ArmServo:
         self._torque[controls[0]] = torque
 
     def hold(self, data: mujoco.MjData, q: Array) -> None:
-        """Let the arm servo hold all arm joints at positions q (dof,); reset the PID integral."""
+        """Make the arm servo hold all joints at positions q (dof,), and reset the integral terms of its PID
+        control.
+        """
         columns = list(self._at)
         self.integral[:] = 0.0
         self.command(data, self.controls(columns), q[columns], np.zeros(len(columns)))
 
     def update(self, data: mujoco.MjData) -> None:
-        """Compute the arm servo's torques for the next step and write them to MuJoCo's controls."""
+        """Compute the torques of the arm servo for the next step and write them to MuJoCo's controls."""
         error = self.target - data.qpos[self._qpos]
         self.integral += self._ki * error * self._dt
         clamped = np.clip(self.integral, self._low, self._high)

@@ -23,7 +23,7 @@ ARM_CONTROLS = ("pid", "position", "torque")
 @dataclass(frozen=True)
 @checked()
 class PhysicsSettings:
-    """Physics settings: parameters of solver, joints, grippers and grip modes (SI units).
+    """Settings of the physics simulation: solver, joints, grippers and grip modes (SI units).
 
     Raises:
         UnknownNameError: the integrator, cone, grip mode or arm control does not exist.
@@ -118,7 +118,7 @@ class PhysicsSettings:
             raise InputError("physics setting gravity must be three finite numbers [m/s^2]")
 
     def _check_servo(self) -> None:
-        """Reject physics settings with integral and feedforward gains, which MuJoCo's servos lack."""
+        """Reject physics settings with integral or feedforward gains, which MuJoCo's servos do not have."""
         if self.arm_ki > 0:
             raise InputError(
                 f"physics setting arm_ki is for arm_control 'torque', this is {self.arm_control!r}"

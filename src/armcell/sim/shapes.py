@@ -32,7 +32,7 @@ _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
 
 
 class GeomAdder:
-    """Builder that converts shapes to geoms of a MuJoCo spec; each mesh becomes one shared asset."""
+    """Builder that converts shapes to geoms in a MuJoCo spec. Each mesh becomes one shared asset."""
 
     def __init__(self, spec: mujoco.MjSpec):
         self.spec = spec
@@ -48,7 +48,7 @@ class GeomAdder:
         split: Splitter = convex_pieces,
         **values: Any,
     ) -> list[Any]:
-        """Add the colliding geoms of one shape to a MuJoCo body and return the geoms.
+        """Add colliding geoms for one shape to a MuJoCo body and return them.
 
         A primitive becomes one geom; `split` divides a mesh into convex pieces. Point clouds and octrees get
         no geoms, because physics ignores them.
@@ -69,7 +69,7 @@ class GeomAdder:
     def add_mesh(
         self, body: Any, mesh: Mesh, T_body_mesh: SE3, name: str, convex: bool = False, **values: Any
     ) -> Any:
-        """Add one mesh geom to a MuJoCo body; a mesh that is not `convex` is a visual shape."""
+        """Add one mesh geom to a MuJoCo body. A mesh that is not `convex` is a visual shape only."""
         asset = self._assets.get(id(mesh))
         if asset is None:
             asset = self._assets[id(mesh)] = f"mesh{len(self._assets)}"
@@ -90,7 +90,7 @@ class GeomAdder:
 
 
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
-    """Return a cone shape for MuJoCo as closed convex mesh with base vertices on the base circle."""
+    """Return a cone shape as a closed convex mesh for MuJoCo, with vertices on the circle of its base."""
     angle = 2 * np.pi * np.arange(edges) / edges
     base = np.stack(
         [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1
@@ -103,7 +103,7 @@ def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
 
 
 def full_inertia(inertia: NDArray[np.float64]) -> list[float]:
-    """Return the inertia matrix (3, 3) of a shape in MuJoCo's order of elements.
+    """Return the inertia matrix (3, 3) of a shape as a list in the order that MuJoCo uses.
 
     The order is xx, yy, zz, xy, xz, yz.
     """

@@ -22,7 +22,8 @@ RESTS = 0.005  # [m/s] it rests when one contact is slower; a firm grasp creeps 
 
 
 class SlidingFriction:
-    """Switch between static and dynamic friction for slipping objects with two coefficients.
+    """Switch between static and dynamic friction for objects that have both coefficients, depending on
+    whether they are slipping.
 
     Attributes:
         owners: (k,) indices of these objects in `BuiltModel.owners`.
@@ -42,7 +43,7 @@ class SlidingFriction:
         return bool(self.owners)
 
     def reset(self) -> None:
-        """Set all objects to static friction, as none slips."""
+        """Set all objects to static friction, because none of them slips."""
         self.set_state((False,) * len(self.owners))
 
     def get_state(self) -> tuple[bool, ...]:
@@ -58,7 +59,8 @@ class SlidingFriction:
         self._mj.geom_friction[self._geoms[k], 0] = self._dynamic[k] if slides else self._static[k]
 
     def update(self, data: mujoco.MjData) -> None:
-        """Choose static or dynamic friction of slipping objects for the next step from the last contacts.
+        """Choose static or dynamic friction for the next physics step, depending on which objects are
+        slipping in the last contacts.
 
         Call this after each step.
         """
@@ -74,7 +76,9 @@ class SlidingFriction:
                 self._put(k, True)
 
     def _slips(self, data: mujoco.MjData) -> tuple[NDArray[np.int64], Array]:
-        """Return the owners (n, 2) and slip speeds (n,) [m/s] of all contacts under force in physics."""
+        """Return the owners (n, 2) and slip speeds (n,) [m/s] of all contacts that transmit a force in
+        physics.
+        """
         contact = data.contact
         loaded = contact.efc_address >= 0
         loaded[loaded] = data.efc_force[contact.efc_address[loaded]] > 0

@@ -19,7 +19,7 @@ BAND = 0.02  # tolerance as a fraction of the step size within which the joint c
 
 @dataclass(frozen=True, eq=False)
 class StepResponse:
-    """Step response: the response of one arm joint to a step of its target at time 0, from rest.
+    """Response of one arm joint to a step of its target at time 0, starting from rest.
 
     Times are in s, positions in rad or m.
     """
@@ -35,7 +35,8 @@ class StepResponse:
 
 
 def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) -> dict[str, float]:
-    """Return the gravity sag of step responses: the largest deviation [rad or m] per holding joint.
+    """Return how far [rad or m] each joint sags under gravity while it holds its position in physics, for the
+    report of step responses.
 
     The joints hold the scene's positions under gravity for `duration` [s].
     """
@@ -51,7 +52,7 @@ def step_responses(
     scene: PlanningScene, joints: tuple[str, ...], settings: PhysicsSettings, size: float = 0.1,
     duration: float = 2.0,
 ) -> list[StepResponse]:  # fmt: skip
-    """Measure the step response of each joint in physics, one joint at a time.
+    """Measure how each joint responds to a step of its target in physics, one joint at a time.
 
     Each response starts from the scene's state at rest.
 

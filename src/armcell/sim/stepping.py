@@ -48,7 +48,7 @@ ALL = 0x7FFFFFFF  # all bits of MuJoCo's contact masks
 
 @njit(cache=True)
 def drive_fingers(law, joints, weights, qpos, ctrl):
-    """Stepping kernel: compute the set points of all gripper servos for the next physics step.
+    """Compute the set points of all gripper servos for the next step of the compiled stepping kernel.
 
     Args:
         law: (g, 7) one row per gripper, changed in place.
@@ -76,7 +76,9 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 
 @njit(cache=True)
 def _before(qpos, apart):
-    """Stepping kernel: let MuJoCo test body pairs that may no longer be apart; return if any exist."""
+    """Make MuJoCo test those body pairs that may no longer be apart, before the stepping kernel takes a step.
+    Return whether there are any.
+    """
     columns, reach, reference, begins, limit, left, shut, old, most, last = apart[:10]
     bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, _ = apart[10:]
     step = 0.0
@@ -113,7 +115,8 @@ def _before(qpos, apart):
 
 @njit(cache=True)
 def _after(model, data, places, apart):
-    """Stepping kernel: measure the distances of the body pairs that used up their motion bounds.
+    """Measure the distance of those body pairs that may have used up their motion bounds, after a step of the
+    stepping kernel.
 
     MuJoCo skips a pair again if the bodies are far enough apart.
     """
@@ -150,7 +153,7 @@ def _after(model, data, places, apart):
 
 @njit(cache=True)
 def _apart(fixed, k):
-    """Stepping kernel: return `Apart.arrays` from a table of addresses, starting at row k."""
+    """Return `Apart.arrays` from a table of addresses that starts at row k, for the stepping kernel."""
     return (
         vector(fixed, k, _I8), vector(fixed, k + 1, _F8), vector(fixed, k + 2, _F8),
         vector(fixed, k + 3, _I8),
@@ -167,7 +170,8 @@ def take_steps(
     model, data, begin, end, fixed, pairs, readable, unwanted, period, targets, controls, columns, limit,
     worst,
 ):  # fmt: skip
-    """Stepping kernel: take physics steps until the end, an unwanted contact, or a joint off target.
+    """Take physics steps in the compiled stepping kernel until the last step, an unwanted contact, or a joint
+    too far off its target.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -224,7 +228,8 @@ def take_steps(
     cache=True,
 )  # fmt: skip
 def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
-    """Stepping kernel: add up contact forces on each finger along an axis, by link or object.
+    """Add up the contact forces on each finger along an axis, separately for each link or object, in the
+    stepping kernel.
 
     Contacts between two fingers do not count.
 
@@ -263,7 +268,8 @@ def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
     cache=True,
 )  # fmt: skip
 def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first_object):
-    """Stepping kernel: return the sum of finger forces [N] along an axis, and the gripped object.
+    """Return the sum of the finger forces [N] along an axis and the object that the fingers grip, in the
+    stepping kernel.
 
     The object is the one that all fingers press, or -1.
 
@@ -294,7 +300,8 @@ def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first
     cache=True,
 )  # fmt: skip
 def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
-    """Stepping kernel: collect the contacts between a hand and other bodies, with wrenches.
+    """Collect the contacts between a hand and other bodies with their wrenches, after steps of the stepping
+    kernel.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -325,7 +332,7 @@ def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
     cache=True,
 )
 def add_about(which, places, origin, wrenches, total):
-    """Stepping kernel: add up a hand's contact wrenches about one point.
+    """Add up the wrenches of a hand's contacts about one point, after steps of the stepping kernel.
 
     Args:
         which: (k,) numbers of the contacts.

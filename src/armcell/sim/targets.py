@@ -14,7 +14,7 @@ AHEAD = 2.0  # [s] length of a batch
 
 
 class Targets:
-    """Joint targets of a simulated motion at every tick, sampled in batches ahead of time.
+    """Joint targets of a simulated motion at every tick, sampled ahead of time in batches.
 
     Attributes:
         steps: physics steps per tick.
@@ -34,7 +34,8 @@ class Targets:
         self._rows = np.zeros((0, 0))
 
     def between(self, now: float, until: float) -> Array:
-        """Return a motion's sampled joint targets (k, 2n) of all ticks that begin in [`now`, `until`) [s].
+        """Return the joint targets (k, 2n) of a simulated motion for all ticks that begin in [`now`, `until`)
+        [s].
 
         Each row holds the positions, then the velocities. The result has at least one row.
         """

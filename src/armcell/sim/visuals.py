@@ -12,7 +12,8 @@ log = logging.getLogger(__name__)
 
 
 def visual_parts(visual: Visual) -> tuple[tuple[Mesh, Color], ...]:
-    """Load the meshes [m, visual frame] of a link's visual element with their RGBA colors.
+    """Load the meshes [m, visual frame] of a link's visual element, with their RGBA colors, for the
+    simulation.
 
     A mesh file that cannot be read is logged and yields no meshes: an image without one link is better than
     no run.

@@ -55,7 +55,7 @@ _DIVERGED = tuple(
 
 @dataclass(frozen=True, eq=False)
 class WorldSnapshot:
-    """Snapshot: the full state and records of a `SimWorld`; only the same world can restore it.
+    """Full state and records of a `SimWorld` at one time. Only the same world can restore it.
 
     It contains all data that the next step depends on, and all that the world has recorded.
     """
@@ -74,14 +74,14 @@ class WorldSnapshot:
 
 
 class _Closed:
-    """A placeholder for the model and data of a closed simulated world; any access raises an error."""
+    """Placeholder for the model and data of a closed simulated world. Any access raises an error."""
 
     def __getattr__(self, name: str) -> Any:
         raise ArmcellError(CLOSED)
 
 
 class SimWorld:
-    """Simulated world: MuJoCo physics of one planning scene; all poses are in the world frame.
+    """Simulated world: the physics of one planning scene in MuJoCo. All poses are in the world frame.
 
     The world frame is the frame of the robot's root link. The simulation is deterministic and advances only
     by `step` and `follow`: the same calls give the same bits.
@@ -137,7 +137,7 @@ class SimWorld:
         self.render_cache: Any = None  # used by render.py: copy of the scene with visual meshes
 
     def close(self) -> None:
-        """Close the simulated world and give its compiled model back to the model pool.
+        """Close the simulated world and return its compiled model to the model pool.
 
         Closing is optional, but lets the next world of such a scene reuse the memory.
         """
@@ -157,7 +157,7 @@ class SimWorld:
         self.close()
 
     def reset(self, scene: PlanningScene | None = None) -> None:
-        """Reset the simulated world to a planning scene: time 0, at rest, records cleared.
+        """Reset the simulated world to a planning scene: time 0, at rest, and without records.
 
         A scene that differs from the last one only in joint positions and poses of movable objects is not
         recompiled.
@@ -199,7 +199,7 @@ class SimWorld:
     # --- time ---
     @property
     def time(self) -> float:
-        """Return a simulated world's time since the last reset [s]."""
+        """Return the time [s] in the simulated world since the last reset."""
         return self._data.time
 
     @property
@@ -236,7 +236,7 @@ class SimWorld:
         self.check()
 
     def _look_at_all(self, forget: bool = True) -> None:
-        """Let a simulated world's MuJoCo test all body pairs again, before steps that are not compiled.
+        """Let the simulated world test all body pairs again, before steps that are not compiled.
 
         Args:
             forget: also forget the last poses of hands that hold objects, because the state changes.
@@ -247,7 +247,7 @@ class SimWorld:
             self._steps.forget()
 
     def _before(self) -> list[Callable[[mujoco.MjData], None]]:
-        """Return a simulated world's functions to call before each physics step."""
+        """Return the functions that the simulated world calls before each physics step."""
         before = [self._fingers.update]
         if self._servo.computed:
             before.append(self._servo.update)
@@ -256,7 +256,7 @@ class SimWorld:
         return before
 
     def check(self) -> None:
-        """Raise an ArmcellError if a simulated world diverged (its state is not finite)."""
+        """Raise an ArmcellError if the simulated world has diverged (its state is not finite)."""
         position, velocity, acceleration = _DIVERGED
         if self._warned(position) or self._warned(velocity) or self._warned(acceleration):
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
@@ -264,7 +264,7 @@ class SimWorld:
     def follow(
         self, joint_names: Sequence[str], targets: Targets, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Let a simulated world track joint targets until a time or until a joint leaves the tolerance.
+        """Track joint targets in the simulated world until a time or until a joint leaves the tolerance.
 
         Equivalent to calling `set_arm_target` and `step` alternately, with less overhead. The world advances
         by at least one tick.
@@ -299,13 +299,13 @@ class SimWorld:
         return errors.item(worst), worst
 
     def _run_belts(self, data: mujoco.MjData) -> None:
-        """Reset all conveyor belt joints of a simulated world to position zero and to the belt speed."""
+        """Reset all conveyor belt joints in the simulated world to position zero and to the belt's speed."""
         for position, velocity, speed in self.built.belts:
             data.qpos[position], data.qvel[velocity] = 0.0, speed
 
     # --- robot ---
     def joint_state(self) -> JointState:
-        """Return a simulated world's state of the robot's actuated joints, in the model's order.
+        """Return the state of the robot's actuated joints in the simulated world, in model order.
 
         Efforts include the gravity compensation of the arm.
         """
@@ -321,7 +321,7 @@ class SimWorld:
     def set_arm_target(
         self, joint_names: Sequence[str], positions: ArrayLike, velocities: ArrayLike | None = None
     ) -> None:
-        """Set a simulated world's target positions [rad or m] and velocities [rad/s or m/s] of robot joints.
+        """Set target positions [rad or m] and velocities of robot joints in the simulated world.
 
         A gripper's driven joint moves to its target at the gripper's full force.
 
@@ -345,7 +345,7 @@ class SimWorld:
             self.set_gripper_target(gripper, index.gripper.width(float(whole[column])), index.max_force)
 
     def set_arm_torque(self, joint_names: Sequence[str], torques: ArrayLike) -> None:
-        """Apply torques [Nm or N] to a simulated world's arm joints until their next target.
+        """Apply torques [Nm or N] to arm joints in the simulated world until their next target.
 
         The torques are added to the gravity compensation.
 
@@ -360,7 +360,7 @@ class SimWorld:
         self._servo.apply(controls, float_array(torques, (len(names),), "torques"))
 
     def arm_target(self) -> JointState:
-        """Return a simulated world's last arm joint target positions and velocities, without grippers."""
+        """Return the last target positions and velocities of arm joints in the simulated world."""
         names = tuple(self.robot.joint_names[c] for c in self._servo.columns)
         return JointState(names, self._servo.target, self._servo.speed, time=self.time)
 
@@ -374,7 +374,7 @@ class SimWorld:
         return self._columns[names]
 
     def set_gripper_target(self, gripper: str, width: float, force_per_finger: float | None = None) -> None:
-        """Drive a simulated world's gripper to a width with limited finger force.
+        """Drive a gripper in the simulated world to a width with limited force per finger.
 
         Width 0 grasps: the fingers close until an object blocks them, then press with the given force. A
         width above the current one opens the gripper and releases a weld.
@@ -397,12 +397,12 @@ class SimWorld:
         self._drives[gripper].command(float(width), force)
 
     def gripper_state(self, gripper: str) -> GripperState:
-        """Return a simulated world's gripper width, finger force, and held object as of the last step."""
+        """Return a gripper's width, finger force and held object in the simulated world."""
         self._gripper(gripper)
         return gripper_state(self.built, self.mj_data, gripper)
 
     def wrench(self, gripper: str) -> Array:
-        """Return the wrench (6,) on a gripper from a simulated world: force [N], torque [Nm] about the tcp.
+        """Return the wrench (6,) on a gripper about the tcp in the simulated world, in N and Nm.
 
         The wrench has world axes and includes all contacts of the gripper's links.
         """
@@ -415,12 +415,12 @@ class SimWorld:
         return self.built.grippers[name]
 
     def link_pose(self, link: str) -> SE3:
-        """Return the pose T_world_link of a robot link in a simulated world."""
+        """Return the pose T_world_link of a robot link in the simulated world."""
         self.robot.link(link)
         return body_pose(self.mj_data, self.built.body[link])
 
     def set_positions(self, q: ArrayLike) -> None:
-        """Place a simulated world's robot at positions q (dof,), at rest, without a motion.
+        """Place the robot in the simulated world at positions q (dof,), at rest, without a motion.
 
         The joint targets are set to the positions, too.
 
@@ -442,16 +442,16 @@ class SimWorld:
 
     # --- objects ---
     def object_pose(self, name: str) -> SE3:
-        """Return the pose T_world_object of an object in a simulated world."""
+        """Return the pose T_world_object of an object in the simulated world."""
         self._object(name)
         return body_pose(self.mj_data, self.built.body[name])
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return the poses T_world_object of all movable objects in a simulated world, by name."""
+        """Return the poses T_world_object of all movable objects in the simulated world, by name."""
         return {name: self.object_pose(name) for name in self.built.moving}
 
     def object_twist(self, name: str) -> Array:
-        """Return an object's linear [m/s] and angular velocity [rad/s] (6,) in a simulated world.
+        """Return the twist (6,) of an object in the simulated world: linear [m/s], angular [rad/s].
 
         The linear velocity is that of the object's origin.
         """
@@ -464,7 +464,7 @@ class SimWorld:
         return velocity
 
     def set_object_pose(self, name: str, T_world_object: SE3) -> None:
-        """Place an object in a simulated world, at rest; a fixed object stays there until a reset.
+        """Place an object in the simulated world, at rest. A fixed object stays there until a reset.
 
         For setup only: the physics does not simulate this motion.
 
@@ -490,7 +490,7 @@ class SimWorld:
 
     # --- the whole ---
     def scene(self) -> PlanningScene:
-        """Return a simulated world's current state as a planning scene.
+        """Return the current state of the simulated world as a planning scene.
 
         The scene's positions are clipped to the joint limits, which physics treats as soft. Objects that were
         attached in the initial scene are ordinary objects in the returned scene.
@@ -504,7 +504,7 @@ class SimWorld:
         return replace(scene, positions=q, objects=objects, attached={})
 
     def sample(self) -> StateSample:
-        """Return a simulated world's state of joints, objects, and grippers for observers."""
+        """Return the state of joints, objects and grippers in the simulated world, for observers."""
         grippers = {name: self.gripper_state(name) for name in self.built.grippers}
         return StateSample(
             time=self.time,
@@ -515,12 +515,12 @@ class SimWorld:
         )
 
     def contacts(self) -> list[PhysicsContact]:
-        """Return the contacts of a simulated world's last physics step with body names, deepest first."""
+        """Return the contacts of the last step of the simulated world with body names, deepest first."""
         return read_contacts(self.built, self.mj_data)
 
     # --- faults, and the state of a real robot ---
     def add_load(self, link: str, mass: float) -> None:
-        """Add a mass [kg] at a link's center of mass in a simulated world, without gravity compensation.
+        """Add a load [kg] at a link's center of mass in the simulated world. Gravity acts on the load.
 
         The mass stays after a reset to the same scene.
         """
@@ -532,7 +532,7 @@ class SimWorld:
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def block(self, joint: str) -> None:
-        """Block a joint in a simulated world by strong damping, against any motor torque.
+        """Block a joint in the simulated world against any motor torque, by strong damping.
 
         The joint stays blocked after a reset to the same scene.
         """
@@ -541,7 +541,7 @@ class SimWorld:
         self.mj_model.dof_damping[self.built.joint_dof[joint]] = BLOCKED
 
     def fix_in_hand(self, item: str, gripper: str) -> None:
-        """Weld an object to a simulated world's gripper at its relative pose; `welds` records the weld.
+        """Weld an object to a gripper of the simulated world at its relative pose; `welds` records it.
 
         Raises:
             UnknownNameError: the gripper or the movable object does not exist.
@@ -554,14 +554,14 @@ class SimWorld:
     # --- grip ---
     @property
     def welds(self) -> tuple[WeldEvent, ...]:
-        """Return all welds of objects to grippers in a simulated world since its last reset.
+        """Return all welds of objects to simulated grippers since the last reset of the world.
 
         In grip mode "friction", only `fix_in_hand` adds welds.
         """
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Store an object's pose in a gripper of a simulated world, as reference for its slip."""
+        """Store the pose of an object in a gripper of the simulated world, from which `slip` measures."""
         self._object(item)
         index = self._gripper(gripper)
         self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
@@ -602,7 +602,7 @@ class SimWorld:
         )
 
     def restore(self, snapshot: WorldSnapshot) -> None:
-        """Restore a simulated world from its snapshot.
+        """Restore the simulated world from its snapshot.
 
         Afterwards the same calls give the same bits.
 

@@ -13,7 +13,8 @@ Array = NDArray[np.float64]
 
 
 def hand_wrench(built: BuiltModel, data: mujoco.MjData, gripper: str) -> Array:
-    """Return the six-axis sensor's wrench (6,) on a gripper: force [N], then torque [Nm] about the tcp.
+    """Return the wrench (6,) that a six-axis sensor measures on a gripper: force [N], then torque [Nm] about
+    the tcp.
 
     The wrench has world axes and includes all contacts of the last step. It excludes the hand's own weight,
     like a sensor that compensates the tool's weight.

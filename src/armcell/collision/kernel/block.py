@@ -43,7 +43,8 @@ AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SE
 
 @inner_njit
 def _check_arrays(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
-    """Check a block of 16 lanes: return those (bits) whose configurations are not collision-free.
+    """Check a block of 16 configurations, one per SIMD lane. Return a bit mask of those that are not
+    collision-free.
 
     The positions of joint j are at w[j * L:], one per lane.
 
@@ -82,7 +83,7 @@ def _check(handle, lanes, mode):
 
 @lru_cache(maxsize=1)
 def check_address() -> int:
-    """Return the memory address of the compiled block check of 16 configurations.
+    """Return the memory address of the compiled function that checks a block of 16 configurations.
 
     The function takes the address of a handle, the lanes and the mode. All callers call the function by this
     address. Otherwise, Numba would compile a copy into each caller, which takes minutes.
@@ -92,7 +93,9 @@ def check_address() -> int:
 
 @lru_cache(maxsize=1)
 def free_check_address() -> int:
-    """Return the address of a dummy block check that finds all lanes free, to compile callers quickly."""
+    """Return the address of a dummy block check that reports all lanes as collision-free, with which callers
+    compile quickly.
+    """
     return int(cfunc(types.int64(types.int64, types.int64, types.int64))(_free_check).address or 0)
 
 
@@ -101,7 +104,8 @@ def _free_check(handle, lanes, mode):
 
 
 def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Return a handle: the memory addresses of all kernel arrays and of the compiled block check.
+    """Return a handle: an array with the memory addresses of all kernel arrays and of the compiled block
+    check.
 
     The arrays are the pack (I, F, D), the workspace (w, state, s), slack and slack_pair. The handle replaces
     nine arguments, each of which costs half a microsecond in a call from Python. Keep the arrays alive as
@@ -116,25 +120,27 @@ def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 @inner_njit(forceinline=True)
 def check_block(k, lanes, mode):
-    """Check a block of 16 configurations for collisions at once, given a kernel handle."""
+    """Check a block of 16 configurations for collisions in one call, given a kernel handle."""
     return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
 
 
 @inner_njit(forceinline=True)
 def ints(k):
-    """Return a pointer to the kernel's integer array I behind a block check's handle."""
+    """Return a pointer to the kernel's integer array I, given a block check's handle."""
     return at_address(np.int32, k[AT_I])
 
 
 @inner_njit(forceinline=True)
 def lanes_of(k):
-    """Return a pointer to the workspace w of the SIMD lanes behind a block check's handle."""
+    """Return a pointer to the workspace w of the SIMD lanes, given a block check's handle."""
     return at_address(np.float32, k[AT_W])
 
 
 @njit(cache=True, nogil=True)
 def touches(handle, mode, q):
-    """Check one configuration q (dof,) for collision by a block check; callable from Python."""
+    """Check a single configuration q (dof,) for collisions with the block check. This function can be called
+    from Python.
+    """
     k = pointer(handle)
     w = lanes_of(k)
     for j in range(len(q)):

@@ -10,7 +10,9 @@ from armcell.collision.kernel.simd import L, fma, load, mask_lt, splat
 
 @inner_njit(forceinline=True)
 def into(F, m, cx, cy, cz):
-    """Transform world points to the frame with 3x4 matrix F[m:], to test them against boxes."""
+    """Transform points from the world frame to the frame whose 3x4 matrix is at F[m:], to test them against
+    boxes there.
+    """
     x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
     y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
     z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), fma(cz, splat(F[m + 10]), splat(F[m + 11]))))
@@ -19,7 +21,9 @@ def into(F, m, cx, cy, cz):
 
 @inner_njit(forceinline=True)
 def turned(F, m, cx, cy, cz):
-    """Rotate world vectors to the frame with 3x4 matrix F[m:], to test them against boxes."""
+    """Rotate vectors from the world frame to the frame whose 3x4 matrix is at F[m:], to test them against
+    boxes there.
+    """
     x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), cz * splat(F[m + 2])))
     y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), cz * splat(F[m + 6])))
     z = fma(cx, splat(F[m + 8]), fma(cy, splat(F[m + 9]), cz * splat(F[m + 10])))
@@ -28,7 +32,9 @@ def turned(F, m, cx, cy, cz):
 
 @inner_njit(forceinline=True)
 def boxes_hit(F, at, lx, ly, lz, hx, hy, hz):
-    """Test 16 bounding boxes of a tree: return those (bits) at F[at:] that overlap a given box."""
+    """Test the 16 bounding boxes of a tree at F[at:] against a given box. Return a bit mask of those that
+    overlap it.
+    """
     mask = mask_lt(load(F, at), splat(hx)) & mask_lt(load(F, at + L), splat(hy))
     mask &= mask_lt(load(F, at + 2 * L), splat(hz)) & mask_lt(splat(lx), load(F, at + 3 * L))
     return mask & mask_lt(splat(ly), load(F, at + 4 * L)) & mask_lt(splat(lz), load(F, at + 5 * L))

@@ -30,7 +30,8 @@ _packs: LruCache[tuple[Pack, Names, Flat]] = LruCache(8)
 
 
 def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, Names, Flat]:
-    """Return the kernel checker's arrays of a scene, cached for the last scenes.
+    """Return the arrays that the kernel checker needs for a scene; those of the most recent scenes are
+    cached.
 
     Planning again with only the group's joints at other positions costs no time.
     """
@@ -45,7 +46,8 @@ def _packed(scene: PlanningScene, joint_names: tuple[str, ...]) -> tuple[Pack, N
 
 
 class KernelChecker:
-    """Kernel checker: fast collision checks for one scene and one joint group, 16 configurations at a time.
+    """Fast collision checker for one scene and one joint group, whose SIMD kernel checks 16 configurations at
+    a time.
 
     The checker has one workspace and is not thread-safe: create one per thread.
 
@@ -79,13 +81,16 @@ class KernelChecker:
         return self._exact
 
     def _take_hold(self) -> None:
-        """Create the kernel checker's handle of its arrays, the first argument of every kernel function."""
+        """Create the handle to the kernel checker's arrays, which every kernel function takes as its first
+        argument.
+        """
         self.handle = handle_of(
             (*self.flat, self.lanes, self.state, self.scratch, self.slack, self.slack_pair)
         )
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the kernel checker's padding of pairs that at q (n,) are within it but do not touch.
+        """Reduce the kernel checker's padding for pairs that do not touch at q (n,) but are within the
+        padding.
 
         See `ExactChecker.relax_margins`.
         """
@@ -103,7 +108,8 @@ class KernelChecker:
         self._take_hold()
 
     def with_clearance_between(self, sides: Mapping[str, int], distance: float) -> KernelChecker:
-        """Return a copy of the kernel checker that also requires a clearance [m] between sides.
+        """Return a copy of the kernel checker that also requires a clearance [m] between bodies of different
+        sides, such as two arms.
 
         Args:
             sides: side of each body (link or attached object) by name; bodies without a side have no
@@ -123,15 +129,17 @@ class KernelChecker:
         return other
 
     def is_free(self, q: ArrayLike) -> bool:
-        """Check with the SIMD kernel that no body the group moves touches another body (with padding)."""
+        """Check with the SIMD kernel that no body that the group moves touches another body, with padding
+        included.
+        """
         return not touches(self.handle, EXACT | PADDED, self._configuration(q))
 
     def touches(self, q: ArrayLike) -> bool:
-        """Check with the SIMD kernel whether any pair of bodies is in contact (without padding)."""
+        """Check with the SIMD kernel whether any two bodies are in contact, with padding ignored."""
         return bool(touches(self.handle, EXACT, self._configuration(q)))
 
     def _configuration(self, q: ArrayLike) -> Array:
-        """Return a validated, contiguous configuration (n,) for the kernel checker.
+        """Validate a configuration (n,) and return it as a contiguous array for the kernel checker.
 
         The kernel would read past the end of a shorter array and treat NaN as collision-free.
         """
@@ -145,7 +153,7 @@ class KernelChecker:
         return np.ascontiguousarray(points if len(points) > 1 else np.vstack([points, points]))
 
     def clearance(self, waypoints: ArrayLike, most: float = 0.25, tolerance: float = 5e-4) -> float:
-        """Return the clearance [m] of a piecewise linear motion (k, n) that the kernel checker certifies.
+        """Return the clearance [m] that the kernel checker certifies for a piecewise linear motion (k, n).
 
         Parts of neighboring links that cannot meet at any joint positions are ignored, however near they are.
         The clearance of `with_clearance_between` is ignored, too.
@@ -162,7 +170,9 @@ class KernelChecker:
         return float(proven_clearance(self.handle, points, most, tolerance))
 
     def edge_is_free(self, a: ArrayLike, b: ArrayLike, step: float = 0.03) -> bool:
-        """Check with the SIMD kernel a straight motion at samples at most `step` [rad] apart."""
+        """Check a straight motion for collisions with the SIMD kernel, at samples at most `step`
+        [rad] apart.
+        """
         return bool(free_edge(self.handle, self._path(np.stack([np.asarray(a), np.asarray(b)])), step))
 
     def certify(
@@ -174,7 +184,7 @@ class KernelChecker:
         distance: float = 0.0,
         evidence: bool = True,
     ) -> Certificate:
-        """Certify by the kernel checker that a piecewise linear motion (k, n) is collision-free.
+        """Certify with the kernel checker that a piecewise linear motion (k, n) is collision-free.
 
         Args:
             waypoints: (k, n) joint positions.

@@ -16,7 +16,8 @@ from armcell.collision.kernel.simd import at_address, pointer
 
 @njit(cache=True, nogil=True)
 def first_below_clearance(handle, points, room, distance):
-    """Prove clearance: return where a motion (k, dof) may bring two of the robot's bodies too close.
+    """Return the first position along a motion (k, dof) at which the clearance between two bodies of the
+    robot cannot be proven.
 
     Args:
         room: (dof,) largest deviation of each joint from the edges [rad or m].

@@ -71,13 +71,13 @@ DONE = np.int64(-1)
 
 @inner_njit(forceinline=True)
 def _cloud_of(I, o):
-    """Return the position of a cloud's data in the kernel's integer array."""
+    """Return the position in the kernel's integer array at which the data of a cloud starts."""
     return I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o]
 
 
 @inner_njit(forceinline=True)
 def _side(F, at, u, v, x, y, z):
-    """Return vectors to a cloud test's point from the nearest points on one edge of 16 triangles.
+    """Return the vectors to a point from the nearest points on one edge of each of a cloud's 16 triangles.
 
     The triangles are at F[at:]; their edges lead from corner u to corner v. Also returns on which side of the
     edge the point is, positive on the inner side.
@@ -101,7 +101,8 @@ def _side(F, at, u, v, x, y, z):
 
 @inner_njit(forceinline=True)
 def _apart(F, kind, at, x, y, z):
-    """Return a point's distances to 16 parts of a cloud, and the vectors from the nearest points.
+    """Return the distances from a point to 16 parts of a cloud, and the vectors from the nearest points on
+    those parts.
 
     The parts are at F[at:]. All these distances are convex functions of the point. The length of a vector is
     the distance, except for balls, where the vector begins at the center.
@@ -139,14 +140,14 @@ def _apart(F, kind, at, x, y, z):
 
 @inner_njit(forceinline=True)
 def _block_at(I, c, block):
-    """Return the position of a block of a cloud's parts in the kernel's float array."""
+    """Return the position in the kernel's float array at which a block of a cloud's parts starts."""
     rows = 12 if I[c] == gjk.TRIANGLE else 4
     return I[CLOUD_PARTS] + I[c + 2] + block * rows * L
 
 
 @inner_njit
 def _local(I, F, w, state, o, g, f, mode):
-    """Transform the centers of a group's spheres to a cloud's frame, for all lanes.
+    """Transform the sphere centers of a sphere group to a cloud's frame, in all SIMD lanes.
 
     The centers of group g in the frame of shape o are written to w[local_at:]. In a proof, the velocities are
     written as well.
@@ -169,7 +170,7 @@ def _local(I, F, w, state, o, g, f, mode):
 
 @inner_njit
 def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
-    """Test a group of spheres in one SIMD lane against 16 cloud parts, coarse test first.
+    """Test a group of spheres in one SIMD lane against 16 parts of a cloud, with a coarse test first.
 
     The group's bounding ball is tested before its spheres. The parts are at F[at:]. `more` is the margin that
     a gap must exceed in addition to the radius and, in a proof, to the motion in half the interval.
@@ -209,7 +210,8 @@ def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
 
 @inner_njit
 def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, mode):
-    """Test a group of spheres in several SIMD lanes against 16 cloud parts (spheres, cubes, triangles).
+    """Test a group of spheres in several SIMD lanes against 16 parts of a cloud (spheres, cubes or
+    triangles).
 
     Returns the undecided lanes, or DONE.
     """
@@ -236,7 +238,7 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
 
 @inner_njit
 def _keep_ball(I, w, state, x, y, z, reach):
-    """Store for the cloud test the bounding ball of a sphere group whose spheres are not transformed yet."""
+    """Store the bounding ball of a sphere group for the cloud test, before its spheres are transformed."""
     ball = ball_at(I)
     store(w, ball, x)
     store(w, ball + L, y)
@@ -247,7 +249,8 @@ def _keep_ball(I, w, state, x, y, z, reach):
 
 @inner_njit
 def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
-    """Walk balls (one per SIMD lane) down the bounding-box tree of a world shape's cloud.
+    """Descend the bounding-box tree of a cloud with one ball per SIMD lane, and test the parts that it
+    reaches.
 
     The balls have radius `reach` around (x, y, z), in shape o's frame.
 
@@ -296,7 +299,8 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
 
 @inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
-    """Return a ball's radius for a cloud test, grown by a body's margin and motion in an interval.
+    """Return a ball's radius for a cloud test, enlarged by the body's margin and by its motion in the
+    interval.
 
     The ball is around center i.
     """
@@ -306,7 +310,9 @@ def _grown(I, w, i, radius, more, mode):
 
 @inner_njit
 def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
-    """Test a body against the cloud of a world shape; return undecided lanes (bits), or DONE."""
+    """Test a body against the cloud of a world shape. Return a bit mask of the undecided SIMD
+    lanes, or DONE.
+    """
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
     more_at = need_at(I) + L
     store(w, more_at, more)
@@ -330,7 +336,7 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
 
 @inner_njit
 def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
-    """List the next cloud parts that need an exact test, because a sphere is not clear of them.
+    """List the next parts of a cloud that need an exact test because a sphere is not clear of them.
 
     Call the function repeatedly with its own last result; begin with the body's first group, 0 and 0. It
     writes the index in F of each part to state[LISTED:].
@@ -384,7 +390,8 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """Return how edges of a cloud's 16 triangles wind around a point, seen along z: 1, -1 or 0.
+    """Return whether an edge of each of a cloud's 16 triangles passes a point counterclockwise (1), clockwise
+    (-1) or not at all (0), seen along z.
 
     Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so
     that the two triangles at an edge agree to the last bit.
@@ -402,7 +409,8 @@ def _turns(F, at, u, v, x, y):
 
 @inner_njit
 def encloses(I, F, state, o, px, py, pz):
-    """Return whether a point (shape frame) is inside the closed triangle mesh that a cloud represents.
+    """Return whether a point (in the shape's frame) is inside the closed triangle mesh that is stored as a
+    cloud.
 
     The triangles above the point decide.
     """

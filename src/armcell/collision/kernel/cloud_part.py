@@ -37,7 +37,8 @@ ROWS = {gjk.BALL: 4, gjk.CELL: 4, gjk.TRIANGLE: 12}
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Cloud part of the kernel data: spheres, cubes or triangles in blocks under a bounding-box tree.
+    """Cloud in the kernel's data: spheres, cubes or triangles, stored in blocks under a tree of bounding
+    boxes.
 
     The leaves of the tree are blocks of parts. `box` at the pose `T_shape_box` (4, 4) encloses all parts.
     `closed` is True if the triangles enclose a solid.
@@ -58,7 +59,9 @@ class Cloud:
 
 @lru_cache(maxsize=16)
 def cloud_of(shape: Shape) -> Cloud | None:
-    """Return the kernel's cloud parts of a point cloud, octree or nonconvex mesh; None if convex."""
+    """Return the kernel's cloud data for a point cloud, an octree or a nonconvex mesh. Return None for a
+    convex shape.
+    """
     center, half = local_bounds(shape)
     match shape:
         case PointCloud():
@@ -97,7 +100,7 @@ def _cloud(
     high: F64,
     closed: bool = False,
 ) -> Cloud:
-    """Build the kernel's data of n cloud parts: spheres, cubes or triangles.
+    """Build the kernel data of a cloud from n parts: spheres, cubes or triangles.
 
     Args:
         parts: values of the parts, a row (n,) or a number for each of `ROWS`.

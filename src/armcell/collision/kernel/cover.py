@@ -50,7 +50,7 @@ def _grouped(centers: Array, outer: Array, inner: Array) -> Cover:
 
 @njit(cache=True)
 def _holds(e, p, x, y, z, reach2):
-    """Return whether a ball of a sphere cover contains all three corners of a surface element (triangle).
+    """Return whether a ball of a sphere cover contains all three corners of a small triangle on the surface.
 
     `e` (9, n) has x, y, z of each corner, and p is the index of the element.
     """
@@ -63,7 +63,8 @@ def _holds(e, p, x, y, z, reach2):
 
 @njit(cache=True)
 def _greedy(e, centers, reach2):
-    """Choose a sphere cover's balls greedily until they contain all surface elements that any ball contains.
+    """Choose the balls of a sphere cover greedily, until they contain every surface element that any
+    candidate ball contains.
 
     Elements are (9, n). The balls have squared radii `reach2`. Returns the chosen balls and which elements
     they contain.
@@ -96,7 +97,7 @@ def _greedy(e, centers, reach2):
 
 @lru_cache(maxsize=4096)
 def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
-    """Return the sphere cover of a shape; it extends at most `overshoot` [m] beyond the shape.
+    """Return a set of spheres that covers a shape and extends at most `overshoot` [m] beyond it.
 
     Covers are cached on disk by the content of the shape, so each robot's covers are fitted once per machine.
     """
@@ -110,7 +111,7 @@ def cover(shape: Shape, overshoot: float = 0.010) -> Cover:
 
 
 def fit(shape: Shape, overshoot: float) -> Cover:
-    """Fit the sphere cover of a shape without using the cache."""
+    """Compute the sphere cover of a shape without using the cache."""
     vertices, faces, round_gap = triangulated(shape)
     elements = outer_skin(vertices, faces, 0.7 * overshoot)
     size = float((vertices.max(0) - vertices.min(0)).max())
@@ -142,7 +143,7 @@ def fit(shape: Shape, overshoot: float) -> Cover:
 
 
 def _neighbors_together(centers: Array) -> NDArray[np.int64]:
-    """Order a sphere cover's centers so that each run of `GROUP` is spatially compact.
+    """Order the centers of a sphere cover such that each run of `GROUP` centers is spatially compact.
 
     The function splits the centers in halves along the longest axis.
     """
@@ -160,7 +161,7 @@ def _neighbors_together(centers: Array) -> NDArray[np.int64]:
 
 
 def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
-    """Return a small sphere around a cover's spheres with centers (n, 3) and radii (n,).
+    """Return a small sphere that contains all spheres of a cover, given by centers (n, 3) and radii (n,).
 
     The iteration starts from the center of the bounding box and moves toward the farthest sphere.
     """
@@ -171,7 +172,9 @@ def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def _shrink(centers, radii, start):
-    """Return center and radius of a cover's bounding sphere after 60 shrinking steps from `start` (3,)."""
+    """Shrink a cover's bounding sphere in 60 steps from the center `start` (3,). Return its center and
+    radius.
+    """
     x, y, z = start
     step = 0.05
     reach = 0.0
@@ -192,7 +195,7 @@ def _shrink(centers, radii, start):
 
 
 def shape_key(shape: Shape, overshoot: float) -> str:
-    """Return the cache key of a shape's sphere cover, equal in every process.
+    """Return the key under which a shape's sphere cover is cached. It is the same in every process.
 
     The key changes with the version of the fitting algorithm.
     """

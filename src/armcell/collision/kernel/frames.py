@@ -54,7 +54,8 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def workspace(flat: Flat) -> Workspace:
-    """Allocate one thread's workspace of kernel frames: lanes (float32), state (int64), scratch (float64).
+    """Allocate the kernel's workspace of link frames for one thread: lanes (float32), state (int64) and
+    scratch (float64).
 
     The lanes are 64-byte aligned and hold, in this order:
 
@@ -74,13 +75,15 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return the frame workspace position of a joint's motion per unit of the motion's edge."""
+    """Return where in the kernel's workspace of frames the motion of a joint per unit of the motion's edge is
+    stored.
+    """
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def half_at(I):
-    """Return the frame workspace position of half the interval width of each lane.
+    """Return where in the kernel's workspace of frames half the interval width of each lane is stored.
 
     The joints' summed rotation follows it.
     """
@@ -89,13 +92,15 @@ def half_at(I):
 
 @inner_njit(forceinline=True)
 def need_at(I):
-    """Return the frame workspace position of the 8 vectors with a body pair's margins (exact tier)."""
+    """Return where in the kernel's workspace of frames the 8 vectors with a body pair's margins for exact
+    tests are stored.
+    """
     return (2 * I[DOF] + 2) * L
 
 
 @inner_njit(forceinline=True)
 def frame_at(I, f):
-    """Return the kernel workspace position of a frame: 12 vectors, the rows of its 3x4 matrix."""
+    """Return where in the kernel's workspace a frame is stored, as 12 vectors: the rows of its 3x4 matrix."""
     return (2 * I[DOF] + 10 + 12 * f) * L
 
 
@@ -106,7 +111,8 @@ def twist_at(I, f):
 
 @inner_njit(forceinline=True)
 def center_at(I, i):
-    """Return the frame workspace position of the center of a body, sphere group or sphere.
+    """Return where in the kernel's workspace of frames the center of a body, sphere group or sphere is
+    stored.
 
     Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
     """
@@ -115,7 +121,8 @@ def center_at(I, i):
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Return the frame workspace position of a sphere center's velocity, followed by its speed.
+    """Return where in the kernel's workspace of frames the velocity of a sphere center is stored, followed by
+    its speed.
 
     Both are per unit of the edge.
     """
@@ -124,7 +131,8 @@ def velocity_at(I, i):
 
 @inner_njit(forceinline=True)
 def more_at(I, body):
-    """Return the frame workspace position of a body's margin to the world in a motion proof.
+    """Return where in the kernel's workspace of frames the margin from a body to the world in a motion proof
+    is stored.
 
     The margin does not include the speed (see `bend`).
     """
@@ -133,7 +141,8 @@ def more_at(I, body):
 
 @inner_njit(forceinline=True)
 def local_at(I):
-    """Return the frame workspace position of a group's sphere centers and velocities, cloud frame.
+    """Return where in the kernel's workspace the sphere centers and velocities of a group, in a cloud's
+    frame, are stored.
 
     Each sphere has 6 vectors.
     """
@@ -142,13 +151,17 @@ def local_at(I):
 
 @inner_njit(forceinline=True)
 def ball_at(I):
-    """Return the frame workspace position of a sphere group's bounding ball in a cloud's frame."""
+    """Return where in the kernel's workspace the bounding ball of a sphere group, in a cloud's frame, is
+    stored.
+    """
     return local_at(I) + 6 * GROUP * L
 
 
 @inner_njit(forceinline=True)
 def _sincos(x):
-    """Compute sine and cosine of SIMD joint angles for link frames (error below 1e-6 for |x| < 1000)."""
+    """Compute the sine and cosine of joint angles in SIMD lanes, for link frames. The error is below 1e-6 for
+    |x| < 1000.
+    """
     n = vround(x * splat(np.float32(0.6366197723675814)))
     y = fma(n, splat(np.float32(-1.5703125)), x)
     y = fma(n, splat(np.float32(-4.837512969970703e-4)), y)
@@ -204,7 +217,7 @@ def fk_block(I, F, w):
 
 @inner_njit
 def twist_block(I, F, w):
-    """Compute the twist of all link frames of 16 configurations per unit of a motion's edge.
+    """Compute the twists of all link frames of 16 configurations, per unit of a motion's edge.
 
     A twist is the angular velocity and the velocity of the origin. Run `fk_block` before. The function also
     sums up the rotation of all revolute joints, which bounds the change of the velocities.
@@ -242,7 +255,8 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def center(I, F, w, state, i, f, sphere, mode):
-    """Return the frame workspace position of a sphere's center, computed on first use per block.
+    """Return where in the kernel's workspace of frames the center of a sphere is stored. It is computed on
+    the first use per block.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """
@@ -275,7 +289,8 @@ def center(I, F, w, state, i, f, sphere, mode):
 
 @inner_njit
 def bend(I, F, w, reach, slack):
-    """Return the frame margin of a motion proof for slack and velocity changes within an interval.
+    """Return the margin that a motion proof adds to the spheres of a body, for the body's slack and for
+    changes of velocity in an interval.
 
     A proof needs this margin in addition to half width times speed. The accelerations of a body's points are
     at most the joints' summed rotation times `reach` (index in F: meters per unit of each joint), doubled for

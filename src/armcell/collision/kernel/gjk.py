@@ -41,7 +41,8 @@ TOUCHING = 2e-6
 
 @inner_njit
 def _farthest(F, first, count, dx, dy, dz):
-    """Return the index of the hull point farthest along a direction, a GJK support.
+    """Return the index of the point of a convex hull that is farthest along a direction, as the support for
+    GJK.
 
     The points are in F, in blocks of L points (x, y, z).
     """
@@ -59,7 +60,7 @@ def _farthest(F, first, count, dx, dy, dz):
 
 @inner_njit
 def _part_support(kind, dx, dy, dz, s, out):
-    """Compute GJK's support point of a cloud part (sphere, cube, triangle) along a direction.
+    """Compute the support point of a cloud's part (sphere, cube or triangle) along a direction, for GJK.
 
     The numbers of the part are at s[PART:].
     """
@@ -82,7 +83,7 @@ def _part_support(kind, dx, dy, dz, s, out):
 
 @inner_njit
 def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
-    """Compute GJK's support point of a convex solid along (dx, dy, dz), in its own frame.
+    """Compute the support point of a convex solid along (dx, dy, dz) in the solid's own frame, for GJK.
 
     The result is written to s[out : out + 3]. `size` is the index of the solid's three numbers in D; `first`
     and `first32` are the indices of its points in D and F.
@@ -115,7 +116,7 @@ def support(F, D, kind, size, first, first32, count, dx, dy, dz, s, out):
 
 @inner_njit
 def _minkowski(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, dx, dy, dz, s, at):
-    """Compute GJK's support point of the Minkowski difference A - B along d, in B's frame.
+    """Compute the support point of the Minkowski difference A - B along d, in B's frame, for GJK.
 
     The result is written to s[at:]. s[T : T + 12] is the transform from A's frame to B's.
     """
@@ -137,7 +138,7 @@ def _copy(s, src, dst):
 
 @inner_njit
 def _segment(s, v):
-    """Compute the point of a segment that is nearest to the origin, for GJK's simplex.
+    """Compute the point of a segment that is nearest to the origin, for the simplex of GJK.
 
     The segment is s[0:3], s[3:6]; the point is written to s[v:]. Returns the number of points in the reduced
     simplex.
@@ -159,7 +160,7 @@ def _segment(s, v):
 
 @inner_njit
 def _triangle(s, o, v):
-    """Compute the point of a triangle that is nearest to the origin, for GJK's simplex.
+    """Compute the point of a triangle that is nearest to the origin, for the simplex of GJK.
 
     The triangle starts at s[o]; otherwise the function is like `_segment`.
     """
@@ -215,7 +216,9 @@ def _triangle(s, o, v):
 
 @inner_njit
 def _outside(s, i, j, k, o):
-    """Return whether a plane through points i, j, k separates the origin from point o, for GJK's simplex."""
+    """Return whether the plane through points i, j and k separates the origin from point o, for the simplex
+    of GJK.
+    """
     abx, aby, abz = s[j] - s[i], s[j + 1] - s[i + 1], s[j + 2] - s[i + 2]
     acx, acy, acz = s[k] - s[i], s[k + 1] - s[i + 1], s[k + 2] - s[i + 2]
     nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
@@ -229,7 +232,7 @@ def _outside(s, i, j, k, o):
 
 @inner_njit
 def _tetrahedron(s, v):
-    """Compute the point nearest to the origin of GJK's tetrahedron simplex; return 4 if inside.
+    """Compute the point of GJK's tetrahedron that is nearest to the origin. Return 4 if the origin is inside.
 
     Otherwise the function is like `_segment`.
     """
@@ -262,7 +265,7 @@ def _tetrahedron(s, v):
 
 @inner_njit
 def distance(F, D, T, ka, sa, fa, ga, na, kb, sb, fb, gb, nb, enough, warm, s):
-    """Return the GJK distance [m] of two convex solids A and B, or 0 if they touch.
+    """Return the distance [m] of two convex solids A and B by GJK, or 0 if they touch.
 
     The result is never above the true distance.
 

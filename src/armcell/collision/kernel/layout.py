@@ -129,7 +129,7 @@ _DOUBLES = (
 
 
 def flatten(p: Pack) -> Flat:
-    """Lay out a `Pack` in memory (layout) as the kernel's three flat arrays: I, F and D."""
+    """Return the arrays of a `Pack` in the memory layout of the kernel: the three flat arrays I, F and D."""
     counts = [
         p.dof, len(p.parent), len(p.frame), len(p.group_sphere), len(p.sphere), len(p.pairs),
         p.margin.shape[1],

@@ -11,7 +11,7 @@ Value = TypeVar("Value")
 
 
 class LruCache(Generic[Value]):
-    """Thread-safe LRU cache of the `most` most recently used values."""
+    """Thread-safe LRU cache that keeps the `most` most recently used values."""
 
     def __init__(self, most: int):
         self.most = most
@@ -19,7 +19,8 @@ class LruCache(Generic[Value]):
         self._lock = threading.RLock()
 
     def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
-        """Return the LRU cache's value of a key; call `make` if there is none.
+        """Return the value that the LRU cache stores for a key. If there is none, call `make` and store its
+        result.
 
         Other threads wait while `make` runs, because they usually need the same value.
         """

@@ -43,7 +43,7 @@ ROOM = 2048  # capacity of a proof's stack of intervals
 
 @inner_njit(forceinline=True)
 def spread(I, w, p, a, b, at, step):
-    """Fill the 16 SIMD lanes with configurations on a motion's edge between two configurations.
+    """Fill the 16 SIMD lanes with evenly spaced configurations on one edge of a motion.
 
     The edge leads from p[a:] to p[b:]; the fractions of the edge are at, at + step, ...
     """
@@ -54,7 +54,7 @@ def spread(I, w, p, a, b, at, step):
 
 @inner_njit
 def edge_free(k, p, a, b, step):
-    """Return whether a motion's edge is collision-free at samples at most `step` [rad] apart.
+    """Return whether one edge of a motion is collision-free at samples at most `step` [rad] apart.
 
     The edge leads from p[a:] to p[b:]. The end b is included. The first 16 samples are spread over the whole
     edge, so a blocked edge is usually found at once.
@@ -72,7 +72,8 @@ def edge_free(k, p, a, b, step):
 
 @inner_njit
 def prove(k, p, first, last, count, at, mode, finest):
-    """Prove in the kernel that a motion's straight edges are free; return the number of unproven edges.
+    """Prove in the kernel that the straight edges of a motion are collision-free. Return the number of edges
+    without proof.
 
     Each edge is divided into intervals. Every body is enlarged, around the middle of an interval, by the
     largest motion of its points in half the interval; if the enlarged bodies are free, the interval is free.
@@ -150,7 +151,8 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 @inner_njit
 def loosen(k, room):
-    """Compute the slack [m] of bodies and body pairs for a motion proof from the joints' largest deviations.
+    """Compute the slack [m] of bodies and body pairs in a motion proof: how far they may deviate, given each
+    joint's largest deviation.
 
     The deviations are room (dof,).
     """
@@ -171,7 +173,8 @@ def loosen(k, room):
 
 @njit(cache=True, nogil=True)
 def free_edge(handle, ends, step):
-    """Return whether the straight motion between two configurations, ends (2, dof), is collision-free.
+    """Return whether the straight motion between two configurations, given as `ends` (2, dof), is
+    collision-free.
 
     See `edge_free`.
     """
@@ -180,7 +183,8 @@ def free_edge(handle, ends, step):
 
 @njit(cache=True, nogil=True)
 def prove_points(handle, points, room, distance, mode):
-    """Return where the kernel's proof of a piecewise linear motion (k, dof) fails, or -1.0 if nowhere.
+    """Return the position where the kernel's proof of a piecewise linear motion (k, dof) fails, or -1.0 if it
+    succeeds.
 
     The position is counted in edges.
 
@@ -217,7 +221,8 @@ def prove_points(handle, points, room, distance, mode):
 
 @njit(cache=True, nogil=True)
 def proven_clearance(handle, points, most, tolerance):
-    """Return the largest clearance [m] that the kernel proves for a motion (k, dof), by bisection.
+    """Return the largest clearance [m] that the kernel can prove for a motion (k, dof). It is found by
+    bisection.
 
     The result is at most `most`, never above the true minimum distance, and below it by about `tolerance` or
     less.

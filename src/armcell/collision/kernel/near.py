@@ -24,7 +24,9 @@ BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 @njit(cache=True)
 def _place(branch, fixed, kind, multiplier, offset, column, q, out):
-    """Compute a branch's last frame (3, 4) above its first, to find sphere groups that never come near."""
+    """Compute the last frame (3, 4) of a kinematic branch relative to its first, to find sphere groups that
+    never come near each other.
+    """
     for i in range(3):
         for j in range(4):
             out[i, j] = 1.0 if i == j else 0.0
@@ -68,7 +70,9 @@ _known: dict[str, NDArray[np.bool_]] = {}
 
 
 def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
-    """Return which sphere groups of two bodies may come near each other, from the disk or computed."""
+    """Return which sphere groups of two bodies may come near each other. The result is read from disk or
+    computed.
+    """
     key = key_of(str(VERSION), *arguments)
     if key not in _known:
         stored = recall("near", key)
@@ -82,7 +86,8 @@ def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
 @njit(cache=True)
 def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, lower, upper, reach_i,
                    reach_j, groups_i, starts_i, spheres_i, groups_j, starts_j, spheres_j):  # fmt: skip
-    """Return a mask (groups of i, groups of j) of two bodies' sphere groups that may come near each other.
+    """Return a mask (groups of i, groups of j) of the sphere groups of two bodies that may come near each
+    other.
 
     It is False for two groups only if they are proven more than `APART` apart at all joint positions.
 

@@ -18,7 +18,7 @@ I32 = NDArray[np.int32]
 
 
 class Pack(NamedTuple):
-    """Pack: arrays of a scene and a joint group: all data that the collision kernel reads.
+    """Pack of arrays for one scene and one joint group, with all data that the collision kernel reads.
 
     Sizes: `f` frames (0 is the world), `k` bodies, `g` groups of spheres, `s` spheres, `o` world shapes, `e`
     exact pieces. Arrays whose last size is L hold one value per SIMD lane.
@@ -88,7 +88,7 @@ class Names(NamedTuple):
 
 
 def pack(scene: PlanningScene, robot: RobotPart, world: World) -> tuple[Pack, Names]:
-    """Convert a robot part and the world of a scene to the kernel arrays of a `Pack`.
+    """Convert the robot and the world of a scene to the collision kernel's arrays, a `Pack`.
 
     Joints outside the group stay at the scene's positions.
     """
@@ -100,7 +100,7 @@ def pack(scene: PlanningScene, robot: RobotPart, world: World) -> tuple[Pack, Na
 
 
 def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Return a mask (bodies, objects) of the pairs of a `Pack` whose contact the scene allows.
+    """Return a mask (bodies, objects) of the pairs in a `Pack` whose contact the scene allows.
 
     Contact is ignored only for pairs that the scene names.
     """

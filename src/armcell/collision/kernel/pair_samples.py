@@ -29,7 +29,8 @@ CHUNK = 4096  # samples between two calls of `progress`
 
 @njit(cache=True, nogil=True)
 def _ask_pairs(handle, pairs, q, masks):
-    """Fill masks (pairs, blocks): SIMD lanes (bits) of samples in which a body pair is close.
+    """Fill a mask (pairs, blocks): each entry's bits are the sampled configurations (SIMD lanes) in which a
+    body pair is close.
 
     A block has 16 rows of q.
     """
@@ -52,7 +53,7 @@ def _ask_pairs(handle, pairs, q, masks):
 
 
 class PairSampler:
-    """Sampler of contacts of each body pair in very many configurations.
+    """Sampler that finds the contacts of each pair of bodies in a very large number of configurations.
 
     Pairs that `near` proved apart are left out.
 
@@ -74,7 +75,8 @@ class PairSampler:
     def close(
         self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
     ) -> NDArray[np.bool_]:
-        """Return a mask (len(numbers), samples): the sampled configurations with a body pair in contact.
+        """Return a mask (len(numbers), samples) of the sampled configurations in which a body pair is in
+        contact.
 
         Args:
             numbers: indices in `pairs`.

@@ -24,14 +24,18 @@ Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Hull vertices of exact pieces: number per piece (e,), and all vertices (n, 3)."""
+    """Convex-hull vertices of exact pieces: the number of vertices per piece (e,), and all vertices
+    (n, 3).
+    """
 
     count: I32
     points: F64
 
     @cached_property
     def lanes(self) -> dict[str, NDArray]:
-        """Return the exact pieces' hull vertices in the format of a `Pack`, padded to whole SIMD lanes."""
+        """Return the hull vertices of the exact pieces in the format of a `Pack`, padded to whole SIMD
+        vectors.
+        """
         padded = -(-self.count // L) * L  # the kernel reads L points at once
         first = np.cumsum(padded) - padded
         begin = np.cumsum(self.count) - self.count
@@ -47,7 +51,7 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Exact pieces as arrays: convex solids in one common frame.
+    """Exact pieces of bodies as arrays: convex solids in one common frame.
 
     Kinds (e,), sizes (e, 3), poses (e, 12) as rows of a 3x4 matrix, bounding spheres (e, 4), and the vertices
     of the solids that are convex hulls.
@@ -61,7 +65,7 @@ class Pieces:
 
     @property
     def tables(self) -> dict[str, NDArray]:
-        """Return the exact pieces as tables of a `Pack`."""
+        """Return the exact pieces as tables in the format of a `Pack`."""
         return {
             "piece_kind": self.kind,
             "piece_size": self.size,
@@ -71,7 +75,7 @@ class Pieces:
         }
 
     def moved(self, T: F64) -> Pieces:
-        """Return the exact pieces with their poses premultiplied by T (4, 4)."""
+        """Return a copy of the exact pieces whose poses are premultiplied by T (4, 4)."""
         pose = np.empty((len(self.kind), 3, 4))
         own = self.pose.reshape(-1, 3, 4)
         pose[:, :, :3] = T[:3, :3] @ own[:, :, :3]
@@ -80,7 +84,7 @@ class Pieces:
 
 
 def pieces_of(shapes: Sequence[tuple[Shape, F64]], split: Splitter = convex_pieces) -> Pieces:
-    """Return the exact pieces of shapes with poses (4, 4).
+    """Return the exact (convex) pieces of shapes that have the poses (4, 4).
 
     `split` divides a nonconvex mesh into several pieces.
     """
@@ -114,19 +118,19 @@ def concatenate(parts: Iterable[Pieces]) -> Pieces:
 
 
 def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[str, NDArray]:
-    """Concatenate the exact-piece tables of the robot and the world."""
+    """Concatenate the tables of exact pieces of the robot and the world."""
     joined = {name: np.concatenate([table, world[name]]) for name, table in robot.items()}
     joined["piece_points"][len(robot["piece_points"]) :, 0] += len(robot["points"])
     return joined
 
 
 def convex_parts(shape: Shape, split: Splitter = convex_pieces) -> tuple[Shape, ...]:
-    """Return the exact pieces of a shape: convex shapes whose union contains a shape."""
+    """Return the exact pieces of a shape: convex shapes whose union contains it."""
     return split(shape) if isinstance(shape, Mesh) and not is_convex(shape) else (shape,)
 
 
 def solid(shape: Shape) -> tuple[int, list[float]]:
-    """Return the kind and the three size values of a convex exact piece, for the kernel's GJK."""
+    """Return the kind and the three size values of a convex exact piece, as the kernel's GJK needs them."""
     match shape:
         case Mesh():
             return gjk.POINTS, [0.0, 0.0, 0.0]
@@ -146,7 +150,9 @@ def solid(shape: Shape) -> tuple[int, list[float]]:
 
 
 def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
-    """Return an exact piece's kind, size, bounding sphere (4,) in shape frame, hull vertices (n, 3)."""
+    """Return the kind, size, bounding sphere (4,) in the shape's frame and hull vertices (n, 3) of an exact
+    piece.
+    """
     kind, size = solid(shape)
     points: F64 = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
     if isinstance(shape, Plane):
@@ -158,7 +164,7 @@ def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
 
 @lru_cache(maxsize=1024)
 def hull_points(mesh: Mesh) -> F64:
-    """Return the vertices (n, 3) of a mesh's convex hull, as an exact piece."""
+    """Return the vertices (n, 3) of a mesh's convex hull, which represents the mesh as an exact piece."""
     from scipy.spatial import ConvexHull
 
     return mesh.vertices[ConvexHull(mesh.vertices).vertices]

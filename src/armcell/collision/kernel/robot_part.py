@@ -51,7 +51,7 @@ class RobotPart:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """Sphere cover and exact pieces of a robot part's body (link or held object), in its own frame.
+    """Sphere cover and exact pieces of a robot body (link or held object) in its own frame, for the kernel.
 
     Spheres (s, 5), their groups (g, 4) with sizes (g,), and one sphere around all.
     """
@@ -63,7 +63,7 @@ class _Body:
     pieces: Pieces
 
     def placed(self, T: F64) -> _Placed:
-        """Transform a kernel robot body's sphere cover and exact pieces to a frame of the group.
+        """Transform the kernel's sphere cover and exact pieces of a robot body to a frame of the group.
 
         T (4, 4) is the pose of the body in this frame.
         """
@@ -83,7 +83,7 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Sphere cover and exact pieces of a kernel robot body in a frame of the group, in a `Pack`'s format."""
+    """Sphere cover and exact pieces of a robot body, transformed to a group's frame, in a `Pack`'s format."""
 
     around: F32
     sphere: F32
@@ -93,7 +93,7 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """The kernel robot's chain of a planning group: frames that its joints move; other joints are fixed.
+    """Kinematic chain of a planning group in the kernel: frames that its joints move; others are fixed.
 
     Attributes:
         above: for each frame, the frames from the world's child down to it.
@@ -119,7 +119,7 @@ _moving: LruCache[NDArray[np.bool_]] = LruCache(32)
 
 
 def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
-    """Return the kernel data of the robot, cached by robot and positions of the other joints.
+    """Return the kernel data of the robot, cached by robot and by the positions of all other joints.
 
     Positions of the group's joints do not matter.
     """
@@ -283,7 +283,7 @@ class _Builder:
     def _near_pairs(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
     ) -> tuple[I32, dict[str, I32]]:
-        """Return the kernel robot's pairs of bodies that can meet, and tables of their sphere groups.
+        """Return the pairs of robot bodies that can meet, and the kernel's tables of their sphere groups.
 
         The result is cached for all poses of bodies that are not placed for good.
         """
@@ -307,7 +307,7 @@ class _Builder:
     def _near(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32
     ) -> list[NDArray[np.bool_]]:
-        """Return a mask (g, h) for each pair of kernel robot bodies: the sphere groups that can meet."""
+        """Return for each pair of robot bodies a mask (g, h) of the kernel's sphere groups that can meet."""
         found = []
         for i, j in pairs:
             branch_i, branch_j = self._branches(bodies[i][1], bodies[j][1])
@@ -321,7 +321,7 @@ class _Builder:
         return found
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
-        """Return a kernel robot body pair's frames from the nearest common frame down to each body.
+        """Return the kernel's frames from the nearest common frame of two robot bodies down to each body.
 
         The common frame itself is not included.
         """
@@ -358,7 +358,7 @@ class _Builder:
         return near.which_meet(*arguments)
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return upper bounds (groups, columns) of a kernel robot body's sphere group motion per joint.
+        """Return upper bounds (groups, columns) on how far the kernel's sphere groups move per joint unit.
 
         The bounds are like those of `_reach`.
 
@@ -381,7 +381,7 @@ class _Builder:
 
     # --- motion bounds ---
     def _reach(self, bodies: list[tuple[str, int]]) -> F64:
-        """Return upper bounds (bodies, dof) of each kernel robot body's motion per unit of each joint."""
+        """Return upper bounds (bodies, dof) on how far the kernel's robot bodies move per joint unit."""
         reach = np.zeros((len(bodies), self.dof))
         for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
             reach[k] = _reaches.get((self.chain, frame, body), partial(self._reach_of, frame, body.around))
@@ -402,12 +402,12 @@ class _Builder:
         return reach * (1 + 1e-6)
 
     def _span(self, frame: int) -> float:
-        """Return the largest absolute position of a kernel robot frame's joint within its limits."""
+        """Return the largest absolute position of the joint of a robot frame in the kernel."""
         limits = self.model.joints[self.joint_names[self.column[frame]]].limits
         return max(abs(limits.lower), abs(limits.upper))
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
-        """Return upper bounds (pairs, dof) of kernel robot body pairs' relative motion per joint unit.
+        """Return upper bounds (pairs, dof) on the relative motion of two robot bodies, for the kernel.
 
         Only joints above exactly one of the two bodies move them relative to each other.
         """
@@ -417,7 +417,7 @@ class _Builder:
         return np.where(moves, reach[i] + reach[j], 0.0)
 
     def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
-        """Return a mask (pairs, dof): the joints that move two kernel robot bodies relative to each other."""
+        """Return a mask (pairs, dof): joints that move the kernel's robot bodies relative to each other."""
         above = np.zeros((len(frames), len(self.parent)), bool)
         for k, frame in enumerate(frames):
             above[k, self.chain.above[frame]] = True
@@ -439,7 +439,7 @@ def _turned_to_z(x: float, y: float, z: float) -> F64:
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[NDArray[np.bool_]]) -> dict[str, I32]:
-    """Return the kernel robot's tables of sphere groups that can meet, in the format of a `Pack`."""
+    """Return the kernel's tables of the robot's sphere groups that can meet, in the format of a `Pack`."""
     first, groups, counts, others = [0], [], [], []
     for (i, j), meets in zip(pairs.tolist(), meeting, strict=True):
         count = meets.sum(axis=1)
@@ -467,7 +467,7 @@ def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> _Body:
-    """Return a kernel robot body's sphere cover and exact pieces from shapes, poses and overshoots [m].
+    """Return the kernel's cover and exact pieces of a robot body from its shapes, poses and overshoots [m].
 
     The result is cached on disk, so that later starts need no mesh library.
     """
@@ -494,7 +494,7 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
 
 
 def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
-    """Return all data on which the cached cover and pieces of a kernel robot body depend."""
+    """Return all data on which the kernel's cached cover and pieces of a robot body depend, as a key."""
     if isinstance(shape, Mesh):
         return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
     return (T, repr((overshoot, shape)))

@@ -26,7 +26,7 @@ _FASTMATH = ("nnan", "ninf", "nsz", "arcp", "contract", "afn", "reassoc")
 
 
 class VecType(types.Type):
-    """Numba type of a SIMD vector of `L` float32 numbers."""
+    """Numba type of a SIMD vector that has `L` float32 numbers."""
 
     def __init__(self) -> None:
         super().__init__(name=f"Vec{L}f")
@@ -42,7 +42,7 @@ class _VecModel(models.PrimitiveModel):
 
 
 class PointerType(types.Type):
-    """Numba type of a bare pointer to numbers for SIMD code, without length and ownership.
+    """Numba type of a bare pointer to numbers, without length or ownership, for SIMD code.
 
     Numba counts the references of an array with atomic instructions whenever a function receives the array;
     in the kernel, this cost more time than the arithmetic. A pointer supports only `p[i]`: the caller of
@@ -83,7 +83,9 @@ def at_address(typingctx, dtype, address):
 
 @intrinsic
 def call(typingctx, function, a, b, c):
-    """Call a compiled kernel function by its address (Numba intrinsic): three int64 in, one out."""
+    """Call a compiled kernel function by its memory address, as a Numba intrinsic. It takes three int64 and
+    returns one.
+    """
 
     def codegen(context, builder, signature, args):
         number = ir.IntType(64)
@@ -153,7 +155,7 @@ def store(typingctx, at, index, value):
 
 @intrinsic
 def splat(typingctx, value):
-    """Return a SIMD vector with one number in every lane."""
+    """Return a SIMD vector that holds one number in every lane."""
 
     def codegen(context, builder, signature, args):
         number = context.cast(builder, args[0], signature.args[0], types.float32)
@@ -166,7 +168,7 @@ def splat(typingctx, value):
 
 @intrinsic
 def iota(typingctx):
-    """Return a SIMD vector with the lane numbers 0, 1, 2, ..."""
+    """Return a SIMD vector that holds the lane numbers 0, 1, 2, ..."""
 
     def codegen(context, builder, signature, args):
         return ir.Constant(_VEC, [float(k) for k in range(L)])
@@ -218,7 +220,7 @@ def _compare(builder, a, b):
 
 @intrinsic
 def vmin(typingctx, a, b):
-    """Return the minimum of two SIMD vectors in each lane."""
+    """Return the lane-wise minimum of two SIMD vectors."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[0], args[1])
@@ -228,7 +230,7 @@ def vmin(typingctx, a, b):
 
 @intrinsic
 def vmax(typingctx, a, b):
-    """Return the maximum of two SIMD vectors in each lane."""
+    """Return the lane-wise maximum of two SIMD vectors."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[1], args[0])
@@ -238,7 +240,7 @@ def vmax(typingctx, a, b):
 
 @intrinsic
 def select_lt(typingctx, a, b, x, y):
-    """Return the SIMD vector with `x if a < b else y` in each lane."""
+    """Return a SIMD vector with `x if a < b else y`, evaluated in each lane."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[2], args[3])
@@ -252,7 +254,7 @@ def _bits(builder, a, b):
 
 @intrinsic
 def any_lt(typingctx, a, b):
-    """Return whether `a < b` in any lane of two SIMD vectors."""
+    """Return whether `a < b` holds in any lane of two SIMD vectors."""
 
     def codegen(context, builder, signature, args):
         bits = _bits(builder, args[0], args[1])
@@ -263,7 +265,7 @@ def any_lt(typingctx, a, b):
 
 @intrinsic
 def mask_lt(typingctx, a, b):
-    """Compare SIMD vectors: return an integer in which bit k is set if `a < b` in lane k."""
+    """Compare two SIMD vectors. Return an integer in which bit k is set if `a < b` in lane k."""
 
     def codegen(context, builder, signature, args):
         return builder.zext(_bits(builder, args[0], args[1]), ir.IntType(64))
@@ -320,7 +322,7 @@ hmin, hmax = _reduction("fmin"), _reduction("fmax")
 
 @intrinsic
 def pick(typingctx, a, lane):
-    """Return the number in one lane of a SIMD vector."""
+    """Return the number in a given lane of a SIMD vector."""
 
     def codegen(context, builder, signature, args):
         return builder.extract_element(args[0], builder.trunc(args[1], ir.IntType(32)))
@@ -330,7 +332,7 @@ def pick(typingctx, a, lane):
 
 @intrinsic
 def trailing_zeros(typingctx, mask):
-    """Return the index of the lowest set bit of a nonzero int64, the first lane of a SIMD mask."""
+    """Return the index of the lowest set bit of a nonzero int64, which is the first lane in a SIMD mask."""
 
     def codegen(context, builder, signature, args):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))

@@ -16,7 +16,8 @@ SECTIONS = 48  # number of facets around round shapes
 
 
 def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
-    """Return a shape's vertices (v, 3), faces (f, 3), and gap to the true surface [m], for a sphere cover.
+    """Return the vertices (v, 3) and faces (f, 3) of a shape's triangulated surface, and their gap to the
+    true surface [m].
 
     The gap is the largest distance by which the true surface is outside the triangles.
     """
@@ -49,7 +50,7 @@ def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
 
 
 def small_triangles(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
-    """Split a solid's surface into triangles (m, 3, 3) with edges of at most `edge` [m].
+    """Split the surface of a solid into triangles (m, 3, 3) whose edges are at most `edge` [m] long.
 
     The algorithm halves the longest edges. A sphere is convex, so it contains a triangle if it contains its
     vertices: covers need no margin between sample points.
@@ -107,7 +108,7 @@ def outer_skin(vertices: Array, faces: NDArray[np.int64], edge: float) -> Array:
 
 
 def depths(points: Array, skin: Array) -> Array:
-    """Return the distances (m,) [m] of a solid's interior points to its surface triangles (k, 3, 3)."""
+    """Return the distances (m,) [m] from interior points of a solid to its surface triangles (k, 3, 3)."""
     corners, index = np.unique(np.round(skin.reshape(-1, 3), 9), axis=0, return_inverse=True)
     model = triangle_model(corners, index.reshape(-1, 3).astype(np.int32))
     point, radius = coal.Sphere(1e-6), 1e-6
@@ -122,7 +123,9 @@ def depths(points: Array, skin: Array) -> Array:
 
 
 def interior_points(vertices: Array, faces: NDArray[np.int64], spacing: float) -> Array:
-    """Return the interior (not surface) points (m, 3) on a grid that a solid's sphere cover must contain."""
+    """Return grid points (m, 3) in the interior of a solid, away from its surface, that its sphere cover must
+    contain.
+    """
     low, high = vertices.min(0), vertices.max(0)
     axes = [np.arange(a + (b - a) % spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -10,13 +10,17 @@ FREE, UNPROVEN, CONTACT = 0, 1, 2
 
 @inner_njit
 def fail(state, lanes, mode):
-    """Verdict: mark configurations (SIMD lanes) as not free; return True if the check can stop."""
+    """Record the verdict that configurations (SIMD lanes) are not collision-free. Return True if the check
+    can stop.
+    """
     state[ALIVE] &= ~lanes
     return mode & PROVE == 0 or state[ALIVE] == 0
 
 
 @inner_njit
 def touch(state, lanes, mode):
-    """Verdict: mark configurations (SIMD lanes) as in contact; return True if the check can stop."""
+    """Record the verdict that configurations (SIMD lanes) are in contact. Return True if the collision check
+    can stop.
+    """
     state[TOUCHING] |= lanes
     return fail(state, lanes, mode) or mode & FIRST != 0

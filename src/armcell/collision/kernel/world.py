@@ -71,7 +71,8 @@ from armcell.collision.kernel.verdict import fail, touch
 
 @inner_njit
 def shape_gap(I, F, o, w, at):
-    """Return kernel distances of points to a world shape; lower bounds for cones and meshes.
+    """Return the distances from points to a world shape in the kernel. For cones and meshes they are lower
+    bounds.
 
     The points are at w[at:], one per lane; o is the index of the shape.
     """
@@ -110,7 +111,7 @@ def shape_gap(I, F, o, w, at):
 
 @inner_njit
 def shape_rate(I, F, o, w, at, velocity):
-    """Return the largest rate at which a world shape's distance changes for moving points.
+    """Return the largest rate at which the distance between moving points and a world shape changes.
 
     The distance is that of `shape_gap`; the velocities are at w[velocity:]. These gaps are convex functions
     of the point, so along a straight motion a gap is never below its tangent: only the velocity component
@@ -156,7 +157,7 @@ def shape_rate(I, F, o, w, at, velocity):
 
 @inner_njit(forceinline=True)
 def _near(I, F, w, state, o, i, at, radius, more, mode):
-    """Return the SIMD lanes (bits) in which a ball is not clear of a world shape.
+    """Return a bit mask of the SIMD lanes in which a ball is not clear of a world shape.
 
     The ball is around center i, the shape is o. Also returns the gap and the gap that is required. In a
     proof, the ball is clear if its gap, shrinking at its rate, lasts for half the interval. A ball does not
@@ -176,7 +177,7 @@ def _near(I, F, w, state, o, i, at, radius, more, mode):
 
 @inner_njit
 def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Test a robot body against a world shape that represents a cloud, in the kernel.
+    """Test a robot body in the kernel against a world shape that is stored as a cloud.
 
     The shape is the bounding box of the cloud.
     """
@@ -195,7 +196,9 @@ def _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode):
-    """Kernel test of a robot body against one world shape by groups; return True if the check can stop."""
+    """Test a robot body in the kernel against one world shape, one sphere group after the other. Return True
+    if the check can stop.
+    """
     if I[I[SHAPE_CLOUD] + o] >= 0:
         return _body_to_cloud(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
     f, bodies = I[I[FRAME] + body], I[BODIES]
@@ -234,7 +237,8 @@ def _body_to_shape(I, F, D, w, state, s, slack, slack_pair, body, o, more, mode)
 
 @inner_njit
 def world_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Kernel test of all robot bodies against the world in 16 lanes; return True if the check can stop.
+    """Test all robot bodies in the kernel against the world in 16 SIMD lanes. Return True if the check can
+    stop.
 
     See `_check_arrays`.
     """

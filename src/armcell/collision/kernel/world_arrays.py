@@ -33,7 +33,7 @@ KEPT = 8  # worlds
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """World arrays of the kernel: rows of all world objects of a scene.
+    """Kernel arrays that describe the world: the table rows of all world objects of a scene.
 
     Attributes:
         names: names of the objects.
@@ -49,7 +49,9 @@ class World:
 
     @cached_property
     def starts(self) -> I64:
-        """Return the first row (objects + 1, len(ROWS)) of each object in the kernel's world arrays."""
+        """Return the first table row of each object in the kernel's world arrays, as an array (objects + 1,
+        len(ROWS)).
+        """
         return np.vstack([np.zeros((1, len(ROWS)), np.int64), np.cumsum(self.counts, axis=0)])
 
     @cached_property
@@ -58,7 +60,7 @@ class World:
 
     @cached_property
     def arrays(self) -> dict[str, NDArray]:
-        """Return the world arrays of a `Pack`, which depend only on the world objects."""
+        """Return those arrays of a `Pack` that depend only on the world objects."""
         tables, starts = self.tables, self.starts
         boxes, child = box_tree(tables["low"], tables["high"])
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
@@ -78,13 +80,17 @@ class World:
 
     @cached_property
     def shape_pieces(self) -> NDArray[np.int32]:
-        """Return the index (shapes + 1,) of each shape's first piece among the world arrays' exact pieces."""
+        """Return for each world shape the index (shapes + 1,) of its first exact piece in the kernel's world
+        arrays.
+        """
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
         return self._ends("pieces_end", PIECES, of_shape)
 
     @cached_property
     def pieces(self) -> dict[str, NDArray]:
-        """Return the exact pieces of all world objects from the world arrays as tables of a `Pack`."""
+        """Return the exact pieces of all world objects in the world arrays, as tables in the format of a
+        `Pack`.
+        """
         names = ("piece_kind", "piece_size", "piece_pose", "piece_ball", "points", "points32")
         first = np.repeat(self.starts[:-1, POINTS], self.counts[:, PIECES])
         points = self.tables["piece_points"].copy()
@@ -101,7 +107,7 @@ _recent: deque[World] = deque(maxlen=KEPT)
 
 
 def world_of(objects: Mapping[str, CollisionObject]) -> World:
-    """Return the world arrays: kernel arrays of a scene's objects, cached for the last worlds.
+    """Return the kernel's arrays of a scene's world objects; those of the most recent worlds are cached.
 
     Arrays of a new world are copied from an earlier one where its objects are the same, so that a change of a
     few among thousands of objects costs little.
@@ -119,7 +125,7 @@ def world_of(objects: Mapping[str, CollisionObject]) -> World:
 
 
 def _similar(items: tuple[CollisionObject, ...]) -> World:
-    """Return cached world arrays of the kernel that share many objects with the given ones.
+    """Return cached kernel arrays of another world that shares many objects with the given one.
 
     It is the first world with at least half of the objects, or else the one with the most of them.
     """
@@ -134,7 +140,7 @@ def _similar(items: tuple[CollisionObject, ...]) -> World:
 
 
 def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, ...]) -> World:
-    """Return the kernel's updated world arrays; rows of unchanged objects are copied."""
+    """Update the kernel's arrays to a changed world; the rows of unchanged objects are copied."""
     known = np.fromiter((last.index.get(item, -1) for item in items), np.int64, len(items))
     begin, end = _runs(known)
     first, count = known[begin], end - begin
@@ -154,7 +160,9 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split the world arrays' object indices (-1: new object) into runs of neighbors; return their ends."""
+    """Split the object indices of the world arrays, in which -1 is a new object, into runs of neighbors.
+    Return the ends of the runs.
+    """
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))
     begin = np.concatenate([np.zeros(min(len(known), 1), np.int64), np.flatnonzero(~joins) + 1])

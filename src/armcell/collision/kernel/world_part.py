@@ -41,14 +41,14 @@ SHAPES, PLANES, PIECES, POINTS, BLOCKS_OF_POINTS, CLOUDS, BLOCKS, NUMBERS = rang
 
 
 class ObjectTables(NamedTuple):
-    """World part of the kernel data: tables of several objects, with each object's number of rows."""
+    """Kernel tables of several world objects, with the number of table rows of each object."""
 
     tables: dict[str, NDArray]
     counts: I64  # (objects, len(ROWS))
 
 
 class _Solid(NamedTuple):
-    """Convex shape in the kernel's world part; a cloud counts as one shape, its bounding box."""
+    """Convex shape of a world object in the kernel. A cloud counts as one shape: its bounding box."""
 
     owner: int
     shape: Shape
@@ -57,7 +57,7 @@ class _Solid(NamedTuple):
 
 
 def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
-    """Return the world part of the kernel data: tables of world objects."""
+    """Return the kernel's tables for world objects."""
     solids = [s for owner, item in enumerate(items) for s in _solids(owner, item)]
     owner = np.array([s.owner for s in solids], np.int64)
     T = np.array([s.T for s in solids]).reshape(-1, 4, 4)
@@ -69,7 +69,7 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
     cloud_owner = np.array([s.owner for s in solids if s.cloud is not None], np.int64)
 
     def rows(owners: I64, sizes: Sequence[int] | I64 | None = None) -> I64:
-        """Return each object's number of rows in the tables of the kernel's world part."""
+        """Return how many rows each world object has in the kernel's tables."""
         return np.bincount(owners, sizes, len(items)).astype(np.int64)
 
     plane_rows = [len(p) for p in planes]
@@ -102,7 +102,8 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
 
 
 def _within(owner: I64, sizes: I64 | Sequence[int]) -> I64:
-    """Return each world part entry's offset: the sizes of earlier entries with the same object.
+    """Return for each entry of a world table the summed sizes of the earlier entries that belong to the same
+    object.
 
     The owners are sorted.
     """
@@ -148,7 +149,7 @@ NO_CLOUDS: dict[str, NDArray] = {
 
 @lru_cache(maxsize=1024)
 def _hull_planes(mesh: Mesh) -> F64:
-    """Return a world mesh's hull planes (n, 4) for the kernel: outward normals and offsets."""
+    """Return the hull planes (n, 4) of a mesh in the world, as outward normals and offsets for the kernel."""
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(mesh.vertices).equations  # n x + d <= 0 inside

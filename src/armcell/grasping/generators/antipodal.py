@@ -31,7 +31,7 @@ MOST_TRIANGLES = 40_000
 
 @generators.register("antipodal")
 def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Propose antipodal grasps from contact pairs on the triangles of an object's surface.
+    """Propose antipodal grasps, whose two contacts are on opposite triangles of an object's surface.
 
     The result is deterministic.
     """
@@ -72,7 +72,7 @@ def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _spread(pairs: list[tuple]) -> list[tuple]:
-    """Select at most `PAIRS` antipodal contact pairs that are well distributed over an object.
+    """Select at most `PAIRS` antipodal pairs of contacts that are well distributed over an object.
 
     The pair with the best-opposed normals comes first, then always the pair farthest from those chosen.
     """
@@ -91,7 +91,7 @@ def _spread(pairs: list[tuple]) -> list[tuple]:
 
 
 def _come_in(found: Proposals, n: int, middle: Array, closing: Array, hand: Hand, up: Array) -> None:
-    """Propose antipodal grasp poses from all approach directions around a contact pair."""
+    """Propose grasp poses with all approach directions around one antipodal pair of contacts."""
     for k, approach in enumerate(around(closing, TURNS, -up)):
         for d, share in enumerate(DEPTHS):
             point = middle - approach * share * hand.pad[1, 1]

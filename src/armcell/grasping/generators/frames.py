@@ -9,7 +9,8 @@ Array = NDArray[np.float64]
 
 
 def tcp_pose(closing: Array, approach: Array, at: Array) -> Array:
-    """Return the grasp frame T_object_tcp (4, 4) of a hand from its closing and approach directions.
+    """Return the frame of a grasp, T_object_tcp (4, 4), from its closing direction and its approach
+    direction.
 
     Both are orthogonal unit vectors (3,); the tcp is at a point (3,) [m].
     """
@@ -20,7 +21,7 @@ def tcp_pose(closing: Array, approach: Array, at: Array) -> Array:
 
 
 def around(axis: Array, count: int, first: Array) -> Array:
-    """Return unit approach directions (count, 3) of grasp frames, evenly around an axis.
+    """Return unit approach directions (count, 3) for grasp frames, distributed evenly around an axis.
 
     The first direction is the one nearest to `first` (3,).
     """

@@ -26,7 +26,9 @@ TIP_INSIDE = 0.002  # [m] minimum depth of the TCP inside the object
 
 @generators.register("primitive")
 def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Propose grasps of an object with one primitive shape; others use their bounding box."""
+    """Propose grasps for an object that is one primitive shape. For other objects, their bounding box is
+    used.
+    """
     shape, T = item.shapes[0]
     R, found = T.rotation.matrix, Proposals()
     up_shape = R.T @ up
@@ -46,7 +48,8 @@ def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _depth(half: float, hand: Hand) -> float:
-    """Return the depth [m] of the tcp below a primitive's near face, limited by the finger length.
+    """Return how deep [m] the tcp of a grasp goes below a primitive's near face, limited by the length of the
+    fingers.
 
     Without the limit, the tcp is at the object's center.
     """
@@ -54,7 +57,7 @@ def _depth(half: float, hand: Hand) -> float:
 
 
 def _along(half: float) -> list[tuple[float, str]]:
-    """Return offsets [m] of grasps along a primitive's side, with suffixes for the grasps' names.
+    """Return offsets [m] for grasps along the side of a primitive, with suffixes for the names of the grasps.
 
     A long side has several offsets.
     """
@@ -85,7 +88,7 @@ def _box(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
 
 
 def _round(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
-    """Propose grasps of a primitive with a body of revolution about z, such as a cylinder.
+    """Propose grasps for a primitive that is a body of revolution about z, such as a cylinder.
 
     Args:
         half: half extents (radius, radius, half length) [m].
@@ -127,7 +130,7 @@ def _sphere(found: Proposals, radius: float, hand: Hand, up: Array) -> None:
 
 
 def _where(approach: Array, up: Array) -> str:
-    """Describe a primitive grasp's approach direction in words, e.g. "top" or "from below"."""
+    """Describe the approach direction of a grasp on a primitive in words, such as "top" or "from below"."""
     down = float(-approach @ up)
     if down > 0.95:
         return "top"

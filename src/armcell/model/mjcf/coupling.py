@@ -31,7 +31,7 @@ LINEAR = 0.05  # largest deviation from a line that is not reported, as a fracti
 
 @dataclass
 class Couplings:
-    """Couplings: linear rules between MJCF joints, by joint id: q[joint] = multiplier * q[driver] + offset.
+    """Linear couplings between MJCF joints, stored by joint id: q[joint] = multiplier * q[driver] + offset.
 
     Attributes:
         actuated: joints that an actuator drives, directly or by a tendon.
@@ -42,7 +42,7 @@ class Couplings:
     rules: dict[int, tuple[int, float, float]] = field(default_factory=dict)
 
     def add(self, joint: int, other: int, multiplier: float, offset: float) -> None:
-        """Add the joint coupling q[joint] = multiplier * q[other] + offset, without forming a loop.
+        """Add the coupling q[joint] = multiplier * q[other] + offset of two joints. It must not form a loop.
 
         Of two joints without a rule, the one with an own actuator drives; else the first in the tree.
         """
@@ -67,7 +67,7 @@ class Couplings:
 
 
 def couplings(model: Any, name: str) -> Couplings:
-    """Return the couplings between the joints of a compiled MuJoCo model, as linear rules.
+    """Return the linear couplings between the joints of a compiled MuJoCo model.
 
     Args:
         name: the robot's name, for messages.
@@ -95,7 +95,9 @@ def couplings(model: Any, name: str) -> Couplings:
 
 
 def tendon_joints(model: Any, tendon: int) -> list[tuple[int, float]]:
-    """Return joints and coefficients of a fixed MJCF tendon, for joint couplings; else empty."""
+    """Return the joints and coefficients of a fixed MJCF tendon, which couples joints. Empty for other
+    tendons.
+    """
     first = int(model.tendon_adr[tendon])
     parts = range(first, first + int(model.tendon_num[tendon]))
     return [
@@ -115,7 +117,8 @@ def _joint_equality(model: Any, i: int, found: Couplings) -> None:
 
 
 def _tendon_equality(model: Any, i: int, found: Couplings) -> None:
-    """Couple as mimic joints the two joints of a fixed tendon that an equality keeps at a constant length.
+    """Couple two joints as mimic joints if they belong to a fixed tendon whose length an equality keeps
+    constant.
 
     MJCF models couple opposed fingers like this.
     """
@@ -131,7 +134,7 @@ def _tendon_equality(model: Any, i: int, found: Couplings) -> None:
 
 
 def _driven_tendon(model: Any, tendon: int, found: Couplings) -> None:
-    """Couple as mimic joints the joints that one actuator drives by a fixed tendon.
+    """Couple those joints as mimic joints that one actuator drives through a fixed tendon.
 
     All joints move through their ranges together.
     """
@@ -156,7 +159,9 @@ def _range(model: Any, joint: int) -> tuple[float, float]:
 
 
 def _close_linkages(model: Any, found: Couplings, name: str) -> None:
-    """Fit a linear rule (mimic coupling) to each passive joint of a closed linkage per driving joint."""
+    """Couple each passive joint of a closed linkage to a driving joint as mimic joint, by fitting a linear
+    rule.
+    """
     from scipy.optimize import least_squares  # imported late: few models have linkages
 
     model = copy.copy(model)
@@ -204,7 +209,7 @@ def _close_linkages(model: Any, found: Couplings, name: str) -> None:
 
 
 def _rest(model: Any, joints: list[int]) -> tuple[Array, Array]:
-    """Return joints' rest positions and spring weights, (n,) each, for couplings of MJCF joints."""
+    """Return the rest positions and the spring weights (n,) of MJCF joints, to find how they are coupled."""
     stiffness = np.array([float(np.ravel(model.jnt_stiffness[j])[0]) for j in joints])
     strongest = max(float(stiffness.max()), 1e-12)
     weight = REST_WEIGHT + SPRING_WEIGHT * np.sqrt(stiffness / strongest)
@@ -235,7 +240,9 @@ def _middle(model: Any, joint: int) -> float:
 
 
 def _equality_rows(model: Any, data: Any) -> Any:
-    """Return a function for the coupling residuals [m] of a model's connect and weld equalities."""
+    """Return a function that computes the residuals [m] of a model's connect and weld equalities, to find
+    joint couplings.
+    """
 
     def rows() -> Array:
         mujoco.mj_fwdPosition(model, data)

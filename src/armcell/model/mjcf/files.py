@@ -25,7 +25,7 @@ _NAME = re.compile(r"(?:name|Object name)[ =]+'?([^\s',]+)'?")
 
 @dataclass
 class MjcfText:
-    """Text of an MJCF file with expanded includes, and the file and line of each element.
+    """Text of an MJCF file in which includes are expanded, with the source file and line of each element.
 
     Attributes:
         file: the main file.
@@ -38,7 +38,7 @@ class MjcfText:
     places: list[tuple[Path, int]] = field(default_factory=list)
 
     def failed(self, message: str) -> InputError:
-        """Return an `InputError` for MuJoCo's message about an MJCF file, with file and line."""
+        """Return an `InputError` for a message from MuJoCo about an MJCF file, with the file and line."""
         reason = " ".join(message.split()).removeprefix("Error: ")
         place = self._of_line(message) or self._of_name(message)
         file, line = place or (self.file, None)
@@ -62,7 +62,7 @@ class MjcfText:
 
 
 def read_mjcf(file: Path) -> MjcfText:
-    """Read an MJCF file with all files that it includes, without textures.
+    """Read an MJCF file and all files that it includes. Textures are removed.
 
     armcell needs no textures, because it draws links in plain colors; a missing image would be an error.
 
@@ -141,7 +141,7 @@ def _without_textures(root: etree._Element) -> None:
 
 
 def _with_full_paths(root: etree._Element, folder: Path) -> None:
-    """Replace in MJCF text the relative paths of MJCF assets by absolute paths.
+    """Replace the relative paths of assets in the text of an MJCF file by absolute paths.
 
     The compiler's folder attributes determine the paths.
 

@@ -37,7 +37,7 @@ _ELLIPSOID_DETAIL = 3  # subdivisions of the icosphere that an ellipsoid becomes
 
 
 def load_mjcf(path: Path) -> RobotModel:
-    """Read a robot from an MJCF file; the result has no planning groups.
+    """Read a robot from an MJCF file. The result has no planning groups.
 
     Bodies become links, hinges and slides joints, and named sites links without geometry. Joints that
     equalities, tendons or closed linkages couple become mimic joints. If the model has several base bodies or
@@ -96,7 +96,8 @@ class _Reader:
         )
 
     def disabled(self) -> dict[frozenset[str], str]:
-        """Read from MJCF a robot's link pairs without collision check: adjacent bodies and excludes.
+        """Read from an MJCF file the robot's link pairs without collision check: adjacent bodies and those
+        that it excludes.
 
         Contact masks do not count: a model whose links never touch each other in MuJoCo may still collide.
         """
@@ -106,7 +107,9 @@ class _Reader:
         return {frozenset((m.body(a).name, m.body(b).name)): why for why, a, b in pairs if a and b and a != b}
 
     def root(self) -> str:
-        """Read an MJCF robot's root link name: that of a fixed base body at the origin, or a new name."""
+        """Read the name of the root link from MJCF: a fixed base body at the origin of the robot, or else a
+        new name.
+        """
         m = self.m
         bases = [b for b in range(1, m.nbody) if m.body_parentid[b] == 0]
         if len(bases) == 1 and not m.body_jntnum[bases[0]]:
@@ -124,7 +127,7 @@ class _Reader:
         return SE3(SO3.from_quat_wxyz(quats[i]), np.array(positions[i], dtype=float))
 
     def below(self, body: int, link: str, links: dict[str, Link], joints: dict[str, Joint]) -> None:
-        """Read the MJCF bodies below a body as links and joints, depth first."""
+        """Read the MJCF bodies below a body and convert them to links and joints, depth first."""
         m = self.m
         for child in range(body + 1, m.nbody):
             if m.body_parentid[child] != body:
@@ -149,7 +152,8 @@ class _Reader:
         joints[joint] = Joint(joint, "fixed", parent, child, T)
 
     def chain(self, body: int, parent: str, links: dict[str, Link], joints: dict[str, Joint]) -> None:
-        """Read an MJCF body's joints as a chain of joints and links that ends at the body's link.
+        """Read the joints of an MJCF body and convert them to a chain of joints and links that ends at the
+        body's link.
 
         MuJoCo applies the joints in order, each about its anchor in the frame that the joints before it
         moved.
@@ -195,7 +199,8 @@ class _Reader:
         )
 
     def servo(self, joint: int) -> tuple[Servo | None, float]:
-        """Read the position servo of an MJCF joint's actuator, or None, and the joint's largest effort.
+        """Read the position servo of an MJCF joint (or None) from its actuator, and the largest effort of the
+        joint.
 
         An actuator with gear g and gain k on the length g q acts on the joint as a servo of gain g^2 k.
         """
@@ -219,7 +224,9 @@ class _Reader:
         return found, min((v for v in limits if v > 0), default=np.inf)
 
     def gear(self, actuator: int, joint: int) -> float:
-        """Read an MJCF actuator's change of length per unit of a joint; 0 if it drives another joint."""
+        """Return how much the length of an MJCF actuator changes per unit of a joint; 0 if it drives another
+        joint.
+        """
         m = self.m
         kind, target = int(m.actuator_trntype[actuator]), int(m.actuator_trnid[actuator, 0])
         gear = float(m.actuator_gear[actuator, 0])
@@ -267,7 +274,7 @@ class _Reader:
         return Inertial(float(m.body_mass[body]), T, np.diag(m.body_inertia[body]))
 
     def collision(self, geom: int) -> Collision | None:
-        """Read the collision shape of an MJCF geom; a mesh is replaced by its convex hull.
+        """Read an MJCF geom and convert it to a collision shape. A mesh is replaced by its convex hull.
 
         MuJoCo uses the hull as well.
         """
@@ -317,7 +324,9 @@ class _Reader:
         return None
 
     def mesh(self, geom: int) -> tuple[NDArray[np.float64], NDArray[np.int32]] | None:
-        """Read vertices (v, 3) [m, geom frame] and faces (f, 3) of an MJCF mesh or ellipsoid geom."""
+        """Read the vertices (v, 3) [m, geom frame] and faces (f, 3) of an MJCF geom that is a mesh or an
+        ellipsoid.
+        """
         m = self.m
         if m.geom_type[geom] == GEOM.mjGEOM_ELLIPSOID:
             import trimesh

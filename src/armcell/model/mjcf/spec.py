@@ -29,7 +29,9 @@ UNSAVED = "Attaching a spec with an empty prefix may prevent the model from bein
 
 
 def log_mujoco_warnings() -> None:
-    """Log MuJoCo's warnings on a robot's spec instead of printing them and writing a file MUJOCO_LOG.TXT."""
+    """Log MuJoCo's warnings about a robot's spec, instead of printing them and writing them to
+    MUJOCO_LOG.TXT.
+    """
     mujoco.set_mju_user_warning(_log_warning)
 
 
@@ -40,7 +42,7 @@ def _log_warning(message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class RobotSpec:
-    """Normalized MuJoCo spec of a robot, its compiled model, and the removed elements.
+    """Normalized MuJoCo spec of a robot, with the compiled model and the elements that were removed.
 
     All bodies and joints have names. Every link of the robot model has a body: each named site, and each
     joint frame that is not its body's frame, gets an empty body that moves with the body.
@@ -63,7 +65,7 @@ class RobotSpec:
 
 
 def robot_spec(text: str) -> RobotSpec:
-    """Return a robot's normalized MuJoCo spec from its MJCF text (a body for each link).
+    """Return the normalized MuJoCo spec of a robot from its MJCF text. It has one body for each link.
 
     Lights, cameras, sensors, keyframes, the floor and other fixed geoms of the world, and free objects are
     removed. A free base becomes a fixed base.
@@ -95,12 +97,14 @@ def robot_spec(text: str) -> RobotSpec:
 
 
 def _tree(body: Any) -> list[Any]:
-    """Return a robot spec's MuJoCo body and all bodies below it, depth first."""
+    """Return a body in the MuJoCo spec of a robot and all bodies below it, depth first."""
     return [body, *(inner for child in body.bodies for inner in _tree(child))]
 
 
 def _keyframes(spec: Any) -> dict[str, dict[str, float]]:
-    """Return the hinge and slide positions of each named keyframe in a robot's MuJoCo spec, by joint name."""
+    """Return the positions of hinge and slide joints in each named keyframe of a robot's MuJoCo spec, by
+    joint name.
+    """
     at, addresses = 0, {}
     for body in _tree(spec.worldbody):
         for joint in body.joints:
@@ -116,7 +120,9 @@ def _keyframes(spec: Any) -> dict[str, dict[str, float]]:
 
 
 def _remove_objects(spec: Any) -> tuple[str, ...]:
-    """Delete mocap bodies and free objects from a robot's MuJoCo spec, and fix a robot's free base."""
+    """Delete mocap bodies and free objects from the MuJoCo spec of a robot, and fix the robot's base if it is
+    free.
+    """
     found = []
     for body in list(spec.worldbody.bodies):
         joints = [joint for inner in _tree(body) for joint in inner.joints]
@@ -158,13 +164,13 @@ def _unused(name: str, taken: set[str]) -> str:
 
 
 def joints_of(model: Any, body: int) -> range:
-    """Return the joint ids of a body in a robot's MuJoCo spec, in the order of their application."""
+    """Return the ids of the joints of a body in a robot's MuJoCo spec, in the order in which they apply."""
     first = int(model.body_jntadr[body])
     return range(first, first + int(model.body_jntnum[body])) if first >= 0 else range(0)
 
 
 def _add_joint_frames(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
-    """Add to a robot's MuJoCo spec an empty body for each MJCF joint that needs a link of its own.
+    """Add an empty body to the MuJoCo spec of a robot for each MJCF joint that needs a link of its own.
 
     MuJoCo's bodies may have several joints, and joints with an anchor off the body's origin; a link of a
     robot model has one joint at its origin.
@@ -182,7 +188,9 @@ def _add_joint_frames(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
 
 
 def _add_sites(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
-    """Add to a robot's MuJoCo spec an empty body at each named site, as MJCF's tool frames are sites."""
+    """Add an empty body to the MuJoCo spec of a robot at each named site, because tool frames in MJCF are
+    sites.
+    """
     found = {}
     for i in range(model.nsite):
         name, body = model.site(i).name, int(model.site_bodyid[i])
@@ -196,7 +204,7 @@ def _add_sites(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
 
 @lru_cache(maxsize=16)
 def physics_spec(text: str) -> Any:
-    """Return the normalized MuJoCo spec of a robot that physics attaches to its model.
+    """Return the normalized MuJoCo spec of a robot, to be attached to the model of the physics simulation.
 
     Geoms that collide with nothing are removed, because armcell adds its own visuals; inertias are those of
     the compiled model, which may come from geoms. Actuators are removed, because armcell's servos take over

@@ -16,7 +16,8 @@ HAND_AFTER = 3  # minimum number of serial joints before a branch counts as fing
 
 @dataclass(frozen=True)
 class Chain:
-    """Chain: one detected robot arm: base link, tip link, actuated joints, and palm of its gripper.
+    """A robot arm that was detected as a chain: base link, tip link, actuated joints, and the palm of its
+    gripper.
 
     `palm` is None if the arm carries no gripper.
     """
@@ -28,7 +29,8 @@ class Chain:
 
 
 def find_chains(model: RobotModel) -> list[Chain]:
-    """Return a robot's arm chains: serial joints that end at a leaf link or at the fingers.
+    """Return the arm chains of a robot: joints in series that end at a leaf link or at the fingers of a
+    gripper.
 
     Joints before a branch that leads to longer chains belong to a torso, not to an arm. Chains with fewer
     than half as many joints as the longest chain (a head, a wheel) are left out.
@@ -40,7 +42,7 @@ def find_chains(model: RobotModel) -> list[Chain]:
 
 
 def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
-    """Return the robot with planning groups for its detected arm chains and grippers.
+    """Return the robot with planning groups for the arm chains and grippers that were detected.
 
     A robot with exactly two arms that share no joint also gets the group `both_arms`.
 
@@ -97,7 +99,7 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
 
 # --- the tree ---
 def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
-    """Detect arm chains that start at or below a link and append them to `found`."""
+    """Detect the arm chains that start at or below a link and append them to `found`."""
     starts = _next_movable(model, link)
     if len(starts) > 1 and all(JAW.search(j.name + j.child) for j in starts):
         return  # fingers without an arm
@@ -121,7 +123,9 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
-    """Detect an arm chain: return its serial movable joints, and those after its next branch."""
+    """Return the movable joints in series from a given joint on, and the joints after the next branch, to
+    detect an arm chain.
+    """
     row = [first]
     while len(ends := _next_movable(model, row[-1].child)) == 1:
         row.append(ends[0])
@@ -129,7 +133,7 @@ def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
 
 
 def _next_movable(model: RobotModel, link: str) -> list[Joint]:
-    """Detect arm chains: return the first movable joints below a link, skipping fixed joints."""
+    """Return the first movable joints below a link, behind any fixed joints, to detect arm chains."""
     found: list[Joint] = []
     rigid = {link}
     for joint in model.joints.values():
@@ -142,12 +146,14 @@ def _next_movable(model: RobotModel, link: str) -> list[Joint]:
 
 
 def _depth(model: RobotModel, joint: Joint) -> int:
-    """Detect arm chains: return the number of actuated joints on a joint's longest branch, inclusive."""
+    """Return how many actuated joints the longest branch from a joint has, including that joint, to detect
+    arm chains.
+    """
     return int(joint.actuated) + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
 
 
 def _rigid_below(model: RobotModel, link: str) -> list[str]:
-    """Return a link and all links fixed further down, to detect arm chains and grippers."""
+    """Return a link and all links rigidly fixed below it, to detect arm chains and grippers."""
     rigid = [link]
     for joint in model.joints.values():
         if not joint.movable and joint.parent in rigid:
@@ -156,7 +162,7 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
 
 
 def _common_link(model: RobotModel, links: list[str]) -> str:
-    """Return the lowest common ancestor of a gripper's links (a link is its own), to detect arm chains."""
+    """Return the lowest link that is, or is above, every link of a gripper, to detect arm chains."""
     trails = []
     for link in links:
         trail = [link]
@@ -167,7 +173,7 @@ def _common_link(model: RobotModel, links: list[str]) -> str:
 
 
 def _fixed_hand(model: RobotModel, last: str) -> str | None:
-    """Detect, for an arm chain, the palm of a gripper whose fingers are fixed in the URDF; or None.
+    """Return the palm of a gripper at the end of an arm chain whose fingers are fixed in the URDF, or None.
 
     The palm is the first link fixed below `last` with at least two branches that have collision geometry.
     """
@@ -183,7 +189,9 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
 
 
 def _tip(model: RobotModel, last: str, palm: str | None) -> str:
-    """Return the tip link of a detected arm chain: a tool frame, else the palm or the last link."""
+    """Return the tip link of a detected arm chain: a tool frame or, if there is none, the palm or the last
+    link.
+    """
     rigid = _rigid_below(model, last)
     frames = [n for n in rigid if n != last and not model.links[n].collisions and TOOL.search(n)]
     if palm is not None:
@@ -197,7 +205,8 @@ def _tip(model: RobotModel, last: str, palm: str | None) -> str:
 
 # --- names ---
 def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the planning group names (arm, gripper) of each detected arm chain, with unique prefixes.
+    """Return the names of the planning groups (arm, gripper) for each detected arm chain, with unique
+    prefixes.
 
     A single chain needs no prefix.
 
@@ -212,7 +221,9 @@ def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _prefix(joints: tuple[str, ...], robots: Sequence[str]) -> str:
-    """Return the name prefix of a detected arm chain, or the common beginning of its joint names."""
+    """Return the name prefix of the robot to which a detected arm chain belongs, or the common beginning of
+    its joint names.
+    """
     for robot in sorted(robots, key=len, reverse=True):
         if robot and joints[0].startswith(robot):
             return robot

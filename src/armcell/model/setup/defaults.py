@@ -21,7 +21,8 @@ MANAGER = "moveit_simple_controller_manager/MoveItSimpleControllerManager"
 
 
 def joint_limits(model: RobotModel) -> dict[str, Any]:
-    """Return MoveIt's default joint_limits.yaml: the URDF's velocities and MoveIt's accelerations.
+    """Return a default joint_limits.yaml for MoveIt, with velocities from the URDF and MoveIt's
+    accelerations.
 
     URDF has no acceleration limits. Joint limits that the model does have take precedence over the defaults.
     """
@@ -49,7 +50,7 @@ def _finite(value: float, otherwise: float) -> float:
 
 
 def kinematics(model: RobotModel) -> dict[str, Any]:
-    """Return MoveIt's default kinematics.yaml: KDL for every group with a tip link."""
+    """Return a default kinematics.yaml for MoveIt, with KDL for every group that has a tip link."""
     solver = {
         "kinematics_solver": SOLVER,
         "kinematics_solver_search_resolution": 0.005,
@@ -59,7 +60,9 @@ def kinematics(model: RobotModel) -> dict[str, Any]:
 
 
 def ompl_planning(model: RobotModel) -> dict[str, Any]:
-    """Return MoveIt's default ompl_planning.yaml: all OMPL planners for every group that has joints."""
+    """Return a default ompl_planning.yaml for MoveIt, with all OMPL planners for every group that
+    has joints.
+    """
     data: dict[str, Any] = {"planner_configs": planner_configs()}
     for group in model.groups.values():
         if not group.joint_names:
@@ -75,7 +78,7 @@ def ompl_planning(model: RobotModel) -> dict[str, Any]:
 
 
 def moveit_controllers(model: RobotModel) -> dict[str, Any]:
-    """Return MoveIt's default moveit_controllers.yaml: one controller for each arm and each gripper.
+    """Return a default moveit_controllers.yaml for MoveIt, with one controller for each arm and each gripper.
 
     An arm gets a trajectory controller, a gripper with one actuated joint a gripper command. A gripper with
     several actuated joints gets a trajectory controller as well. Groups that consist of other groups get no
@@ -108,7 +111,7 @@ def moveit_controllers(model: RobotModel) -> dict[str, Any]:
 
 
 def _own(model: RobotModel, group: Group) -> bool:
-    """Return whether a planning group gets default entries itself: it contains no smaller group.
+    """Return whether a planning group gets default entries of its own, because it contains no smaller group.
 
     Such groups get a controller of their own.
     """

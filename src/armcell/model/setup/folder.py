@@ -15,7 +15,7 @@ from armcell.core import InputError
 
 
 def check_folder(folder: Path, force: bool = False) -> None:
-    """Check in advance that a folder can be written atomically.
+    """Check in advance whether a folder can be written atomically; raise an error if not.
 
     Raises:
         InputError: the folder is not empty (without `force`), is a file, has no parent folder, or its parent
@@ -35,7 +35,7 @@ def check_folder(folder: Path, force: bool = False) -> None:
 
 
 def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) -> None:
-    """Write text files into a folder atomically: either all files or no changes.
+    """Write text files into a folder atomically: either all files are written or nothing changes.
 
     An existing folder keeps its other files and is replaced in one step.
 
@@ -71,7 +71,9 @@ def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) ->
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML writer for a generated folder in MoveIt's style: indented lists, no aliases."""
+    """YAML writer for the files of a generated folder in MoveIt's style, with indented lists and without
+    aliases.
+    """
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)
@@ -81,6 +83,6 @@ class _Dumper(yaml.SafeDumper):
 
 
 def yaml_text(data: Any, *comments: str) -> str:
-    """Return data as YAML text for a generated folder's file, which begins with comment lines."""
+    """Return data as YAML text for a file of a generated folder. The text begins with comment lines."""
     head = "".join(f"# {line}\n" for line in comments)
     return head + yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)

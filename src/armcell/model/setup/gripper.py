@@ -35,11 +35,11 @@ FORCES = (1.0, 300.0)  # [N] per finger; other values of a description are not a
 
 
 class NotRecognized(Exception):
-    """Gripper that robot setup cannot recognize and describe; the text states the reason."""
+    """Error for a gripper that robot setup cannot recognize; the text states the reason."""
 
 
 def find_grippers(model: RobotModel, tips: bool = False) -> RobotModel:
-    """Detect grippers: return the robot with a `Gripper` for each end effector of two jaws, one driven joint.
+    """Return the robot with a `Gripper` for each end effector with two jaws and one driven joint.
 
     If no frame of the robot is at the pads' center, the robot gets a link `<end effector>_tcp` there. Log
     messages state why an end effector has no gripper.
@@ -61,7 +61,7 @@ def find_grippers(model: RobotModel, tips: bool = False) -> RobotModel:
 
 
 def reasons(model: RobotModel) -> dict[str, str]:
-    """Return why robot setup found no gripper on end effectors, by the end effector's name."""
+    """Return the reasons why robot setup recognized no gripper, by the name of the end effector."""
     found = {}
     for end in model.end_effectors.values():
         if end.name not in model.grippers:
@@ -74,7 +74,7 @@ def reasons(model: RobotModel) -> dict[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class _Jaws:
-    """Two jaws of a detected gripper: links of the jaw toward +y and toward -y, and the hand's axes.
+    """The two jaws of a detected gripper, toward +y and toward -y, with the axes of the hand.
 
     Attributes:
         plus, minus: links of the jaws, each fixed to each other.
@@ -107,8 +107,8 @@ def _with_gripper(model: RobotModel, end: EndEffector) -> RobotModel:
 
 
 class _Hand:
-    """Hand to detect as a gripper, at any position of its driven joint, with points on its links'
-    surfaces.
+    """Hand that may be a gripper, at any position of its driven joint, with points on the surfaces of its
+    links.
     """
 
     def __init__(self, model: RobotModel, driver: Joint):
@@ -123,14 +123,14 @@ class _Hand:
         }
 
     def pose(self, link: str, q: float) -> SE3:
-        """Return T_palm_link of a hand to detect as a gripper: driven joint at `q`, other joints at zero."""
+        """Return T_palm_link of a possible gripper with its driven joint at `q` and all others at zero."""
         T = SE3.identity()
         for joint in self.model.chain(self.palm, link):
             T = T @ joint.T_parent_joint @ _motion(joint, _value(self.model, joint, self.driver.name, q))
         return T
 
     def at(self, links: tuple[str, ...], q: float) -> Array:
-        """Return the surface points (n, 3) [m] of a hand's links in the palm's frame, to detect a gripper."""
+        """Return the surface points (n, 3) [m] of links of a possible gripper in the palm's frame."""
         parts = [self.pose(n, q).apply(p) for n in links if len(p := self.points.get(n, np.zeros((0, 3))))]
         return np.concatenate(parts) if parts else np.zeros((0, 3))
 
@@ -173,7 +173,7 @@ class _Hand:
         return self._ordered(a, b, self._axes(y, out), low, high)
 
     def _single(self, jaw: tuple[str, ...], low: float, high: float) -> _Jaws:
-        """Detect the jaws of a gripper with one moving jaw; the palm's links are the fixed jaw."""
+        """Find the jaws of a gripper of which only one jaw moves. The fixed jaw is the links of the palm."""
         fixed = self.rigid[self.palm]
         if not len(self.at(fixed, low)):
             raise NotRecognized(f"the fixed jaw {self.palm} has no collision geometry")
@@ -206,7 +206,7 @@ class _Hand:
         return _Jaws(a, b, self._along_pad(a, b, axes, ends[0]), *ends)
 
     def _along_pad(self, a: tuple[str, ...], b: tuple[str, ...], axes: Array, q: float) -> Array:
-        """Return a detected gripper's axes turned about x so that z is along the pad of the fixed jaw."""
+        """Turn the axes of a detected gripper about x such that z is parallel to the pad of the fixed jaw."""
         _, cells, _, minus = self._gap(a, b, axes, q)
         if not len(cells):
             return axes
@@ -221,7 +221,7 @@ class _Hand:
         return self._axes(axes[1] - (axes[1] @ z) * z, z)
 
     def _last_axis(self) -> Array | None:
-        """Return the axis of the arm's last joint in the palm's frame, or None without an arm."""
+        """Return the axis of the last arm joint above a gripper in the palm's frame; None without an arm."""
         link = self.palm
         while (joint := self.model.parent_joint.get(link)) is not None and not joint.movable:
             link = joint.parent
@@ -233,19 +233,19 @@ class _Hand:
         return R.rotation.matrix.T @ np.asarray(joint.axis)
 
     def _nearest(self, fixed: tuple[str, ...], jaw: tuple[str, ...], q: float, pivot: Array) -> float:
-        """Return the distance [m] of a detected gripper's jaw end from the fixed jaw."""
+        """Return the distance [m] from the end of a gripper's moving jaw to its fixed jaw."""
         points, others = self.at(jaw, q), self.at(fixed, q)
         tip = points[np.argmax(np.linalg.norm(points - pivot, axis=1))]
         return float(np.linalg.norm(others - tip, axis=1).min())
 
     def _branch(self, part: tuple[str, ...]) -> str:
-        """Return the first joint from a hand's palm to some links, to detect a gripper's jaws."""
+        """Return the first joint on the path from the palm of a possible gripper to given links."""
         top = min(part, key=lambda n: len(self.model.chain(self.palm, n)))
         return next(j.name for j in self.model.chain(self.palm, top) if j.movable)
 
     @staticmethod
     def _axes(y: Array, out: Array) -> Array:
-        """Return the hand's axes (3, 3) as rows, from the closing direction and the direction out of it."""
+        """Return the axes (3, 3) of a gripper as rows, from its closing direction and outward direction."""
         y = _snapped(y / np.linalg.norm(y))
         z = out - (out @ y) * y
         if np.linalg.norm(z) < 1e-6:
@@ -265,7 +265,7 @@ class _Hand:
     def _gap(
         self, a: tuple[str, ...], b: tuple[str, ...], axes: Array, q: float
     ) -> tuple[float, Array, Array, Array]:
-        """Compare the facing surfaces of a detected gripper's jaws on a grid of x and z.
+        """Compare the facing surfaces of the two jaws of a possible gripper on a grid in x and z.
 
         Returns:
             The smallest gap [m] (infinite if the jaws face each other nowhere), and the cells (n, 2), the
@@ -358,7 +358,7 @@ class _Hand:
     def _pad_points(
         self, part: tuple[str, ...], axes: Array, q: float, low: Array, high: Array, sign: float
     ) -> dict[str, Array]:
-        """Return the points (n, 3) of a detected gripper's pad by link, in the link's frame."""
+        """Return the points (n, 3) on the pads of a detected gripper by link, in the frame of the link."""
         found: dict[str, Array] = {}
         front = np.inf
         for name in part:
@@ -373,8 +373,8 @@ class _Hand:
         return {n: p[p[:, 3] < front + FLAT, :3] for n, p in found.items() if (p[:, 3] < front + FLAT).any()}
 
     def _curve(self, jaws: _Jaws, pads: list[dict[str, Array]]) -> Array:
-        """Return a detected gripper's rows (k, 4): joint position, opening [m], y and z of the grip center
-        [m].
+        """Return the curve (k, 4) of a detected gripper as rows: joint position, opening [m], y and z [m] of
+        the grip center.
 
         The rows begin at the closed end; they end where the opening stops growing, or a jaw has turned too
         far to hold an object.
@@ -413,7 +413,7 @@ class _Hand:
         return float(min((self.at(p, q) @ jaws.axes[2]).max() for p in (jaws.plus, jaws.minus))) - z
 
     def _existing(self, T_palm_tcp: SE3, reach: float) -> tuple[str | None, SE3, float]:
-        """Detect a frame that can be a gripper's tcp: return it, T_frame_tcp, and 1, or -1 if y is
+        """Return a frame that can be the tcp of a gripper, T_frame_tcp, and 1, or -1 if its y axis is
         reversed.
         """
         model, rigid = self.model, self.rigid[self.palm]
@@ -443,7 +443,7 @@ class _Hand:
         return Gripper.max_force
 
     def _depth(self, jaws: _Jaws, axes: Array, z: float) -> float:
-        """Return the length of a detected gripper's jaws [m] from the tcp to the palm."""
+        """Return the length [m] of the jaws of a detected gripper, from the tcp to the palm."""
         moving = {n for j in self.moving for n in self.model.subtree(j.child)}
         body = [n for n in self._hand_links() if n not in moving]
         if jaws.minus == self.rigid[self.palm]:  # the palm is a jaw
@@ -454,7 +454,7 @@ class _Hand:
 
 
 def with_frame(model: RobotModel, name: str, parent: str, T_parent_frame: SE3) -> RobotModel:
-    """Return the robot with a link without geometry, such as a detected gripper's tcp, fixed to a link."""
+    """Return the robot with an additional link without geometry, such as a gripper's tcp, fixed to a link."""
     joint = Joint(f"{name}_joint", "fixed", parent, name, T_parent_frame)
     return replace(
         model,
@@ -465,8 +465,8 @@ def with_frame(model: RobotModel, name: str, parent: str, T_parent_frame: SE3) -
 
 
 def with_tip(model: RobotModel, group: str, link: str) -> RobotModel:
-    """Return the robot with another tip link, such as a detected gripper's tcp, of a planning group
-    (chain).
+    """Return the robot with another tip link, such as a detected gripper's tcp, for a planning
+    group (chain).
     """
     old = model.groups[group]
     chain = model.chain(str(old.base_link), link)
@@ -475,14 +475,14 @@ def with_tip(model: RobotModel, group: str, link: str) -> RobotModel:
 
 
 def _driver(model: RobotModel, joint: Joint) -> str:
-    """Return the actuated joint that drives a gripper's joint, directly or through mimic joints."""
+    """Return the actuated joint that drives a joint of a gripper, directly or through mimic joints."""
     while joint.mimic is not None:
         joint = model.joints[joint.mimic.joint]
     return joint.name
 
 
 def _value(model: RobotModel, joint: Joint, driver: str, q: float) -> float:
-    """Return a gripper joint's position with the driving joint at `q` and all other joints at zero."""
+    """Return the position of a gripper's joint if the driving joint is at `q` and all others are at zero."""
     if joint.mimic is None:
         return q if joint.name == driver else 0.0
     return (
@@ -501,6 +501,6 @@ def _motion(joint: Joint, value: float) -> SE3:
 
 
 def _snapped(direction: Array) -> Array:
-    """Return the nearest frame axis if a detected gripper's unit direction is within 3 degrees of it."""
+    """Return the frame axis within 3 degrees of a gripper's direction, or else that direction."""
     k = int(np.argmax(np.abs(direction)))
     return np.sign(direction[k]) * np.eye(3)[k] if abs(direction[k]) > SNAP else direction

@@ -115,7 +115,7 @@ class MoveItConfig:
     # --- settings for planners and controllers ---
     @property
     def planner_configs(self) -> dict[str, dict[str, Any]]:
-        """Return a MoveIt configuration's OMPL planner configurations by name: `type` and parameters.
+        """Return the OMPL planners that a MoveIt configuration defines, by name: `type` and parameters.
 
         Numeric strings are converted to numbers.
         """
@@ -124,7 +124,7 @@ class MoveItConfig:
 
     @property
     def group_planning(self) -> dict[str, dict[str, Any]]:
-        """Return a MoveIt configuration's OMPL settings by planning group, such as `planner_configs`."""
+        """Return the OMPL settings of each planning group in a MoveIt configuration."""
         return {
             group: {k: _number(v) for k, v in entry.items()}
             for group, entry in self._ompl().items()
@@ -133,17 +133,17 @@ class MoveItConfig:
 
     @property
     def controllers(self) -> dict[str, dict[str, Any]]:
-        """Return a MoveIt configuration's controllers by name: `type`, `action_ns`, `default`, `joints`."""
+        """Return the controllers of a MoveIt configuration: `type`, `action_ns`, `default`, `joints`."""
         return _controllers(_unwrapped(self.files.get("controllers", {})))
 
     @property
     def kinematics(self) -> Data:
-        """Return a MoveIt configuration's inverse kinematics settings (kinematics.yaml), by group."""
+        """Return a MoveIt configuration's settings for inverse kinematics (kinematics.yaml), by group."""
         return _unwrapped(self.files.get("kinematics", {}), "robot_description_kinematics")
 
     @property
     def cartesian_limits(self) -> dict[str, float]:
-        """Return a MoveIt configuration's Cartesian limits of the Pilz planners LIN and CIRC.
+        """Return the Cartesian limits that a MoveIt configuration sets for Pilz's planners LIN and CIRC.
 
         The keys are those of pilz_cartesian_limits.yaml.
         """
@@ -155,7 +155,7 @@ class MoveItConfig:
 
     # --- writing ---
     def texts(self, package: str) -> dict[str, str]:
-        """Return the files of a MoveIt configuration package as text, by path in the package.
+        """Return the files of the MoveIt configuration package as text, by their path in the package.
 
         Args:
             package: name of the ROS package.
@@ -169,7 +169,7 @@ class MoveItConfig:
         return texts
 
     def write(self, folder: str | Path, force: bool = False) -> None:
-        """Write the MoveIt configuration package atomically to a folder.
+        """Write the MoveIt configuration package to a folder atomically.
 
         The folder's name becomes the package name. config/ also contains the URDF, with xacro expanded.
 
@@ -180,7 +180,7 @@ class MoveItConfig:
 
 
 def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
-    """Return the package.xml and other files that make a MoveIt configuration a ROS 2 package.
+    """Return package.xml and other files that turn a MoveIt configuration into a ROS 2 package.
 
     With these files (`.setup_assistant`, package.xml and CMakeLists.txt), MoveItConfigsBuilder finds the
     package's configuration.
@@ -203,12 +203,12 @@ def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
 
 
 def is_moveit_config(folder: Path) -> bool:
-    """Return whether a folder is a MoveIt configuration: has `config/*.srdf*` or `.setup_assistant`."""
+    """Return whether a folder is a MoveIt configuration (`config/*.srdf*` or `.setup_assistant`)."""
     return any((folder / "config").glob("*.srdf*")) or (folder / SETUP_FILE).is_file()
 
 
 def _unwrapped(data: Data, *inner: str) -> Data:
-    """Return a MoveIt configuration's ROS parameter file without node names and namespaces around it.
+    """Return the ROS parameters in a MoveIt configuration's file, without node names and namespaces.
 
     ROS 2 files wrap parameters in a node name, `ros__parameters` and possibly a namespace in `inner`.
     """
@@ -221,7 +221,7 @@ def _unwrapped(data: Data, *inner: str) -> Data:
 
 
 def _number(value: Any) -> Any:
-    """Return a numeric string from a MoveIt configuration's YAML as a float, other values unchanged.
+    """Convert a numeric string of a MoveIt configuration to a float; leave other values unchanged.
 
     YAML 1.1 parses a number such as 10e-10 as a string.
     """
@@ -244,7 +244,7 @@ def _controllers(data: Data) -> dict[str, dict[str, Any]]:
 
 
 def load_ompl_planning(file: Path, model: RobotModel) -> Data:
-    """Read a MoveIt configuration's ompl_planning.yaml (ROS 1 or 2) for `PlanRequest.planner_configs`.
+    """Read a MoveIt configuration's ompl_planning.yaml (ROS 1 or 2), for `PlanRequest.planner_configs`.
 
     Raises:
         InputError: a group's planner configuration does not exist or a value has the wrong type; the message
@@ -256,7 +256,7 @@ def load_ompl_planning(file: Path, model: RobotModel) -> Data:
 
 
 class _Reader:
-    """Reader of one MoveIt configuration package; error messages contain the file and key."""
+    """Reader for one MoveIt configuration package. Its error messages contain the file and the key."""
 
     def __init__(
         self, folder: Path, allow_env: bool | None = None, xacro_args: Mapping[str, str] | None = None
@@ -351,7 +351,7 @@ class _Reader:
         return urdf_text(file, self.allow_env, self.folder, xacro_args)
 
     def own_xacro_args(self, setup: Data) -> dict[str, str]:
-        """Return a MoveIt configuration's xacro arguments that MoveIt's Setup Assistant has stored.
+        """Return the xacro arguments that MoveIt's Setup Assistant stored in a MoveIt configuration.
 
         The text has the form `a:=1 b:=2`.
         """
@@ -390,7 +390,7 @@ class _Reader:
         return value
 
     def known_group(self, name: str, file: Path, model: RobotModel) -> bool:
-        """Return whether a MoveIt configuration's SRDF defines a planning group; if not, log a warning.
+        """Return whether the SRDF of a MoveIt configuration defines a group. If not, log a warning.
 
         Like MoveIt, armcell ignores settings of undefined groups.
         """
@@ -421,7 +421,7 @@ class _Reader:
         return self.mapping(inner["joint_limits"] or {}, file, "joint_limits")
 
     def limited(self, model: RobotModel, data: Data, file: Path) -> RobotModel:
-        """Return a MoveIt configuration's robot with the tighter limits of joint_limits.yaml.
+        """Return the robot of a MoveIt configuration with the tighter limits from joint_limits.yaml.
 
         A wider velocity, acceleration or jerk limit is ignored with a warning. Joints without any velocity or
         acceleration limit get MoveIt's defaults.
@@ -545,7 +545,7 @@ class _Reader:
 
 
 def _with_full_paths(text: str, file: Path) -> str:
-    """Return a MoveIt configuration's URDF text with absolute paths for meshes beside the URDF."""
+    """Return URDF text of a MoveIt configuration with absolute paths for meshes beside the URDF."""
     root = parse_xml(text, file)
     find_meshes(root, file.resolve().parent)
     return xml_text(root)

@@ -79,10 +79,12 @@ PLANNERS: dict[str, dict[str, Any]] = {
 
 
 def config_name(planner: str) -> str:
-    """Return the MoveIt configuration name of an OMPL planner: `RRTConnectkConfigDefault`."""
+    """Return the name under which a MoveIt configuration lists an OMPL planner, such as
+    `RRTConnectkConfigDefault`.
+    """
     return f"{planner}kConfigDefault"
 
 
 def planner_configs() -> dict[str, dict[str, Any]]:
-    """Return the `planner_configs` block of ompl_planning.yaml for all known OMPL planners."""
+    """Return the block `planner_configs` of ompl_planning.yaml with all known OMPL planners."""
     return {config_name(n): {"type": f"geometric::{n}", **values} for n, values in PLANNERS.items()}

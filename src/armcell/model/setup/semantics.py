@@ -17,7 +17,9 @@ Attributes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class Element:
-    """One element of SRDF semantics: tag, attributes in file order, child elements and text."""
+    """One element of an SRDF (a robot's semantics): its tag, its attributes in file order, its child elements
+    and its text.
+    """
 
     tag: str
     attributes: Attributes = ()
@@ -36,7 +38,7 @@ def element(tag: str, *inside: Element, **attributes: str) -> Element:
 
 
 def parse_srdf(text: str, file: Path) -> Element:
-    """Return the <robot> element of an SRDF text, to read its semantics.
+    """Parse the text of an SRDF, which describes a robot's semantics, and return its <robot> element.
 
     Raises:
         InputError: invalid XML, or the root element is not <robot>.
@@ -54,7 +56,7 @@ def _value(node: etree._Element) -> Element:
 
 
 def srdf_text(robot: Element) -> str:
-    """Return the SRDF text of a <robot> element with its semantics."""
+    """Return the text of an SRDF, which describes a robot's semantics, for its <robot> element."""
     return xml_text(_node(robot))
 
 
@@ -68,7 +70,8 @@ def _node(value: Element) -> etree._Element:
 
 
 def described(model: RobotModel) -> Element:
-    """Return a robot model's semantics as SRDF: groups, end effectors, named states, disabled pairs.
+    """Return the semantics of a robot model as an SRDF: groups, end effectors, named states and disabled
+    collision pairs.
 
     - A group with a base and a tip link becomes a chain.
     - A group such as "both_arms" becomes a list of subgroups if the subgroups have the same joints.

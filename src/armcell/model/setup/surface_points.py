@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def surface_points(link: Link, spacing: float) -> Array:
-    """Return points (n, 3) [m] on a link's collision shapes, denser than `spacing` [m]."""
+    """Return points (n, 3) [m] on the collision shapes of a link that are less than `spacing` [m] apart."""
     found = [np.zeros((0, 3))]
     for collision in link.collisions:
         shape = collision.shape
@@ -27,7 +27,7 @@ def surface_points(link: Link, spacing: float) -> Array:
 
 
 def _spread(corners: Array, spacing: float) -> Array:
-    """Return points on triangles (n, 3, 3): the corners, and random points where triangles are large."""
+    """Return points on triangles (n, 3, 3): all corners, and random points in triangles that are large."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     count = np.minimum(np.ceil(3 * area / spacing**2), 3000).astype(int)

@@ -25,7 +25,7 @@ NOWHERE = Path("/")
 
 @dataclass(frozen=True)
 class UrdfPart:
-    """URDF text to merge: a URDF or xacro file, its name prefix and its root link's world pose."""
+    """URDF or xacro text to be merged with others, with a name prefix and the world pose of its root link."""
 
     file: Path
     prefix: str = ""
@@ -36,7 +36,7 @@ class UrdfPart:
 def merged_urdf(
     parts: Sequence[UrdfPart], name: str | None = None, allow_env: bool | None = None
 ) -> tuple[str, str]:
-    """Merge URDF or xacro files into one URDF; return the robot's name and the text.
+    """Merge several URDF or xacro files into one URDF. Return the name of the robot and the text.
 
     A fixed joint connects each robot to the link "world". A single robot without a pose stays unmounted.
 
@@ -78,7 +78,9 @@ def merged_urdf(
 
 
 def with_frames_text(text: str, model: RobotModel) -> str:
-    """Return the URDF text with the frames that setup added to the robot, as links with fixed joints."""
+    """Return the URDF text with frames that setup has added to the robot. Each is a link with a
+    fixed joint.
+    """
     missing = [j for j in model.frames.values() if f'<link name="{j.child}"' not in text]
     if not missing:
         return text
@@ -95,7 +97,7 @@ def with_frames_text(text: str, model: RobotModel) -> str:
 
 
 def xml_text(root: etree._Element) -> str:
-    """Return a merged URDF document as indented text, one element per line."""
+    """Return a merged URDF as indented text with one element per line."""
     etree.indent(root, "  ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
 
@@ -120,7 +122,8 @@ def _names(root: etree._Element) -> set[str]:
 
 
 def _prefix(root: etree._Element, prefix: str) -> None:
-    """Put a prefix before every name in a URDF to merge, and remove simulator and driver elements.
+    """Put a prefix before every name in a URDF that is to be merged, and remove elements for simulators and
+    drivers.
 
     The removed elements are `gazebo`, `transmission` and `ros2_control`.
     """
@@ -137,7 +140,8 @@ def _prefix(root: etree._Element, prefix: str) -> None:
 
 
 def find_meshes(root: etree._Element, folder: Path) -> None:
-    """Replace mesh paths of a URDF to merge that only one folder can resolve by absolute paths.
+    """Make the mesh paths of a URDF absolute if only its own folder can resolve them, before it is merged
+    with others.
 
     A merged URDF is stored in another folder, where relative paths would not work. `package://` URIs of
     installed packages stay unchanged.

@@ -20,7 +20,7 @@ CHARACTERS = 64  # number of characters that count as one item
 
 
 class XacroError(Exception):
-    """Error in a xacro file, or for a feature or effort beyond the budget that armcell allows."""
+    """Error in a xacro file, or a feature or effort in it that exceeds what armcell's budget allows."""
 
     def __init__(self, reason: str, hint: str | None = None):
         super().__init__(reason)
@@ -29,7 +29,8 @@ class XacroError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """Function with a work budget that xacro expressions may call as `run(budget, *arguments, **keywords)`.
+    """Function that xacro expressions can call, which charges its work to a budget:
+    `run(budget, *arguments, **keywords)`.
 
     Attributes:
         name: name of the function in messages.
@@ -46,13 +47,13 @@ class Function:
 
 
 class Budget:
-    """Budget: a limit on the number of operations for expanding one xacro robot file."""
+    """Budget for expanding one xacro file: a limit on the number of operations."""
 
     def __init__(self, steps: int = MAX_STEPS):
         self.left = steps
 
     def charge(self, steps: int) -> None:
-        """Subtract operations from the budget of a xacro file.
+        """Subtract a number of operations from the budget for expanding a xacro file.
 
         Raises:
             XacroError: the budget is exhausted.
@@ -62,7 +63,7 @@ class Budget:
             raise XacroError(f"it takes more than {MAX_STEPS:,} operations", "simplify the file")
 
     def made(self, value: Any) -> Any:
-        """Charge the budget for a value that a xacro expression created, and return the value.
+        """Charge the budget for a value that a xacro expression has created, and return the value.
 
         Raises:
             XacroError: the budget is exhausted, the value is too large, or xacro does not support its type.
@@ -74,7 +75,7 @@ class Budget:
 
 
 def size(value: Any) -> int:
-    """Return the number of items in a xacro value that the budget pays for, including nested items.
+    """Return for how many items a xacro value is charged to the budget, including nested items.
 
     64 characters of a string count as one item. An item that occurs twice counts twice, because printing and
     comparing it takes twice as long.
@@ -108,7 +109,7 @@ def size(value: Any) -> int:
 
 
 def check_key(key: Any) -> None:
-    """Keep xacro within its budget: reject dictionary keys that are large integers.
+    """Reject large integers as dictionary keys in xacro, because they could make it exceed its budget.
 
     An attacker can choose large integers with equal hashes, which makes a dictionary slow.
 
@@ -123,7 +124,7 @@ def check_key(key: Any) -> None:
 
 
 def check_repeated(items: Sequence[Any], times: int) -> None:
-    """Keep xacro within its budget: check that a repeated string or list is not too long.
+    """Check that a string or list that a xacro expression repeats does not become too long for the budget.
 
     Raises:
         XacroError: `items`, repeated `times` times, would be too long.

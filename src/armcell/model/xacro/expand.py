@@ -55,7 +55,7 @@ def expand_xacro(
     allow_env: bool | None = None,
     home: Path | None = None,
 ) -> str:
-    """Process (expand) a xacro file and return the URDF text.
+    """Expand a xacro file and return the resulting URDF text.
 
     Args:
         file: the xacro file.
@@ -92,7 +92,7 @@ def expand_xacro(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """Return the arguments without a value of a xacro file to expand: `name`, and undeclared ones."""
+    """Return the arguments that a xacro file lacks for its expansion: `name`, and undeclared ones."""
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
     return list(dict.fromkeys([name, *(n for n in ARGUMENT.findall(text) if n not in known)]))
@@ -104,14 +104,14 @@ def _is_xacro_tag(element: Element, tag: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Macro:
-    """Definition of a xacro macro during the expansion: its body and its parameters."""
+    """Definition of a xacro macro to expand: its body and its parameters."""
 
     body: Element
     parameters: tuple[Parameter, ...]
 
 
 class _Expansion:
-    """State of one xacro file's expansion; macros and properties are in `Scope` objects."""
+    """State of the expansion of one xacro file. Macros and properties are in `Scope` objects."""
 
     def __init__(self, file: Path, arguments: dict[str, str], allow_env: bool, home: Path | None):
         self.file = file
@@ -140,7 +140,7 @@ class _Expansion:
         return etree.tostring(out, encoding="unicode")
 
     def failed(self, reason: str, hint: str | None = None) -> InputError:
-        """Return the `InputError` to raise, with the xacro file, line and element being expanded."""
+        """Return the `InputError` for a failure, with the xacro file, line and element being expanded."""
         file, line, label = self.file, None, None
         if self.here is not None:
             url = self.here.getroottree().docinfo.URL
@@ -155,7 +155,7 @@ class _Expansion:
         return self.substitution.resolve(inside, self.reading[-1].parent)
 
     def _names(self, names: Scope) -> dict[str, Any]:
-        """Return the functions, constants and namespaces for every xacro expression in an expansion."""
+        """Return the functions, constants and namespaces that all expressions in a xacro file can use."""
 
         def say(level: int) -> Any:
             def run(budget: Budget, /, *arguments: Any, **_: Any) -> str:
@@ -189,7 +189,7 @@ class _Expansion:
         return {**MATH, **BASIC, **functions, **spaces}
 
     def _path(self, name: str) -> Path:
-        """Resolve a path in an expanded xacro file relative to the file that is being read."""
+        """Resolve a path in a xacro file being expanded, relative to the file that is being read."""
         if "\0" in name:
             raise XacroError(f"{name!r} is not a path")
         return self.reading[-1].parent / name
@@ -204,14 +204,14 @@ class _Expansion:
         return text_of(evaluate_text(str(value), scope))
 
     def _children(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append a xacro element's content to a URDF element, with macros and properties expanded."""
+        """Append the content of a xacro element to a URDF element, with macros and properties expanded."""
         self._words(source.text, out, scope)
         for child in source:
             self._child(child, out, macros, scope)
             self._words(child.tail, out, scope)
 
     def _words(self, text: str | None, out: Element, scope: Scope) -> None:
-        """Append text to a URDF element with xacro expanded; skip text of only white space."""
+        """Append text with xacro expressions expanded to a URDF element. Skip mere white space."""
         if text and not text.isspace():
             before = out[-1].tail if len(out) else out.text
             self.budget.charge(len(before or "") // CHARACTERS)  # appending copies the existing text
@@ -235,7 +235,7 @@ class _Expansion:
             self._call(name, source, out, macros, scope)
 
     def _copy(self, tag: str, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append a URDF element with its attributes and content expanded by xacro."""
+        """Append a copy of an element to a URDF element, with xacro expanded in attributes and content."""
         try:
             made = etree.SubElement(out, tag, nsmap=_spaces(source))
         except ValueError:
@@ -400,7 +400,7 @@ _DIRECTIVES = {
 
 @contextmanager
 def _deep_calls() -> Iterator[None]:
-    """Raise Python's recursion limit while expanding xacro macros that call themselves.
+    """Raise Python's recursion limit while xacro macros that call themselves are expanded.
 
     Each level of a recursive macro takes about ten Python frames.
     """
@@ -443,7 +443,7 @@ def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Mac
 
 
 def _parent_of(scope: Scope) -> Scope:
-    """Return the scope of a macro's caller, to which xacro's `scope="parent"` refers in an expansion.
+    """Return the scope of a xacro macro's caller, to which `scope="parent"` refers in the macro.
 
     For an included file with a namespace, the caller is the file that includes it.
     """
@@ -467,7 +467,7 @@ def _is_xacro(element: Element, attribute: str) -> bool:
 
 
 def _spaces(source: Element) -> Any:
-    """Return the XML namespaces of an element to expand, without xacro's namespace."""
+    """Return the XML namespaces of an element in a xacro file, without the namespace of xacro itself."""
     return {prefix: uri for prefix, uri in source.nsmap.items() if prefix != "xacro"}
 
 
@@ -489,7 +489,7 @@ def _append_text(out: Element, text: str) -> None:
 
 
 def _move(made: Element, out: Element) -> None:
-    """Move the text and children of one element to the end of another in a xacro expansion."""
+    """Move the text and the children of one element to the end of another, while xacro is expanded."""
     if made.text:
         _append_text(out, made.text)
     out.extend(list(made))
@@ -502,6 +502,6 @@ def _label(element: Element) -> str:
 
 
 def _one_line(text: str) -> str:
-    """Return a text as one printable line of at most 600 characters, for errors of a xacro expansion."""
+    """Shorten a text to one printable line of at most 600 characters, for messages about xacro errors."""
     line = "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
     return line if len(line) <= MAX_REASON else line[: MAX_REASON - 3] + "..."

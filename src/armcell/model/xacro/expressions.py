@@ -29,19 +29,21 @@ MAX_EXPRESSION = 10_000  # characters
 
 
 class Names(Protocol):
-    """Names that a xacro expression can use, with their values."""
+    """Names that a xacro expression can use, and their values."""
 
     def lookup(self, name: str) -> Any:
-        """Return the value of a name in a xacro expression, or raise KeyError."""
+        """Return the value of a name in a xacro expression. Raise KeyError if the name is unknown."""
         ...
 
 
 class Dotted(dict[Any, Any]):
-    """Dictionary from YAML whose keys xacro expressions can use as attributes: `limits.lower`."""
+    """Dictionary from a YAML file whose keys can also be used as attributes in xacro expressions:
+    `limits.lower`.
+    """
 
 
 class NameSpace:
-    """A namespace for xacro expressions, such as `math` in `math.pi`."""
+    """Namespace that xacro expressions can use, such as `math` in `math.pi`."""
 
     def __init__(self, names: Mapping[str, Any]):
         self._names = names
@@ -51,7 +53,7 @@ class NameSpace:
 
 
 class _Local:
-    """Names in a comprehension of a xacro expression: loop variables, then outer names."""
+    """Names that a comprehension in a xacro expression can use: its loop variables and the outer names."""
 
     def __init__(self, around: Names):
         self.around, self.values = around, {}
@@ -195,7 +197,7 @@ class _Evaluator:
         return answer
 
     def data(self, *values: Any) -> None:
-        """Charge the budget for the size of the operands in a xacro expression.
+        """Charge the size of the operands in a xacro expression to the budget.
 
         Raises:
             XacroError: an operand is a namespace or another value that has no operators.

@@ -39,11 +39,11 @@ SHOWN = 20  # entries of a folder in an error message
 
 
 class MissingFile(XacroError):
-    """Error for a missing file that a robot's xacro file includes or loads."""
+    """Error for a missing file that the xacro file of a robot includes or loads."""
 
 
 class RobotFiles:
-    """Reader of the files that a robot description names, restricted to allowed folders.
+    """Reader for the files to which a robot description refers. It reads only from allowed folders.
 
     Args:
         main: the robot file.
@@ -60,7 +60,7 @@ class RobotFiles:
         self._yaml: dict[Path, Any] = {}
 
     def find(self, package: str) -> Path:
-        """Return a ROS package's folder; its xacro files may then be read.
+        """Return the folder of a ROS package, from which xacro files may be read from now on.
 
         Raises:
             XacroError: the package does not exist.
@@ -73,7 +73,8 @@ class RobotFiles:
         return found.folder
 
     def checked(self, path: Path) -> Path:
-        """Check a robot file's path: resolve symlinks, and require it in the robot's packages.
+        """Resolve symlinks in the path of a robot's file, and check that the file is in the packages of the
+        robot.
 
         Raises:
             XacroError: the file is outside the robot's packages, or `path` is not a valid path.
@@ -95,7 +96,7 @@ class RobotFiles:
         return real
 
     def existing(self, path: Path) -> Path:
-        """Return the resolved path of an existing file in the robot's packages.
+        """Return the resolved path of an existing file in the packages of the robot.
 
         See `checked`.
 
@@ -115,7 +116,7 @@ class RobotFiles:
         raise MissingFile(f"file {path} not found", f"{folder} has {', '.join(entries[:SHOWN])}{more}")
 
     def xml(self, path: Path) -> etree._Element:
-        """Return the root element of an XML file that a robot's xacro file includes.
+        """Return the root element of an XML file that the xacro file of a robot includes.
 
         Raises:
             XacroError: the file is outside the robot's packages.
@@ -127,7 +128,8 @@ class RobotFiles:
         return parse_xml(text, path)
 
     def yaml(self, path: Path, evaluate: Any) -> Any:
-        """Return the content of a YAML file that a robot's xacro file loads, with keys as attributes.
+        """Return the content of a YAML file that the xacro file of a robot loads. Its keys can be used as
+        attributes.
 
         Args:
             path: the file.
@@ -145,7 +147,9 @@ class RobotFiles:
 
     def _loaded(self, text: str, path: Path, evaluate: Any) -> Any:
         class Loader(SafeLoader):
-            """YAML 1.1 loader of robot files, like ROS's (`yes` is true) that supports xacro's units."""
+            """Loader for YAML 1.1 files of a robot that reads `yes` as true, like ROS's loader, and supports
+            xacro's units.
+            """
 
         def with_unit(loader: Any, tag: str, node: yaml.Node) -> float:
             if not isinstance(node, yaml.ScalarNode):
@@ -164,7 +168,9 @@ class RobotFiles:
             raise InputError(f"is not valid YAML: {error}", file=path) from None
 
     def _plain(self, value: Any) -> Any:
-        """Convert a robot file's YAML data to xacro values: dicts become `Dotted`, dates become strings."""
+        """Convert YAML data of a robot file to values for xacro: dicts become `Dotted`, dates
+        become strings.
+        """
         self.budget.charge(1)
         if isinstance(value, dict):
             found = Dotted((key, self._plain(item)) for key, item in value.items())
@@ -178,7 +184,7 @@ class RobotFiles:
         return value
 
     def matching(self, pattern: Path) -> list[Path]:
-        """Return the sorted robot files that match a path with wildcards (`*`, `?` or `[...]`).
+        """Return those files of a robot that match a path with wildcards (`*`, `?` or `[...]`), sorted.
 
         Raises:
             XacroError: `..` follows a wildcard, or a match is outside the robot's packages.

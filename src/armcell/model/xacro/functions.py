@@ -23,7 +23,7 @@ PERCENT = re.compile(r"%(?:\((?P<key>[^)]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?
 
 
 def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function:
-    """Wrap a Python function for xacro expressions; each call charges the budget.
+    """Wrap a Python function for use in xacro expressions, such that each call charges the budget.
 
     The budget assumes that the function's run time is at most proportional to the size of its arguments.
     """
@@ -36,7 +36,7 @@ def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function
 
 
 def text_of(value: Any) -> str:
-    """Xacro function: return a value as the text that xacro writes into the URDF.
+    """Return a value as the text that xacro and its functions write into the URDF.
 
     Raises:
         XacroError: the value is a function or a namespace, which have no text.
@@ -50,7 +50,7 @@ def text_of(value: Any) -> str:
 
 
 def items_of(value: Any) -> Sequence[Any]:
-    """Return a value's items for xacro functions and for loops in expressions.
+    """Return the items of a value over which functions and loops in a xacro expression iterate.
 
     Raises:
         XacroError: the value is not a string, list, tuple or dictionary.
@@ -121,7 +121,9 @@ def _called(budget: Budget, function: Any, *arguments: Any) -> Any:
 
 
 def _keyed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap `min`, `max` or `sorted` so that `key` accepts a function of a xacro expression."""
+    """Wrap `min`, `max` or `sorted` for xacro expressions, such that `key` accepts a function of the
+    expression.
+    """
 
     def run(budget: Budget, /, *arguments: Any, key: Function | None = None, **keywords: Any) -> Any:
         of_item = None if key is None else functools.partial(_called, budget, key)
@@ -164,7 +166,7 @@ def _small(function: Callable[..., int]) -> Callable[..., int]:
 
 
 def _types() -> dict[str, Function]:
-    """Return the xacro functions that are also type names, such as `str` and `int`."""
+    """Return those functions of xacro expressions that are also names of types, such as `str` and `int`."""
     return {
         "str": plain("str", lambda value="": text_of(value), str),
         "int": plain("int", _int, int),
@@ -230,7 +232,7 @@ MATH: dict[str, Any] = {
 
 # --- text ---
 class _Formatter(string.Formatter):
-    """Safe `str.format` among xacro functions, which supports plain fields only.
+    """Safe `str.format` as a function of xacro expressions, which supports only plain fields.
 
     Fields such as `{0.attribute}` and `{0[item]}` would give access to Python's objects.
     """
@@ -257,7 +259,8 @@ def _format(text: str, /, *arguments: Any, **keywords: Any) -> str:
 
 
 def percent(text: str, values: Any) -> str:
-    """Xacro function: return Python's `text % values`, after checking the field widths and the result's size.
+    """Evaluate Python's `text % values` as a function of xacro, after checking the field widths and the size
+    of the result.
 
     Raises:
         XacroError: a field is too wide, a key contains parentheses, or the result would be too long.
@@ -329,12 +332,14 @@ METHODS: dict[type, dict[str, Callable[..., Any]]] = {
 
 
 def method_of(value: Any, name: str) -> Function | None:
-    """Return a method among xacro functions for a value in an expression, or None if not allowed."""
+    """Return a method of a value as a function for xacro expressions, or None if the method is not
+    allowed.
+    """
     found = next((methods for kind, methods in METHODS.items() if isinstance(value, kind)), {}).get(name)
     return None if found is None else plain(name, functools.partial(found, value))
 
 
 def tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
-    """Xacro function: split a text at each character of `sep`, like `xacro.tokenize`."""
+    """Split a text at each character of `sep`, like the xacro function `xacro.tokenize`."""
     items = re.split("[" + re.escape(sep) + "]", text) if sep else [text]
     return [item for item in items if item] if skip_empty else items

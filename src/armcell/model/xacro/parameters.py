@@ -21,7 +21,7 @@ _NAME = re.compile(r"\s*(?P<name>\S+)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of a xacro macro's `params`, with its default value.
+    """Parameter in `params` of a xacro macro, with its default value.
 
     Attributes:
         name: name of the parameter; a block parameter's name starts with `*`.
@@ -39,7 +39,7 @@ class Parameter:
 
 
 def parameters_of(text: str) -> tuple[Parameter, ...]:
-    """Parse the parameters that a xacro macro's `params` attribute declares.
+    """Parse the parameters that the attribute `params` of a xacro macro declares.
 
     Raises:
         XacroError: the text is too long.

@@ -21,7 +21,8 @@ Substitute = Callable[[str, "Scope"], str]
 
 
 class Scope:
-    """Xacro scope: the properties of a file or macro call, with lookup in the outer scopes.
+    """Properties of a xacro file or of one macro call. Properties that it lacks are looked up in the outer
+    scopes.
 
     Args:
         budget: remaining operations of the robot file.
@@ -47,7 +48,7 @@ class Scope:
 
     @property
     def outermost(self) -> Scope:
-        """Return the scope of the xacro file itself, outside all macros."""
+        """Return the outermost scope, which is that of the xacro file itself and not of a macro."""
         scope = self
         while scope.around is not None and scope.around.around is not None:
             scope = scope.around
@@ -63,7 +64,7 @@ class Scope:
         return scope
 
     def lookup(self, name: str) -> Any:
-        """Return the value of a xacro property, from a scope or an outer scope.
+        """Return the value of a xacro property from this scope or from an outer scope.
 
         A lazy property's text is evaluated at its first use, in the scope that holds the property.
 
@@ -87,7 +88,7 @@ class Scope:
         return scope.values[name]
 
     def put(self, name: str, value: Any, lazy: bool = False) -> None:
-        """Set a property in a xacro scope; if `lazy`, its text is evaluated at the first use."""
+        """Set a xacro property in this scope. If `lazy`, its text is evaluated at the first use."""
         value = literal(value)
         self.values[name] = value
         if lazy and isinstance(value, str):
@@ -103,7 +104,8 @@ class Scope:
 
 
 def evaluate_text(text: str, scope: Scope) -> Any:
-    """Evaluate a text with `${...}` and `$(...)` in a xacro scope; a single expression keeps its type.
+    """Evaluate a text with `${...}` and `$(...)` in a xacro scope. The result of a single expression keeps
+    its type.
 
     Raises:
         XacroError: an expression fails (see `evaluate`), or a `$` starts neither form.
@@ -147,7 +149,7 @@ def literal(value: Any) -> Any:
 
 
 def truth(value: Any, text: str | None = None) -> bool:
-    """Return the boolean value of a xacro condition, evaluated in a scope.
+    """Evaluate the condition of a xacro element in its scope and return it as a boolean.
 
     Args:
         value: the evaluated condition.
@@ -168,7 +170,7 @@ def truth(value: Any, text: str | None = None) -> bool:
 
 
 class Arguments:
-    """Names in the scope of xacro's `$(eval ...)`: built-in names and `$(arg NAME)` values."""
+    """Names in the scope of xacro's `$(eval ...)`: built-in names and the values of `$(arg NAME)`."""
 
     def __init__(self, scope: Names, values: dict[str, str]):
         self.scope, self.values = scope, values
@@ -181,7 +183,7 @@ class Arguments:
 
 
 def typed(value: str) -> Any:
-    """Convert a `$(arg)` value in a xacro scope to an int, float or bool if possible."""
+    """Convert the value of a xacro argument `$(arg)` to an int, float or bool if possible."""
     if len(value) <= MAX_DIGITS:
         try:
             return float(value) if "." in value else int(value)

@@ -23,7 +23,7 @@ ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
 
 
 class MissingArgument(XacroError):
-    """Error for a xacro substitution argument that has neither a default nor a given value."""
+    """Error for a substitution argument of xacro that was given no value and has no default."""
 
     def __init__(self, name: str):
         super().__init__(f"argument {name!r} has no value", missing_hint([name]))
@@ -31,14 +31,14 @@ class MissingArgument(XacroError):
 
 
 def missing_hint(names: list[str]) -> str:
-    """Return a hint on how to pass values for xacro's substitution arguments."""
+    """Return a hint on how to pass values for the substitution arguments of a xacro file."""
     options = " ".join(f"--xacro-arg {name}:=VALUE" for name in names)
     entries = ", ".join(f"{name}: VALUE" for name in names)
     return f"pass {options}, or write 'xacro_args: {{{entries}}}' in the cell file"
 
 
 class Substitution:
-    """Evaluator of substitution arguments: the inside of xacro's `$(...)`.
+    """Evaluator for xacro's substitution arguments, which is the text inside `$(...)`.
 
     Args:
         files: reader of the robot's files, which finds packages.
@@ -63,7 +63,7 @@ class Substitution:
         self._names = Arguments(NameSpace({**names, "True": True, "False": False}), values)
 
     def resolve(self, inside: str, folder: Path) -> str:
-        """Return the text that replaces the xacro substitution `$(inside)`.
+        """Return the text that replaces a substitution argument `$(inside)` in a xacro file.
 
         Args:
             inside: a command and its arguments, for example `find my_robot`.

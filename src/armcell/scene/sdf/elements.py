@@ -15,7 +15,7 @@ Element = etree._Element
 
 @dataclass(frozen=True)
 class Skipped:
-    """An SDF element that armcell did not convert, or converted only approximately."""
+    """An SDF element that armcell has not converted, or has converted only approximately."""
 
     file: Path
     line: int
@@ -46,12 +46,12 @@ def skipped(element: Element, why: str) -> Skipped:
 
 
 def children(element: Element, tag: str) -> list[Element]:
-    """Return an SDF element's children that have a given tag."""
+    """Return the children of an SDF element that have a given tag."""
     return [child for child in element if child.tag == tag]
 
 
 def child(element: Element, path: str) -> Element | None:
-    """Return an SDF element's first descendant at a path of tags ("surface/friction"), or None."""
+    """Return the first descendant of an SDF element at a path of tags such as "surface/friction", or None."""
     at: Element | None = element
     for tag in path.split("/"):
         at = next(iter(children(at, tag)), None) if at is not None else None
@@ -59,7 +59,7 @@ def child(element: Element, path: str) -> Element | None:
 
 
 def local_child(element: Element, name: str) -> Element | None:
-    """Return an SDF element's first child with a local name in any namespace, or None.
+    """Return the first child of an SDF element that has a given local name, in any namespace, or None.
 
     For example, "mu_static" matches <drake:mu_static>.
     """
@@ -79,7 +79,7 @@ def name_of(element: Element) -> str:
 
 
 def text_of(element: Element, path: str, default: str | None = None) -> str:
-    """Return the text of an SDF element's descendant at a path of tags ("surface/friction").
+    """Return the text in the descendant of an SDF element at a path of tags such as "surface/friction".
 
     Raises:
         InputError: the element is missing or empty, and there is no default.
@@ -93,7 +93,7 @@ def text_of(element: Element, path: str, default: str | None = None) -> str:
 
 
 def numbers(element: Element, text: str, count: int) -> list[float]:
-    """Parse the text of an SDF element as `count` finite numbers.
+    """Parse the text of an SDF element as a given number of finite numbers.
 
     Args:
         element: the element that contains the text, for error messages.
@@ -121,7 +121,7 @@ def number(element: Element, path: str, default: float | None = None) -> float:
 
 
 def flag(element: Element, path: str, default: bool = False) -> bool:
-    """Return the boolean (true, false, 1 or 0) in an SDF element's descendant at a path of tags.
+    """Return the boolean value (true, false, 1 or 0) in the descendant of an SDF element at a path of tags.
 
     Raises:
         InputError: the text is not a boolean.
@@ -133,7 +133,7 @@ def flag(element: Element, path: str, default: bool = False) -> bool:
 
 
 def pose_of(element: Element | None) -> SE3:
-    """Return the pose in an SDF <pose> element; the identity if the element is missing or empty.
+    """Return the pose in the <pose> child of an SDF element, or the identity if it is missing or empty.
 
     The text contains x, y, z and roll, pitch, yaw, or x, y, z and a quaternion.
 

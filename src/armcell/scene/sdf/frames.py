@@ -20,7 +20,7 @@ class _Frame:
 
 @dataclass
 class Scope:
-    """The named frames of one SDF world or model, each posed relative to another frame."""
+    """Named frames of one SDF world or model. Each has a pose relative to another frame."""
 
     frames: dict[str, _Frame] = field(default_factory=dict)
     inner: dict[str, Scope] = field(default_factory=dict)  # nested models
@@ -31,7 +31,8 @@ class Scope:
         self, element: Element, name: str, default: str = "", pose: Element | None = None,
         T_pose_frame: SE3 | None = None,
     ) -> None:  # fmt: skip
-        """Add the frame of an SDF link, <frame>, joint or model to the frames of its world or model.
+        """Add the frame of an SDF link, <frame>, joint or model to the frames of the world or model that
+        contains it.
 
         Args:
             element: the element, for error messages.
@@ -51,7 +52,8 @@ class Scope:
         )
 
     def pose(self, name: str, asked_by: Element, depth: int = 0) -> SE3:
-        """Return the pose of an SDF frame, such as `model::link`, relative to its world or model.
+        """Return the pose of an SDF frame, such as `model::link`, relative to the world or model that
+        contains it.
 
         Args:
             name: name of the frame.

@@ -44,7 +44,7 @@ GROUND_PLANE = """<sdf version="1.6"><model name="ground_plane"><static>true</st
 
 @dataclass
 class Model:
-    """One SDF model: its frames, links, joints and nested models."""
+    """One SDF model, with its frames, links, joints and nested models."""
 
     name: str
     element: Element
@@ -56,7 +56,7 @@ class Model:
 
 
 class Tree:
-    """Reader for the tree of SDF models, which follows includes and records skipped elements."""
+    """Reader for a tree of SDF models, which follows includes and records the elements that it skips."""
 
     def __init__(self, library: Library, skip: Collection[str] = ()):
         self.library, self.skip = library, set(skip)
@@ -66,7 +66,7 @@ class Tree:
         self._roots: dict[Path, Element] = {}
 
     def root(self, file: Path) -> Element:
-        """Return the <sdf> root element of a file with SDF models.
+        """Return the root element <sdf> of a file with SDF models.
 
         Raises:
             InputError: the file is not XML or not SDF.
@@ -88,7 +88,8 @@ class Tree:
                 self.notes.append(skipped(entry, "is not converted"))
 
     def models_in(self, parent: Element, scope: Scope, depth: int = 0) -> Iterator[Model]:
-        """Yield an SDF world's or model's models with their <include>s, and add their frames.
+        """Yield the models in an SDF world or model, including those of its <include>s, and add their frames
+        to the named frames.
 
         Raises:
             InputError: the content is not valid, see `load_sdf`.
@@ -112,7 +113,7 @@ class Tree:
         return bool(found)
 
     def _included(self, include: Element, uri: str, scope: Scope, depth: int) -> Model | None:
-        """Return the model of an SDF <include>, or None for a light or an actor.
+        """Return the model to which an SDF <include> refers, or None if it is a light or an actor.
 
         A skipped light or actor is recorded in `notes`.
         """
@@ -133,7 +134,9 @@ class Tree:
         return model
 
     def _included_root(self, include: Element, uri: str) -> Element | None:
-        """Return the model file's <sdf> element for an <include>, or None for Gazebo's sun (a light)."""
+        """Return the <sdf> element of the model file to which an <include> refers, or None for Gazebo's sun
+        (a light).
+        """
         asked_by = child(include, "uri")
         asked_by = include if asked_by is None else asked_by
         try:
@@ -152,7 +155,7 @@ class Tree:
         return self.root(file)
 
     def _placed(self, element: Element, placed_by: Element, name: str, scope: Scope, depth: int) -> Model:
-        """Return an SDF model at the pose of an element: the model itself or its <include>."""
+        """Return an SDF model at the pose that an element (the model itself or its <include>) gives."""
         model = self._model(element, name, depth + 1)
         pose = child(placed_by, "pose")
         pose = child(element, "pose") if pose is None else pose
@@ -187,13 +190,15 @@ class Tree:
 
 
 def add_frames(parent: Element, scope: Scope) -> None:
-    """Add the <frame> elements of an SDF world or model to its scope."""
+    """Add the <frame> elements of an SDF world or model to its named frames."""
     for frame in children(parent, "frame"):
         scope.add(frame, name_of(frame), frame.get("attached_to", ""), child(frame, "pose"))
 
 
 def saved_poses(world: Element) -> dict[str, SE3]:
-    """Return the world poses that Gazebo Classic saved in a <state>, by MODEL or MODEL::LINK."""
+    """Return the world poses of SDF models that Gazebo Classic saved in a <state>, by MODEL or
+    MODEL::LINK.
+    """
     poses: dict[str, SE3] = {}
     for state in children(world, "state")[:1]:
         for model in children(state, "model"):

@@ -44,7 +44,7 @@ GAZEBO_COLORS: dict[str, Color] = {
 
 @dataclass(frozen=True)
 class Solid:
-    """Solid: one collision of an SDF link: shape, pose, density and friction."""
+    """One collision element of an SDF link as a solid, with shape, pose, density and friction."""
 
     shape: Shape
     T_link_shape: SE3
@@ -53,7 +53,8 @@ class Solid:
 
 
 def geometry_of(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
-    """Convert the solid shape of an SDF <collision> or <visual>, with its pose in the element.
+    """Convert the shape of an SDF <collision> or <visual> element to a solid shape, and return it with its
+    pose in the element.
 
     Returns:
         (shape, T_element_shape), or a `Skipped` note if the shape is not converted.
@@ -125,7 +126,7 @@ _READERS: dict[str, Callable[[Element, Library], tuple[Shape, SE3] | Skipped]] =
 
 
 def friction_of(collision: Element) -> tuple[tuple[float, float] | None, Skipped | None]:
-    """Return the friction (static, dynamic) of an SDF collision solid, and a note on approximations.
+    """Return the friction (static, dynamic) of an SDF collision solid, and a note on what was approximated.
 
     SDF has one coefficient per direction (ODE's mu and mu2, or Bullet's); armcell uses the smaller one.
     Drake's extension has a static and a dynamic coefficient.
@@ -161,7 +162,7 @@ def _coefficient(element: Element) -> float:
 
 
 def material_of(solids: list[Solid]) -> tuple[Material, bool]:
-    """Return the common material of an object's SDF collision solids, and whether they differ.
+    """Return one material for all SDF collision solids of an object, and whether their materials differ.
 
     If they differ, the smallest static and dynamic friction apply.
     """
@@ -173,7 +174,7 @@ def material_of(solids: list[Solid]) -> tuple[Material, bool]:
 
 
 def mass_of(link: Element, solids: list[Solid]) -> float:
-    """Return the mass [kg] of an SDF link's solids from its <inertial>, or 1 kg without <inertial>.
+    """Return the mass [kg] of the solids of an SDF link from its <inertial> element, or 1 kg if it has none.
 
     Raises:
         InputError: the mass is not positive.
@@ -192,7 +193,9 @@ def mass_of(link: Element, solids: list[Solid]) -> float:
 
 
 def color_of(link: Element) -> Color | None:
-    """Return the color of an SDF link's solids: that of its first colored visual, without textures."""
+    """Return the color of the solids of an SDF link, which is that of its first colored visual. Textures are
+    ignored.
+    """
     for visual in children(link, "visual"):
         color = _material_color(visual)
         if color is not None:
@@ -218,7 +221,7 @@ def _material_color(visual: Element) -> Color | None:
 def solid_of(
     collision: Element, T_link_collision: SE3, library: Library
 ) -> tuple[Solid | None, list[Skipped]]:
-    """Convert an SDF <collision> to a solid; the solid is None if its shape is not supported.
+    """Convert an SDF <collision> element to a solid. The solid is None if its shape is not supported.
 
     Returns:
         The solid or None, and the notes about skipped or approximated content.

@@ -32,7 +32,7 @@ GRAVITY, CLOSE = 9.8, 0.05  # [m/s^2]
 
 @dataclass(frozen=True)
 class SdfWorld:
-    """The result of `load_sdf`: the objects of an SDF world, and the skipped content."""
+    """Result of `load_sdf`: the objects of an SDF world, and the content that was skipped."""
 
     name: str
     objects: tuple[CollisionObject, ...]
@@ -40,7 +40,7 @@ class SdfWorld:
 
 
 def load_sdf(file: str | Path, folders: Sequence[Path] = (), skip: Collection[str] = ()) -> SdfWorld:
-    """Load the objects of an SDF world (`.world`, `.sdf`) or of a file with models.
+    """Load the objects of an SDF world (`.world`, `.sdf`) or of an SDF file that contains only models.
 
     Links that fixed joints connect become one object, and so does a static model as a whole. Links at other
     joints become fixed objects at their current pose. Masses, frictions and colors are kept; inertias and
@@ -95,7 +95,7 @@ def _note_gravity(world: Element, tree: Tree) -> None:
 
 @dataclass
 class _Body:
-    """One link in an SDF world, with its pose in the world frame."""
+    """A link of a model in an SDF world, with its pose in the world frame."""
 
     path: str  # "LINK" in the top-level model, "MODEL::LINK" in a nested model
     element: Element
@@ -105,7 +105,7 @@ class _Body:
 
 
 class _Flat:
-    """One top-level model of an SDF world with its nested models, converted to scene objects."""
+    """A top-level model of an SDF world, flattened with its nested models and converted to scene objects."""
 
     def __init__(self, tree: Tree, model: Model, T_world_model: SE3, saved: dict[str, SE3]):
         self.tree, self.model, self.T_world_model = tree, model, T_world_model
@@ -175,7 +175,9 @@ class _Flat:
         self._group[self._root(b)] = self._root(a)
 
     def _groups(self) -> Iterator[tuple[list[_Body], bool]]:
-        """Yield the links of each object from a model in an SDF world, and whether the object is fixed."""
+        """Yield for each object to make from a model in an SDF world its links, and whether the object is
+        fixed.
+        """
         for path, body in self.bodies.items():
             if body.static:
                 self._join("world", path)
@@ -238,7 +240,9 @@ class _Flat:
             raise fail(first.element, error.reason, error.hint) from None
 
     def _fits(self, body: _Body, solid: Solid, fixed: bool) -> bool:
-        """Return whether a mesh in an SDF world has a plausible size for an object, else record a note."""
+        """Return whether the mesh of an object in an SDF world has a plausible size; if not, record
+        a note.
+        """
         if isinstance(solid.shape, Mesh) and solid.shape.file is not None:
             try:
                 check_mesh(solid.shape, not fixed)
@@ -261,7 +265,7 @@ def _is_fixed(joint: Element) -> bool:
 
 
 def _free_name(name: str, objects: Sequence[CollisionObject]) -> str:
-    """Return an unused name for an object of an SDF world, without special characters."""
+    """Return a name without special characters for an object of an SDF world that no other object has."""
     plain = re.sub(r"[^\w.\-]+", "_", name).strip("_") or "object"
     taken, number = {item.name for item in objects}, 2
     found = plain
