@@ -25,7 +25,10 @@ from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[1]
 PATHS = {str(ROOT), str(ROOT / "src")}  # what PYTHONPATH may name: nothing that imports differently
-LIVE = ("PYTHONPATH", "ROS_", "CYCLONEDDS_URI", "PYTEST_", "ARMCELL_GATE_KEY", "ARMCELL_DEBUG")
+LIVE = (
+    "PYTHONPATH", "ROS_", "CYCLONEDDS_URI", "PYTEST_", "RAY_", "ARMCELL_GATE_KEY", "ARMCELL_DEBUG",
+    "ARMCELL_ALLOW_ENV", "ARMCELL_XACRO_ARGS", "ARMCELL_PACKAGES",
+)  # fmt: skip
 """Environment variables that programs read when they run, not when they import."""
 PRELOADED = (
     "armcell.cli.main", "armcell.cell.live", "armcell.cell.script", "armcell.records",

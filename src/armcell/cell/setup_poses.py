@@ -70,8 +70,10 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
     names = model.groups[group].joint_names
     known = next((g for g in model.grippers.values() if g.group == group and len(names) == 1), None)
     if known is not None:
-        ends = {"open": known.max_width, "close": 0.0}
-        return {state: {names[0]: round(known.joint_position(w), 6)} for state, w in ends.items()}
+        low, high = model.joints[names[0]].limits.lower, model.joints[names[0]].limits.upper
+        at = {"open": known.joint_position(known.max_width), "close": known.joint_position(0.0)}
+        # Jaws that cannot close completely stop at their joint's limit.
+        return {state: {names[0]: float(np.clip(round(q, 6), low, high))} for state, q in at.items()}
     checker = _checker(model)
     moving = [n for n in model.groups[group].link_names if _moves(model, n, names)]
     solids = {n: [i for i, g in enumerate(checker.geometries) if g.body == n] for n in model.links}

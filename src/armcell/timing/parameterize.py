@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import ArmcellError, InputError, JointTrajectory
-from armcell.core.checks import checked
+from armcell.core.checks import checked, float_array
 from armcell.timing import sampling, topp
 from armcell.timing.blend import BlendedPath
 from armcell.timing.editing import resting
@@ -206,7 +206,8 @@ def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -
     Raises:
         InputError: a limit is missing, not positive or not finite.
     """
-    limits = np.array(values, dtype=float)  # a copy, because the compiled code requires writable arrays
+    # a copy, because the compiled code requires writable arrays
+    limits = np.array(float_array(values, None, f"{kind} limits", finite=False))
     if limits.shape != (len(joint_names),):
         raise InputError(f"{limits.shape} {kind} limits given for {len(joint_names)} joints")
     good = (limits > 0.0) & (limits < np.inf)
