@@ -48,6 +48,7 @@ STATE_TIMEOUT = 5.0  # [s, wall clock] to wait for the first joint states
 POSE_TIMEOUT = 1.0  # [s] to wait for the poses of movable objects after the first joint states
 STALE = 2.0  # [s] without joint states after which the simulator counts as lost
 GRIP_TIME = 0.3  # [s, wall clock] of standstill after which closing fingers hold an object
+FINGER_TIMEOUT = 3.0  # [s] to wait for moving fingers before a motion is planned
 GRIP_START = 0.4  # [s] for fingers to begin to move
 MOVED = 5e-4  # [m] smallest change of the width that counts as a motion of the fingers
 PATIENCE = 2.4  # factor on the times of `gripping`, for fingers whose state comes over the bus
@@ -251,6 +252,14 @@ class RemoteDriver(Driver):
                 logger.warning("no /object_pose of %s: taken from the cell", ", ".join(sorted(self._unseen)))
                 self._unseen = set()
 
+    def wait_for_fingers(self) -> None:
+        """Wait until the fingers of the remote robot rest, so that an object that they hold is known."""
+        self._wait(FINGER_TIMEOUT, lambda: all(map(self._rests, list(self._last_widths))))
+
+    def _rests(self, gripper: str) -> bool:
+        """Return whether the fingers have not moved for a while, by the last joint states."""
+        return self._at - self._last_widths[gripper][1] >= GRIP_TIME
+
     def _wait(self, timeout: float, is_there: Callable[[], bool]) -> None:
         give_up = time.monotonic() + timeout
         while not is_there() and time.monotonic() < give_up and not self._closed.is_set():
@@ -365,7 +374,7 @@ class RemoteDriver(Driver):
         if name not in self._first_widths:  # the joint states lack the fingers
             return False
         gripper, target = self.model.gripper(name), self._targets.get(name)
-        if not before and time.monotonic() - self._last_widths[name][1] < GRIP_TIME:
+        if not before and not self._rests(name):
             return False
         width = gripper.width(state[gripper.joint_name])
         return width < self._first_widths[name] - CLOSED if target is None else width > target + CLOSED
@@ -456,6 +465,7 @@ class RemoteMotions(CellMotions):
 
     def scene(self) -> PlanningScene:
         self._driver.wait_for_state()
+        self._driver.wait_for_fingers()
         return super().scene()
 
     def play(self, *args: Any, **kwargs: Any) -> Work:
