@@ -113,8 +113,8 @@ def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
 
 
 def _angle(a: Array, b: Array) -> float:
-    """Compute the angle [rad] between two vectors, accurately also for small angles, to evaluate
-    constraints.
+    """Compute the angle [rad] between two vectors to evaluate constraints.
+    The result is accurate even for small angles.
     """
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 

@@ -69,8 +69,8 @@ def explain_request_error(diagnosis: Diagnosis, error: InputError) -> None:
 
 
 def _like(name: str, known: list[str]) -> list[str]:
-    """List known names that are similar to an unknown name in an invalid request (misuse); the most likely
-    one comes first.
+    """List known names that are similar to an unknown name in an
+    invalid request (misuse), most likely name first.
     """
     folded = {k.lower(): k for k in known}
     like = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
@@ -79,7 +79,7 @@ def _like(name: str, known: list[str]) -> list[str]:
 
 
 def _rename(diagnosis: Diagnosis, wrong: str, right: str, anyway: bool = False) -> bool:
-    """Suggest replacing a wrong name by an existing one everywhere in an invalid request (misuse)."""
+    """Suggest replacing a wrong name with an existing one everywhere in an invalid request (misuse)."""
     request = diagnosis.request
     fields = [f for f in ("group", "link", "planner_id", "pipeline_id") if getattr(request, f, None) == wrong]
     planner = getattr(request, "planner_id", "")
@@ -150,7 +150,7 @@ def _numbers(diagnosis: Diagnosis) -> None:
 
 
 def _goal_without_tip(diagnosis: Diagnosis) -> None:
-    """Suggest another planning group if a request misuses a group that has no tip for a pose goal."""
+    """Suggest another planning group if a request has a pose goal for a group without a tip (misuse)."""
     request, model = diagnosis.request, diagnosis.scene.model
     group = model.groups.get(request.group)
     if group is None or group.tip_link is not None:

@@ -86,8 +86,8 @@ def sample_goal_positions(
 
 def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGoal, q: Array,
             slack: tuple[float, float] = (0.0, 0.0)) -> bool:  # fmt: skip
-    """Return whether joint positions q (n,) reach a goal, within the goal's tolerances or within `slack` [m],
-    [rad].
+    """Return whether joint positions q (n,) reach a goal, within the goal's tolerances or within `slack` (a
+    distance [m] and an angle [rad]).
     """
     if isinstance(goal, ConstraintGoal):
         return satisfied(scene, group, goal.constraints, q)
