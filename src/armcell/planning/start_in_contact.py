@@ -125,8 +125,8 @@ def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
 
 
 def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
-    """Return a function that tests whether a motion (k, n) out of contact at the start stays in the workspace
-    and satisfies the path constraints.
+    """Return a function that tests a motion (k, n) that leads out of a contact at the start. The motion must
+    stay in the workspace and satisfy the path constraints.
     """
     request, workspace = validated.request, validated.workspace
     is_pilz = (

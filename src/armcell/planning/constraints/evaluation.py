@@ -86,8 +86,8 @@ def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, fl
 
 
 def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
-    """Return the links that carry the sensor and the target of a visibility constraint; they may be inside
-    the view cone.
+    """Return the links that carry the sensor and the target of a visibility
+    constraint; these links may be inside the view cone.
     """
     return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 

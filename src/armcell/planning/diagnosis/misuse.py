@@ -37,8 +37,8 @@ LIKELY_PERCENT = 100.0
 
 
 def code_of(error: InputError) -> ErrorCode:
-    """Return MoveIt's error code for the misuse that an exception reports (an InputError about a request), or
-    FAILURE.
+    """Return MoveIt's error code for the misuse that an InputError about a request reports. If there is no
+    specific code, return FAILURE.
     """
     if isinstance(error, UnknownNameError):
         return next((code for kind, code in CODES if error.kind.startswith(kind)), ErrorCode.FAILURE)
@@ -164,5 +164,7 @@ def _goal_without_tip(diagnosis: Diagnosis) -> None:
 
 
 def missing_result(error: InputError) -> PlanResult:
-    """Create the failed planning result of an invalid request (misuse) from the exception that it raised."""
+    """Create the failed planning result of an invalid request
+    (misuse) from the exception that the request caused.
+    """
     return PlanResult(code_of(error), str(error))
