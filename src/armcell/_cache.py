@@ -215,8 +215,8 @@ def _drop_old(used: Path) -> None:
 
 
 def use_cache() -> Path:
-    """Select the folder in which Numba caches kernels that were compiled from the current sources, and return
-    this folder.
+    """Select the folder in which Numba caches kernels compiled from
+    the current sources, and return this folder.
 
     `NUMBA_CACHE_DIR` has priority. If another user may have written into the folder, a private folder is used
     instead, and a warning is logged.

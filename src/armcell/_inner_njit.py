@@ -19,8 +19,8 @@ from numba.core.typed_passes import NativeLowering
 
 
 class _LinkedLibrary(JITCodeLibrary):
-    """Numba code library of an inner function. The code is linked into the callers' libraries and is never
-    executed by itself.
+    """Numba code library of a function that only compiled code calls (inner function). The library is linked
+    into the callers' libraries and is never executed by itself.
     """
 
     def _optimize_final_module(self) -> None:
@@ -56,8 +56,8 @@ class _OfferToCallers(LoweringPass):
 
 
 class _InnerCompiler(CompilerBase):
-    """Numba compiler for inner functions, which works in nopython mode but omits optimization, wrappers and
-    machine code.
+    """Numba compiler for functions that only compiled code calls (inner functions). It works in nopython mode
+    but skips optimization, wrappers and machine code.
     """
 
     def define_pipelines(self) -> list:

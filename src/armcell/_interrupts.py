@@ -70,8 +70,8 @@ _state = _State()
 
 
 def install() -> None:
-    """Install handlers for SIGINT and SIGTERM in the main thread, so that these signals shut the program down
-    in order.
+    """Install handlers for SIGINT and SIGTERM in the main thread,
+    so that these signals shut the program down cleanly.
     """
     wakes, _state.wake = os.pipe()
     os.set_blocking(_state.wake, False)
@@ -159,7 +159,7 @@ def wait(condition: Callable[[float], bool], timeout: float | None = None) -> bo
 
 # --- requests and declarations of the program ---
 def ask(number: int) -> None:
-    """Interrupt the program from any thread as if a signal had arrived, so that it shuts down in order.
+    """Interrupt the program from any thread as if a signal had arrived, so that it shuts down cleanly.
 
     Without a command line, the function has no effect.
     """
@@ -169,7 +169,7 @@ def ask(number: int) -> None:
 
 
 def take_time(seconds: float = WITH_ARMS) -> None:
-    """Extend the time limit of the orderly shutdown; call this function after `Interrupted` was caught.
+    """Extend the time limit of the orderly shutdown; call this function after catching `Interrupted`.
 
     Without a signal, the function has no effect.
     """
@@ -179,8 +179,8 @@ def take_time(seconds: float = WITH_ARMS) -> None:
 
 @contextlib.contextmanager
 def owned(on_signal: Callable[[], object]) -> Iterator[None]:
-    """Run a user's script in a `with` block so that signals interrupt it: after a signal, the script has
-    `SCRIPT` seconds to end.
+    """Let signals interrupt a user's script that runs inside the `with` block.
+    After a signal, the script has `SCRIPT` seconds to end.
 
     The script may catch `Interrupted`.
 
@@ -292,8 +292,8 @@ def last_will(act: Callable[[], object], urgent: bool = False) -> Callable[[], N
 
 
 def end(number: int | None = None) -> None:
-    """Print which interrupt ends the program, then end the process without running the exit handlers of
-    libraries.
+    """Print which signal interrupted the program, then end the process
+    without running the exit handlers of libraries.
 
     An exit handler could block.
     """
@@ -307,8 +307,8 @@ def end(number: int | None = None) -> None:
 
 # --- the handler ---
 def _handler(number: int, frame: FrameType | None) -> None:
-    """Handle SIGINT or SIGTERM in the main thread: raise `Interrupted`, or postpone it inside a `deferred`
-    block.
+    """Handle SIGINT or SIGTERM in the main thread: raise `Interrupted`,
+    or postpone it until the end of a `deferred` block.
     """
     if not _state.wills and _importing(frame):  # libraries with optional imports swallow all exceptions
         end(number)

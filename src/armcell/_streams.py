@@ -20,7 +20,9 @@ from armcell import _interrupts
 
 
 class _Raw(io.FileIO):
-    """Raw file behind standard output that remembers the first write error and discards all later output."""
+    """Raw file to which standard output writes.
+    It remembers the first write error and discards all later output.
+    """
 
     error: OSError | None = None
 
@@ -41,8 +43,8 @@ _out: _Raw | None = None
 
 
 def install() -> None:
-    """Replace `sys.stdout` and `sys.stderr` by streams that survive write errors, and reopen standard streams
-    that the caller of the process has closed.
+    """Replace `sys.stdout` and `sys.stderr` with streams that survive write errors, and reopen standard
+    streams that the parent process has closed.
     """
     global _out
     for number in (0, 1, 2):  # otherwise the next opened file would receive the output of libraries
@@ -58,8 +60,8 @@ def install() -> None:
 
 
 def close() -> int:
-    """Flush the standard output streams at the end of the program. Return 0, or the exit status for output
-    that could not be written.
+    """Flush the standard output streams at the end of the program.
+    Return 0, or a nonzero exit status if output could not be written.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(Exception):

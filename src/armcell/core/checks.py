@@ -76,8 +76,8 @@ def _like(default: Any, value: Any, what: str) -> Any:
 
 
 def is_number(value: Any, infinite: bool = False) -> bool:
-    """Return whether a value is a single real number. NaN never counts as a number, infinity only with
-    `infinite`.
+    """Return whether a value is a single real number.
+    NaN never counts as a number; infinity counts only if `infinite` is true.
     """
     if type(value) is float:  # nearly always
         return math.isfinite(value) or (infinite and not math.isnan(value))

@@ -74,7 +74,7 @@ def reserve(host: str, port: int) -> socket.socket:
 
 
 def listen(sock: socket.socket, backlog: int) -> None:
-    """Start to accept connections on a TCP port that `reserve` has reserved.
+    """Start accepting connections on a TCP port that `reserve` has reserved.
 
     Args:
         backlog: number of connections that may wait to be accepted.
@@ -147,8 +147,8 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _rows(file: Path, state: str, inodes: set[str]) -> set[Endpoint]:
-    """Return the sockets in a /proc/net table that belong to the given inodes, to list the endpoints of a
-    process.
+    """Return the sockets listed in a /proc/net table that belong to the given inodes.
+    They are the network endpoints of a process.
     """
     try:
         lines = file.read_text().splitlines()[1:]

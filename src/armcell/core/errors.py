@@ -54,11 +54,13 @@ class ErrorCode(IntEnum):
 
 
 class ArmcellError(Exception):
-    """Base class of all errors that armcell raises. `str()` returns a message of one line."""
+    """Base class of all errors that armcell raises. `str()` returns a one-line message."""
 
 
 class InputError(ArmcellError):
-    """Error for invalid input. The message states what is wrong in which file, why, and how to correct it."""
+    """Error for invalid input.
+    The message names the file, states what is wrong and why, and says how to correct it.
+    """
 
     def __init__(
         self,

@@ -80,7 +80,7 @@ class JointState:
         return JointState(tuple(values), np.array(list(values.values()), dtype=float))
 
     def reindexed(self, joint_names: Iterable[str]) -> JointState:
-        """Return a joint state with its joints in another order, or reduced to some of its joints.
+        """Return a joint state with its joints in a different order, or reduced to some of its joints.
 
         Raises:
             UnknownNameError: this state does not have the joint.
@@ -188,7 +188,7 @@ class JointTrajectory:
         return JointState(self.joint_names, self.positions[-1])
 
     def reindexed(self, joint_names: Iterable[str]) -> JointTrajectory:
-        """Return a joint trajectory with its joints in another order, or reduced to some of its joints.
+        """Return a joint trajectory with its joints in a different order, or reduced to some of its joints.
 
         Raises:
             UnknownNameError: this trajectory does not have the joint.

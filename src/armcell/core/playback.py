@@ -57,8 +57,8 @@ class Playback:
         self._coefficients = np.concatenate([c, slopes], axis=2)  # (k - 1, 6, 2n)
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return the position and the velocity, each (n,), of the trajectory that is played back at a time t
-        [s].
+        """Return the position and the velocity, each (n,),
+        at a time t [s] of the trajectory that is played back.
 
         Before the start and after the end, the position is constant.
         """
@@ -70,8 +70,8 @@ class Playback:
         return both[:n], both[n:]
 
     def at_times(self, times: ArrayLike) -> tuple[Array, Array]:
-        """Return the positions and velocities, each (k, n), of the trajectory that is played back at several
-        times (k,) [s].
+        """Return the positions and velocities, each (k, n),
+        at several times (k,) [s] of the trajectory that is played back.
 
         Before the start and after the end, the position is constant.
         """

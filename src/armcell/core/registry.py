@@ -56,8 +56,7 @@ def _package(point: EntryPoint) -> str:
 
 
 class Registry(Generic[T]):
-    """Registry of components, such as planners or drivers, which maps the name of each component to the
-    component.
+    """Registry that maps names to components, such as planners or drivers.
 
     `@registry.register("name")` adds a component; `registry["name"]` returns it.
 

@@ -15,7 +15,7 @@ from armcell.core.transforms import SE3
 @dataclass(frozen=True, eq=False)
 @checked()
 class JointGoal:
-    """Goal of a planning request that gives positions of some joints; the other joints keep their positions.
+    """Goal of a planning request, given as positions of some joints; the other joints keep their positions.
 
     The planner prefers the exact positions and otherwise uses positions within the tolerance. With `turns`, a
     joint may end whole turns away from its goal, as close to the start as its limits allow.
@@ -29,7 +29,8 @@ class JointGoal:
 @dataclass(frozen=True, eq=False)
 @checked()
 class PoseGoal:
-    """Goal of a planning request that gives the world pose of a link, by default of the planning group's tip.
+    """Goal of a planning request, given as the world pose of a link; by default,
+    the link is the planning group's tip.
 
     The planner prefers the exact pose and otherwise uses one within the tolerances: a ball around the
     position, and a rotation by less than one angle, or less than three angles about the goal's axes.
@@ -43,17 +44,15 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class NamedGoal:
-    """Goal of a planning request that refers to a named state of the planning group (group_state in the
-    SRDF).
-    """
+    """Goal of a planning request, given as a named state of the planning group (group_state in the SRDF)."""
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintGoal:
-    """Goal of a planning request that is a region: any robot state that satisfies all constraints reaches the
-    goal.
+    """Goal of a planning request, given as a region:
+    any robot state that satisfies all constraints reaches the goal.
 
     The constraints limit position, orientation, region and joint ranges.
     """

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Base class of results: an error code, a message of one line, and evidence by name."""
+    """Base class of results: an error code, a one-line message, and named evidence."""
 
     code: ErrorCode
     message: str = ""
@@ -34,8 +34,8 @@ class Outcome:
         return self.code is ErrorCode.SUCCESS
 
     def explain(self, seconds: float = 10.0) -> Explanation:
-        """Explain a failed result and suggest changes that would help; the search for them takes about the
-        given number of seconds.
+        """Explain a failed result and suggest changes that would help.
+        The search for changes takes about the given number of seconds.
 
         Without a diagnosis for the kind of request, the explanation contains the code, the message and the
         contacts.

@@ -32,7 +32,7 @@ from armcell.core.transforms import SE3
 
 
 class Format(StrEnum):
-    """File and message formats that know only some of the shapes in the shape table by name.
+    """File and message formats in which only some shapes of the shape table have names.
 
     Cell files and records support all shapes.
     """
@@ -97,8 +97,8 @@ class ShapeKind:
         return [float(getattr(shape, size)) for size in self.sizes]
 
     def named(self, shape: Any) -> dict[str, Any]:
-        """Return the sizes [m] of a shape under the names that the shape table defines, or as one list under
-        the key `vector`.
+        """Return the sizes [m] of a shape as a dictionary: either under the names from the shape table, or as
+        one list under the name in `vector`.
         """
         values = self.values(shape)
         return {self.vector: values} if self.vector else dict(zip(self.sizes, values, strict=True))
@@ -106,8 +106,7 @@ class ShapeKind:
     def from_named(
         self, number: Callable[[str], float], vector: Callable[[str, int], Sequence[float]]
     ) -> Shape:
-        """Create a shape of this kind in the shape table; its sizes are read from a format that stores them
-        by name.
+        """Create a shape from its row in the shape table; the given functions read its sizes by name.
 
         Args:
             number: reads one number by name.
@@ -154,8 +153,8 @@ def shape_kind(shape: Shape, format: Format | None = None) -> ShapeKind | None:
 
 
 def simpler_parts(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
-    """Return simpler shapes with poses that together replace a shape at pose T, or the shape itself if the
-    shape table has no parts for it.
+    """Return simpler shapes, each with its pose, that together replace a shape at pose T. If the shape table
+    defines no parts for the shape, return the shape itself.
 
     The result is for formats that do not know the shape.
     """
@@ -164,8 +163,8 @@ def simpler_parts(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
 
 
 def named_shapes(format: Format) -> Mapping[str, ShapeKind]:
-    """Return all rows of the shape table whose shapes a format knows by name, as a dictionary by shape
-    name.
+    """Return the rows of the shape table whose shapes have a name in the given format,
+    as a dictionary keyed by shape name.
     """
     return {name: kind for name, kind in shapes.imported().items() if format in kind.formats}
 

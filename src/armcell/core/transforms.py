@@ -33,7 +33,8 @@ def skew(v: ArrayLike) -> Array:
 
 
 def _length(v: Array) -> float:
-    """Return the Euclidean length of a vector (n,) for transforms, three times as fast as `np.linalg.norm`.
+    """Return the Euclidean length of a vector (n,) for computing
+    transforms; this is three times as fast as `np.linalg.norm`.
 
     Both results have the same bits.
     """
@@ -324,8 +325,8 @@ class SE3:
         return self.interpolated(other, [fraction])[0]
 
     def interpolated(self, other: SE3, fractions: Iterable[float]) -> list[SE3]:
-        """Interpolate between two poses (SE3) at many fractions in one call, which is faster than single
-        calls.
+        """Interpolate between two poses (SE3) at many fractions of the motion in one call,
+        which is faster than one call per fraction.
         """
         fractions = float_array(list(fractions), (None,), "fractions")
         rotvec = (self.rotation.inv() @ other.rotation).log()

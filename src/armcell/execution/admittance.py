@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AdmittanceSettings:
-    """Parameters of an admittance controller for one or several force directions, in SI units."""
+    """Parameters of an admittance controller for one or more force directions, in SI units."""
 
     damping: float = 20_000.0  # [N s/m] a larger value makes the setpoint yield more slowly
     dead_band: float = 2.0  # [N] force errors below this value cause no motion

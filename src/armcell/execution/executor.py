@@ -68,8 +68,8 @@ def execute_coupled(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionResult:
-    """Execute one trajectory of several arms on a common clock, and wait until all arms are at rest at its
-    end.
+    """Execute one trajectory of several arms on a common clock,
+    and wait until all arms are at rest at the end of the trajectory.
 
     Args:
         motion: motion from a `MotionGate`, which checks it for collisions first; setting it stops all arms.
@@ -90,7 +90,7 @@ def execution_steps(
     settings: ExecutionSettings = ExecutionSettings(),
     progress: Progress | None = None,
 ) -> ExecutionSteps:
-    """Execute a motion step by step: each `next` sends the driver the commands for its next period.
+    """Execute a motion as a generator: each call of `next` sends the driver the commands for its next period.
 
     The caller advances the driver's clock between two steps. Several of these generators, for different
     joints, can run on one driver at the same time. Arguments and result are those of `execute`.
@@ -237,8 +237,8 @@ class _Execution:
         return None
 
     def _settle(self, source: SetpointSource) -> Outcome | None:
-        """Return success if the arm is at rest at the goal of the executed motion, a failure after the time
-        limit, or None to keep waiting.
+        """Check whether the arm is at rest at the goal of the executed motion. Return success if it is, a
+        failure after the time limit, or None to keep waiting.
         """
         state = self.driver.joint_state()
         found = largest(np.abs(state.positions[source.columns] - source.goal))

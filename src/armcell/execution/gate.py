@@ -42,14 +42,14 @@ class World(Protocol):
 
     @property
     def base(self) -> PlanningScene:
-        """Planning scene of the motion gate without measured values. Every change of the scene results in a
-        new object.
+        """Planning scene of the motion gate without measured values.
+        Every change to the scene results in a new object.
         """
         ...
 
     def scene(self) -> PlanningScene:
-        """Return the planning scene that the motion gate checks motions in, with the measured state of every
-        arm and of held objects.
+        """Return the planning scene in which the motion gate checks motions,
+        with the measured state of every arm and of held objects.
         """
         ...
 
@@ -66,13 +66,13 @@ class World(Protocol):
         ...
 
     def clock(self) -> float:
-        """Return the time [s] on the clock of the cell whose motions the gate checks."""
+        """Return the time [s] on the cell's clock, which the motion gate uses."""
         ...
 
     @property
     def keeps_time(self) -> bool:
-        """Whether a running motion always progresses exactly with the cell's clock, so that the motion gate
-        can rely on it.
+        """Whether a running motion always progresses exactly with the cell's clock. If so, the motion gate
+        can infer its progress from the clock.
         """
         ...
 
@@ -119,8 +119,8 @@ class MotionGate:
         ignore: GuardedMotion | None = None,
         planned: PlanningScene | None = None,
     ) -> Conflict | None:
-        """Return the first collision that the rest of a motion would have, also with other running motions,
-        or None if it is collision-free.
+        """Return the first collision on the rest of a motion, including collisions with other running
+        motions. Return None if there is none.
 
         Args:
             ignore: a running motion to ignore, usually the motion under test.
@@ -147,8 +147,8 @@ class MotionGate:
 
 
 class Executable(threading.Event, ABC):
-    """Trajectory that has a motion gate and that the executor therefore accepts, with an event that stops the
-    motion when set.
+    """Trajectory that the executor accepts because a motion gate checks it.
+    This object is also an event; setting it stops the motion.
     """
 
     def __init__(self, trajectory: JointTrajectory, cancel: threading.Event | None = None):
@@ -176,8 +176,8 @@ class Executable(threading.Event, ABC):
 
 
 def executable(motion: object) -> Executable:
-    """Return `motion` unchanged if the executor may execute it, because a gate checks it or it is declared
-    ungated; otherwise raise an error.
+    """Return `motion` unchanged if the executor may execute it, otherwise raise an error. The motion must be
+    checked by a gate or declared ungated.
 
     Raises:
         InputError: `motion` is a bare trajectory that no gate has checked.
@@ -305,7 +305,9 @@ class GuardedMotion(Executable):
         ]  # fmt: skip
 
     def _prove(self, names: Iterable[str] = ()) -> None:
-        """Check the rest of a guarded motion for collisions; if `names` is given, only with these objects."""
+        """Check the rest of a guarded motion for collisions.
+        If `names` is given, check it only against these objects.
+        """
         self._proven_for = (self._world.base, self._gate.version)
         scene = self._scene()
         self._objects = frozenset(scene.objects)
@@ -340,8 +342,8 @@ class GuardedMotion(Executable):
 
 
 def describe(found: Conflict, passed: float, began: bool) -> str:
-    """Describe in a sentence why the motion gate stops a motion: which bodies would collide, where and when,
-    and what helps.
+    """Describe in a sentence why the motion gate stops a motion: which bodies would collide,
+    where and when, and what would help.
 
     Args:
         passed: completed part of the motion [s].
@@ -364,8 +366,8 @@ def describe(found: Conflict, passed: float, began: bool) -> str:
 
 @dataclass(frozen=True)
 class DriverWorld:
-    """World that the motion gate checks motions in if a driver has no cell: its scene with the measured
-    joints and objects.
+    """World for the motion gate of a driver without a cell:
+    the driver's scene with the measured joints and objects.
     """
 
     driver: Any

@@ -51,7 +51,7 @@ class SetpointSource(ABC):
         self._completed_at: float | None = None  # [s]
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
-        """Start to send the setpoints of a motion. Return a result if the motion ends at once, else None.
+        """Start sending the setpoints of a motion. Return a result if the motion ends at once, else None.
 
         Args:
             blend: offset to add to the setpoints, for a source that `blends`; None for an arm at rest.
@@ -64,13 +64,13 @@ class SetpointSource(ABC):
 
     @abstractmethod
     def tracking_error(self) -> tuple[float, int] | None:
-        """Return the largest deviation [rad or m] of the joints from their setpoints, and the joint's column;
-        None if only the goal tolerance applies now.
+        """Return the largest deviation [rad or m] of a joint from its setpoint, and the column of this joint.
+        Return None while only the goal tolerance applies.
         """
 
     def ended(self) -> Outcome | None:
-        """Return the outcome if the motion has ended for another reason than a violated tolerance, else
-        None.
+        """Return the outcome if the motion has ended for a reason
+        other than a violated tolerance, else None.
         """
         return None
 
@@ -85,7 +85,9 @@ class SetpointSource(ABC):
         return None
 
     def halted(self) -> bool:
-        """Return whether the arm is at rest after its setpoints were canceled. If not, the executor waits."""
+        """Return whether the arm has come to rest after its setpoints were canceled.
+        The executor waits until it has.
+        """
         return True
 
     def end(self, outcome: Outcome) -> None:
@@ -164,7 +166,7 @@ class StreamedSetpoints(SetpointSource):
 
 
 class RobotPlayback(SetpointSource):
-    """Setpoint source for robots that receive a whole trajectory and play it back by their own clock.
+    """Setpoint source for robots that receive a whole trajectory and play it back on their own clock.
 
     The executor monitors the robot's progress.
     """
@@ -235,7 +237,8 @@ class RobotPlayback(SetpointSource):
 
 
 class CoupledSetpoints(SetpointSource):
-    """Setpoint source for several coupled arms on a common clock, whose speed follows the slowest arm.
+    """Setpoint source for several coupled arms on a common clock.
+    The speed of the clock follows the slowest arm.
 
     Args:
         correct: maps the trajectory time [s] and the setpoints q, v, each (n,), to the setpoints to send.
@@ -311,8 +314,8 @@ class CoupledSetpoints(SetpointSource):
         return scale
 
     def _allowed_speed(self) -> float:
-        """Return the speed fraction, from 0 to 1, that speed sliders, pauses and the caller allow for the
-        setpoints of coupled arms.
+        """Return the speed fraction (0 to 1) at which the setpoints of coupled arms may advance. Speed
+        sliders, pauses and the caller limit it.
         """
         if self._scalings is not None:
             fraction = min(self._scalings())
@@ -324,8 +327,8 @@ class CoupledSetpoints(SetpointSource):
 
 
 class _RecentSetpoints:
-    """Setpoints that were sent in the last `latency` seconds, because a real robot lags behind the newest
-    setpoint.
+    """Setpoints sent in the last `latency` seconds.
+    They are kept because a real robot lags behind the newest setpoint.
     """
 
     def __init__(self, latency: float):

@@ -216,10 +216,8 @@ class InverseDynamics:
         return self.model.limits(self.joint_names, "effort")
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return coefficients a, b, c that give the joint torques along a path by inverse dynamics: tau = a u
-        + b x + c.
-
-        u is the path acceleration and x the squared path speed.
+        """Return coefficients of the joint torques along a path, computed by inverse dynamics:
+        `tau = a u + b x + c`, with path acceleration u and squared path speed x.
 
         Args:
             positions, first, second: points of the path and its derivatives (m, n).

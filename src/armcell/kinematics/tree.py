@@ -207,8 +207,8 @@ class KinematicTree:
         return self._paths[link]
 
     def _group_column(self, names: tuple[str, ...]) -> NDArray[np.int64]:
-        """Return for each actuated joint of a kinematic tree its position in `names`, or -1 if `names` does
-        not contain it (dof,).
+        """Return the index of each actuated joint of a kinematic tree in `names`, as an array (dof,). The
+        index is -1 if `names` does not contain the joint.
         """
         if names not in self._group_columns:
             columns = np.full(self.model.dof, -1, dtype=np.int64)

@@ -130,8 +130,8 @@ def fix_start_state_bounds(validated: ValidatedRequest) -> ValidatedRequest | Ou
 
 @request_adapters.register("fix_start_state_collision")
 def fix_start_state_collision(validated: ValidatedRequest) -> ValidatedRequest | Outcome:
-    """Request adapter that replaces a start state in collision, however deep, by a collision-free state
-    nearby.
+    """Request adapter that replaces a start state in collision with a collision-free state nearby,
+    however deep the collision is.
 
     The motion begins at the robot's actual state only if the way out is proven: no contact deepens or drags
     along, and no other pair touches. Otherwise the motion begins at the free state. `start_repaired` in the
@@ -168,8 +168,8 @@ def resolve_constraint_frames(validated: ValidatedRequest) -> ValidatedRequest |
 
 
 def in_robot_frames(scene: PlanningScene, constraints: Constraints) -> Constraints:
-    """Return a request's constraints with their frames converted to frames of the robot (the world or a
-    link), as a request adapter does.
+    """Return a request's constraints after converting their frames to the world frame or to frames of links,
+    as a request adapter does.
 
     The frame of an attached object becomes the frame of the link that carries the object.
     """

@@ -47,7 +47,7 @@ PADDED_ROUNDINGS = (
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
-    """Certified motion with timing for a plan, or the certificate that shows the contact on its path."""
+    """Certified motion with timing, or the certificate that reports a contact on the planned path."""
 
     certificate: Certificate
     trajectory: JointTrajectory | None = None
@@ -142,8 +142,8 @@ def certify_and_time(
 
 
 def torque_model(scene: PlanningScene, joint_names: tuple[str, ...]) -> InverseDynamics:
-    """Build the inverse dynamics with which a plan is timed within torque limits; they include the links of
-    the group and attached objects.
+    """Build the inverse dynamics model for timing a plan within torque limits. The model includes the links
+    of the group and attached objects.
     """
     payloads = []
     for body in scene.attached.values():
@@ -234,8 +234,8 @@ def complete_motion(
 
 
 def contact_note(validated: ValidatedRequest) -> str:
-    """Describe, for the message of a plan, the contacts at the start that the certified motion leaves
-    first.
+    """Describe the contacts at the start that a certified motion leaves first,
+    for the message of the plan.
     """
     contacts = validated.evidence.get("start_repaired", {}).get("contacts", ())
     return "the motion first leaves contact: " + "; ".join(c.describe() for c in contacts) if contacts else ""

@@ -225,7 +225,8 @@ def search_once(validated: ValidatedRequest, endpoints: StartAndGoals) -> PlanRe
 
 
 def _endpoints_of_thread(validated: ValidatedRequest, endpoints: StartAndGoals) -> StartAndGoals:
-    """Copy the pipeline's start and goals for use in another thread, with a collision checker of its own.
+    """Copy the pipeline's start and goals for use in another thread,
+    and give the copy its own collision checker.
 
     Threads must not share a checker's workspace.
     """

@@ -179,8 +179,8 @@ class PlanLibrary:
         self, scene: PlanningScene, request: PlanRequest, problem: str, began: float,
         cancel: threading.Event | None,
     ) -> PlanResult | None:  # fmt: skip
-        """Return a stored motion of the plan library that fits the start and goal of the request, after it
-        has been proven again or repaired.
+        """Return a stored motion of the plan library that fits the start and goal of the request, after
+        proving it collision-free again or repairing it.
 
         Return None if no stored motion is usable.
         """

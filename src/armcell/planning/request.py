@@ -45,8 +45,8 @@ class Workspace:
         self.tip = MovedFrame(scene, request.group)
 
     def excess(self, q: ArrayLike) -> float:
-        """Return how far [m] the tip is outside the workspace box of a request at positions q (n,); 0 if it
-        is inside.
+        """Return how far [m] the tip is outside the workspace box of a request at joint positions q (n,). The
+        result is 0 if the tip is inside.
         """
         at = self.tip.pose(q).translation
         return float(np.linalg.norm(np.maximum(np.maximum(self.low - at, at - self.high), 0.0)))
@@ -81,7 +81,7 @@ class Workspace:
 
 @dataclass(frozen=True, eq=False)
 class ValidatedRequest:
-    """Planning request that has passed validation, with its scene, planner and deadline.
+    """Planning request that has passed validation, together with its scene, planner and deadline.
 
     Adapters return changed copies of the request.
     """
@@ -128,8 +128,8 @@ class ValidatedRequest:
 def validate_request(
     scene: PlanningScene, request: PlanRequest, cancel: threading.Event | None = None
 ) -> ValidatedRequest:
-    """Check a planning request for errors before any computation, and return it with its scene, planner and
-    deadline.
+    """Check a planning request for errors before any computation.
+    Return it together with its scene, planner and deadline.
 
     Raises:
         InputError: unknown group, pipeline, planner, parameter, joint, link or frame; an impossible number.

@@ -125,8 +125,8 @@ def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
 
 
 def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
-    """Return a function that tests whether a motion (k, n) out of contact at the start stays in the workspace
-    and satisfies the path constraints.
+    """Return a function that tests a motion (k, n) that leads out of a contact at the start. The motion must
+    stay in the workspace and satisfy the path constraints.
     """
     request, workspace = validated.request, validated.workspace
     is_pilz = (
@@ -220,8 +220,8 @@ def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | No
 def _push(
     exact: ExactChecker, q: Array, near: Mapping[Pair, float], apart: Collection[Pair], distance: float
 ) -> Array:
-    """Compute the joint step (n,) that separates the bodies touching at the start and brings no other bodies
-    closer together.
+    """Compute the joint step (n,) that separates the bodies touching at the
+    start without bringing other bodies closer together.
     """
     rows, wanted, turning = [], [], []
     bodies = list(near)
@@ -241,8 +241,8 @@ def _push(
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
-    """Return for each pair in contact at the start how fast its distance changes when each joint moves, as an
-    array (pairs, n) [m/rad].
+    """Return how fast the distance between each pair of bodies in contact at the start changes with each
+    joint, as an array (pairs, n) [m/rad].
 
     Two flat faces in contact come nearer for either direction of rotation; the central difference cancels
     this effect and leaves the motion along the pair's normal.
@@ -266,8 +266,8 @@ def _rows(exact: ExactChecker, pair: Pair) -> list[tuple[int, int]]:
 
 
 def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
-    """Return how fast two bodies in contact at the start rotate relative to each other when each joint moves
-    (3, n).
+    """Return how fast each joint rotates two bodies in contact at the
+    start relative to each other, as an array (3, n).
     """
     a, b = _rows(exact, pair)[0]
     full, names = exact.full(q), exact.joint_names

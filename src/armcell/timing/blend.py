@@ -82,8 +82,8 @@ class BlendedPath:
         return self.kind, self.origin, self.x, self.y, self.lengths, self.radius
 
     def evaluate(self, piece: NDArray[np.int64], s: Array) -> tuple[Array, Array, Array]:
-        """Return points (m, n) on given pieces of a blended path, with the first and second derivatives by
-        the path parameter.
+        """Return points (m, n) on given pieces of a blended path, with the first and second derivatives with
+        respect to the path parameter.
 
         Args:
             piece: (m,) indices of path pieces.

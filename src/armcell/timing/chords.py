@@ -17,8 +17,8 @@ _NONE = np.zeros((0, 0))
 
 
 def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
-    """Return the joint positions (k, n) of a trajectory at times (k,) [s] on its own clock; chords connect
-    such positions.
+    """Return the joint positions (k, n) of a trajectory at times (k,) [s] on its own clock.
+    Chords connect such positions.
 
     Before the first point and after the last, the joints hold their positions, as in `sample`.
     """
@@ -27,7 +27,7 @@ def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
 
 def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
     """Return the times, positions, velocities and accelerations of a trajectory as arrays for computing
-    chords, and a number for its kind of interpolation.
+    chords, and a number that identifies its interpolation.
 
     The kind is 0 for positions only, 1 with velocities, 2 with velocities and accelerations.
     """
@@ -37,8 +37,8 @@ def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, in
 
 
 def acceleration_bounds(trajectory: JointTrajectory) -> Array:
-    """Return an upper bound (n,) on the acceleration of each joint in a trajectory; it limits the error of
-    chords.
+    """Return an upper bound (n,) on the acceleration of each joint in a trajectory.
+    The error of chords follows from this bound.
 
     A polynomial is bounded by its Bernstein coefficients; the bound uses those of the second derivative.
     Straight pieces have the bound 0.

@@ -60,8 +60,8 @@ def _distance(v0, v1, a, j):
 
 @njit(cache=True)
 def _fastest(v0, v1, a, j, length, most):
-    """Return the highest speed, at most `most`, that a jerk-limited motion can reach on a line between the
-    speeds v0 and v1. It is at least max(v0, v1).
+    """Return the highest speed, at most `most`, that a jerk-limited motion can reach on a line with start
+    speed v0 and end speed v1. The result is at least max(v0, v1).
 
     If v1 < 0, the line may end at the highest speed.
     """

@@ -57,8 +57,8 @@ class TorqueModel(Protocol):
         ...
 
     def rows(self, positions: Array, first: Array, second: Array) -> Array:
-        """Return coefficients (m, 3, n) from which the joint torques at points of a path follow during time
-        parameterization.
+        """Return coefficients (m, 3, n) with which time parameterization
+        computes the joint torques at points of a path.
 
         The torques are linear in u and x: the coefficients belong to u, x and 1, with path acceleration u and
         squared path speed x.

@@ -63,8 +63,8 @@ def distinct(points):
 
 @njit(cache=True)
 def build(points, deviation, smooth):
-    """Build the pieces of a path (lines, arcs and splines) that passes through distinct points (k, n) or
-    rounds them.
+    """Build the pieces (lines, arcs and splines) of a path that passes through distinct points (k, n) or
+    rounds the corners at these points.
 
     The rounded corners deviate from the points by at most `deviation` (k,).
 

@@ -67,8 +67,8 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class ArmBands:
-    """Residual thresholds (bands) for each joint of one arm, with the fitted model that predicts its motor
-    currents from the simulated twin.
+    """Residual thresholds (bands) for each joint of one arm, and the fitted model that predicts the arm's
+    motor currents from the simulated twin.
     """
 
     lag: float  # [s]
@@ -168,8 +168,8 @@ class ArmBands:
 
 @dataclass(frozen=True, eq=False)
 class TwinBands:
-    """Residual thresholds (bands) for comparing all arms of a cell with their twin, with the identities of
-    the robot, physics and calibration for which they are valid.
+    """Residual thresholds (bands) for comparing all arms of a cell with their twin. They are valid only for
+    the recorded robot, physics and calibration.
     """
 
     arms: Mapping[str, ArmBands]

@@ -114,8 +114,8 @@ class TwinGuard:
         self, following: Following, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
         trip: Callable[[Fault], None], sent_for: SentClock | None = None, forced: bool = False,
     ) -> Following:  # fmt: skip
-        """Return a handle to a running motion with which the twin guard compares the arms with their
-        simulated twin at each reading.
+        """Wrap the handle of a running motion, so that the twin guard compares
+        the arms with their simulated twin at each reading.
 
         Args:
             following: handle of the running motion.
@@ -135,7 +135,8 @@ class TwinGuard:
 
 
 class Watched:
-    """Handle to a running motion with which the twin guard compares each arm with its simulated twin.
+    """Handle to a running motion.
+    Through this handle, the twin guard compares each arm with its simulated twin.
 
     All calls are forwarded to the handle of the running motion.
     """

@@ -44,8 +44,8 @@ class Chain:
 
     @property
     def scale(self) -> float:
-        """Weight [1/m] that IK gives a position error of the tip relative to a rotation error; an error as
-        long as the reach counts as 1 rad.
+        """Weight [1/m] of a position error relative to a rotation error in IK. With this weight, a position
+        error equal to the arm's reach counts as much as 1 rad.
         """
         return 1.0 / self.reach if 0.0 < self.reach < np.inf else 1.0
 

@@ -14,8 +14,8 @@ ENOUGH = 1e-3  # [rad or m] sliding ends when the possible gain is smaller
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rotation_tolerance, q):
-    """Move an IK solution q (n,) closer to a reference (n,) within its null space, so that the tip keeps its
-    pose and the joints their bounds.
+    """Move an IK solution q (n,) closer to a reference (n,) within its null space. The tip keeps its pose,
+    and the joints stay within their bounds.
 
     Each step goes toward the reference without the component that would move the tip; then a descent brings
     the tip back to its goal. The step size is halved, down to a sixteenth, after steps without progress.
@@ -67,8 +67,8 @@ def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rot
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def lean(table, bounds, goal, scale, wish, iterations, position_tolerance, rotation_tolerance, q):
-    """Move an IK solution q (n,) by the part of `wish` (n,) that lies in its null space, then bring the tip
-    back to its goal.
+    """Move an IK solution q (n,) by the null-space part of the desired joint step `wish` (n,),
+    then bring the tip back to its goal.
 
     q changes in place.
 

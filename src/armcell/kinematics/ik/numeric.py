@@ -53,8 +53,8 @@ class NumericIK(IKSolver):
                 given = count
 
     def _polished(self, chain: Chain, goal: Array, q: Array) -> Array:
-        """Polish a numeric IK solution within the coarse tolerance: return positions (n,) at least as
-        near.
+        """Refine a numeric IK solution that is within the coarse tolerance. The returned positions (n,) are
+        at least as close to the goal pose.
         """
         better = q.copy()
         exact = IKSettings()
@@ -76,8 +76,8 @@ class NumericIK(IKSolver):
         return nearer
 
     def _seeds(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None):
-        """Yield start configurations (seeds) for numeric IK in batches (k, n), with a score for each seed
-        (low is good) and the number of seeds to try.
+        """Yield batches (k, n) of start configurations (seeds) for numeric IK, with a score for each seed
+        (lower is better) and the number of seeds to try.
 
         All batches together contain at most `settings.seeds` tries.
         """

@@ -56,8 +56,8 @@ def sampling_range(chain: Chain) -> tuple[Array, Array]:
 
 
 def halton(count: int, dimensions: int) -> Array:
-    """Return `count` points of Halton's low-discrepancy sequence in [0, 1) for the given number of
-    dimensions, to place IK seeds.
+    """Return `count` points of Halton's low-discrepancy sequence in the unit cube with the given number of
+    dimensions. IK seeds are placed at these points.
 
     The sequence's first point is omitted. Dimensions from the 17th on are random.
     """

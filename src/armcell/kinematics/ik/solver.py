@@ -54,8 +54,8 @@ class IKSettings:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Data that an IK solver precomputes for its kinematic chain, valid for fixed positions of the robot's
-    other joints.
+    """Data that an IK solver precomputes for its kinematic chain.
+    The data are valid while the robot's other joints keep their positions.
     """
 
     chain: Chain
@@ -105,7 +105,7 @@ class IKSolver(ABC):
 
     @property
     def prepared(self) -> Prepared:
-        """Data that an IK solver precomputed for its compiled functions in the latest query.
+        """Data that an IK solver precomputed for its compiled functions during the latest query.
 
         The data depends on the positions of the robot's other joints in that query.
         """

@@ -32,7 +32,9 @@ BRANCHES = 8
 
 
 def ur_geometry(chain: Chain) -> Array | None:
-    """Return the geometry of a UR arm as `ur_branches` needs it, or None if the arm has another structure."""
+    """Return the geometry of a UR arm as `ur_branches` needs it,
+    or None if the arm has a different structure.
+    """
     table = chain.table
     order = table[:, 15].astype(int)
     plain = np.all(table[:, 12] == 1.0) and np.all(table[:, 13] == 0.0) and not np.any(table[:, SLIDE])
@@ -77,7 +79,7 @@ def ur_geometry(chain: Chain) -> Array | None:
 
 
 def _flat(x: Array, z: Array, v: Array) -> Array:
-    """Return the coordinates (2,) of a vector v in the plane of a UR arm, for joint 1 at zero.
+    """Return the two coordinates of a vector v in the plane of a UR arm whose joint 1 is at zero.
 
     The arctan2 of the coordinates is the angle from z, positive about y.
     """
@@ -135,8 +137,8 @@ def _turned(goal, at, geometry):
 
 @njit(cache=True, error_model="numpy")
 def _elbows(g, c1, s1, q1, C, axis6, tip5, axis5, reference, out, count):
-    """Append the IK solutions of a UR arm for one direction of axis 5 (at most two). Return the new number of
-    solutions.
+    """Append the IK solutions of a UR arm (at most two) for one direction of axis 5.
+    Return the new number of solutions.
     """
     v = (-s1, c1, 0.0)
     x, z = c1 * (C[0] - g[22] * axis5[0]) + s1 * (C[1] - g[22] * axis5[1]), C[2] - g[22] * axis5[2]

@@ -66,13 +66,13 @@ class StopReason:
 
 
 def collision_stop(contacts: list[Contact]) -> StopReason:
-    """Describe why a Cartesian line stops because bodies touch."""
+    """Return the reason for stopping a Cartesian line where bodies touch."""
     text = "; ".join(c.describe() for c in contacts[:3]) or "in collision"
     return StopReason(COLLISION, text, ErrorCode.INVALID_MOTION_PLAN, {"contacts": contacts})
 
 
 def jump_stop(joint: str, step: float, threshold: float, field: str, unit: str) -> StopReason:
-    """Describe why a Cartesian line stops because a joint would jump.
+    """Return the reason for stopping a Cartesian line where a joint would jump.
 
     Args:
         threshold: jump threshold of the request, in `unit` or as a factor.
@@ -91,7 +91,7 @@ def at_violation(manifold: ConstraintManifold, q: Array) -> list[Violation]:
 
 
 def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
-    """Describe why a Cartesian line stops because of path constraints."""
+    """Return the reason for stopping a Cartesian line where path constraints are violated."""
     found = at_violation(manifold, q)
     words = [
         v.text
@@ -107,7 +107,7 @@ def constraint_stop(manifold: ConstraintManifold, q: Array) -> StopReason:
 def ik_stop(
     ik: IKSolver, pose: SE3, before: Array, closest: Array, short: tuple[float, float], limits: list[str]
 ) -> StopReason:
-    """Describe why a Cartesian line stops because inverse kinematics has no suitable solution.
+    """Return the reason for stopping a Cartesian line where inverse kinematics has no suitable solution.
 
     The cause is a joint limit, an unreachable pose, a singularity or a change to another branch.
 
@@ -149,8 +149,8 @@ FASTEST = 0.05  # [rad or m] largest null-space motion in one step
 
 @dataclass(frozen=True, eq=False)
 class FollowedLine:
-    """Joint positions (n,) at the steps of a Cartesian line that the robot can follow, and the reason why it
-    stops.
+    """Joint positions (n,) at the steps of a Cartesian line, up to the point where the robot cannot continue,
+    and the reason why it stops there.
 
     The stop is None if the line is complete.
     """
@@ -160,8 +160,8 @@ class FollowedLine:
 
 
 def _near(checker: KernelChecker, q: Array) -> list[Contact]:
-    """List the contacts at positions q (n,) on a Cartesian line, or the pairs of bodies that are closer than
-    the padding.
+    """List the pairs of bodies that touch or are closer than the
+    padding at positions q (n,) on a Cartesian line.
 
     The list has only the nearest pair if just the kernel checker finds one.
     """
@@ -183,7 +183,7 @@ class RestingStart:
         self._others.relax_margins(start)
 
     def refuses(self, q: Array) -> list[Contact] | None:
-        """Return the contacts that forbid positions q (n,) on a Cartesian line from a start in resting
+        """Return the contacts that forbid positions q (n,) on a Cartesian line that starts in resting
         contact, or None if q is allowed.
         """
         if (contact := self._leaving.refuses(q)) is not None:
@@ -299,8 +299,8 @@ class LineFollower:
 def relative_jump(
     path: Array, names: tuple[str, ...], slides: NDArray[np.bool_], factor: float
 ) -> tuple[int, Stop] | None:
-    """Find the first step on a Cartesian line at which the joints move more than `factor` times as far as in
-    the mean step (as MoveIt does).
+    """Find the first step on a Cartesian line in which the joints move more than `factor` times as far as in
+    an average step (as MoveIt does).
 
     The length of a step is the sum of all joints' motions.
 

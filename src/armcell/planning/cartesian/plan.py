@@ -211,8 +211,8 @@ class _CartesianProblem:
         return points, None if stop is None else stop.explain()
 
     def proven_part(self, path: Array, reason: StopReason | None) -> tuple[Array, StopReason | None]:
-        """Return the part of a Cartesian plan before its first unproven step, and the reason why the rest is
-        not proven.
+        """Return the part of a Cartesian plan that is proven valid,
+        and the reason why the rest is not proven.
         """
         if self.request.avoid_collisions and len(path) > 1:
             certificate = self.certify(path)

@@ -44,8 +44,8 @@ def plan_redundancy(
     zone: Array,
     allowed: Callable[[Array], bool],
 ) -> Array | None:
-    """Choose how a redundant arm moves along a line: return joint positions (len(poses), n) that guide it, or
-    None if there are none.
+    """Choose how a redundant arm moves along a line. Return joint positions (len(poses), n) that guide the
+    arm, or None if no suitable motion exists.
 
     Args:
         start: (n,). rest: (dof,) of all joints. bounds: (n, 2) joint limits. zone: (n,) distance from the
@@ -84,7 +84,7 @@ def plan_redundancy(
 
 def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
     """Compute the direction (n,) in which a redundant arm can move its joints without moving the tip. Its
-    largest component is 1, its sign fits `like`.
+    largest component is 1, and its sign agrees with `like`.
     """
     J = ik.tree.jacobian(full, ik.tip_link, ik.joint_names)
     along = np.linalg.svd(J)[2][-1]
@@ -93,8 +93,8 @@ def _null(ik: IKSolver, full: Array, like: Array | None) -> Array:
 
 
 def _between(last: _Node, cuts: list[int], count: int) -> Array:
-    """Interpolate the joint positions of a redundant arm linearly between the support points (cuts) on a
-    line.
+    """Interpolate the joint positions of a redundant arm linearly
+    between selected points (cuts) on a line.
     """
     nodes: list[Array] = []
     node: _Node | None = last

@@ -92,8 +92,8 @@ def contradiction(scene: PlanningScene, group: str, constraints: Constraints) ->
 def joint_ranges(
     scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]
 ) -> tuple[Array, Array]:
-    """Intersect the joint limits of a group with its joint constraints, which shows whether the constraints
-    contradict each other.
+    """Intersect the joint limits of a group with its joint constraints,
+    to find out whether the constraints contradict each other.
 
     Return the lower and upper bounds (n,), (n,).
     """
@@ -108,7 +108,8 @@ def joint_ranges(
 
 
 def empty_range(scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]) -> str:
-    """Name a joint for which the joint constraints contradict each other and leave no allowed position.
+    """Return the name of a joint whose joint constraints contradict each other,
+    so that no position is allowed.
 
     Return "" if every joint has an allowed position.
     """

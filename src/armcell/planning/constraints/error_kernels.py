@@ -38,8 +38,8 @@ NEAR_HALF_TURN = 1e-9
 
 
 def scratch_size(dof: int, places: int) -> int:
-    """Compute the size of the scratch memory for evaluating constraint errors in compiled kernels, in
-    doubles.
+    """Compute the size, in doubles, of the scratch memory in which
+    compiled kernels evaluate constraint errors.
 
     Layout: [link poses and axes], [errors], [Jacobian rows], [residuals], [system].
     """
@@ -183,8 +183,8 @@ def point_at(n, c, x, point):
 
 @njit(cache=True)
 def signed_distance(n, c, shape, sizes, px, py, pz):
-    """Compute in a kernel for constraint errors the signed distance [m] from a point in the world to a convex
-    shape of a region.
+    """Compute the signed distance [m] from a point in the world to a convex
+    shape of a constraint region, in a compiled kernel.
 
     `sizes` is the offset of the shape's sizes: SIZE or INNER_SIZE.
     """
@@ -214,8 +214,8 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find in a kernel for constraint errors which shape of a region is nearest to a point, and the signed
-    distance [m] to it.
+    """Find the shape of a constraint region that is nearest to a point,
+    and the signed distance [m] to it, in a compiled kernel.
     """
     t = n[AT_POINTS] + point * POINT_WIDTH
     best, least = n[t + FIRST_SHAPE], 1e300

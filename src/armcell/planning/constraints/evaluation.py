@@ -86,8 +86,8 @@ def view_of(scene: PlanningScene, c: VisibilityConstraint) -> tuple[SE3, SE3, fl
 
 
 def own_links(scene: PlanningScene, c: VisibilityConstraint) -> frozenset[str]:
-    """Return the links that carry the sensor and the target of a visibility constraint; they may be inside
-    the view cone.
+    """Return the links that carry the sensor and the target of a visibility
+    constraint; these links may be inside the view cone.
     """
     return frozenset((scene.anchor(c.sensor)[0], scene.anchor(c.frame)[0]))
 
@@ -113,8 +113,8 @@ def check_visibility(scene: PlanningScene, c: VisibilityConstraint) -> None:
 
 
 def _angle(a: Array, b: Array) -> float:
-    """Compute the angle [rad] between two vectors, accurately also for small angles, to evaluate
-    constraints.
+    """Compute the angle [rad] between two vectors to evaluate constraints.
+    The result is accurate even for small angles.
     """
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 

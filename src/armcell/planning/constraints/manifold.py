@@ -123,8 +123,8 @@ class ConstraintManifold:
         return at
 
     def _resolve(self, name: str | None) -> tuple[str, SE3]:
-        """Find the link that carries a frame constrained by the manifold (a link, a tip or an attached
-        object), and the pose of the frame in this link.
+        """Find the link that carries a frame that the manifold constrains, and the pose of the frame in this
+        link. The frame is a link, a tip or an attached object.
         """
         scene = self._scene
         if name is None:
@@ -340,8 +340,8 @@ def _corridors(names: tuple[str, ...], constraints: Constraints, scene: Planning
 
 
 def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
-    """Return the kind and the sizes [m] of the shape of a constraint region, as compiled kernels of the
-    manifold need them.
+    """Return the kind and the sizes [m] of a shape in a constraint region,
+    in the form that the manifold's compiled kernels need.
     """
     match shape:
         case Box():
@@ -361,8 +361,8 @@ def _sizes(shape: Shape, what: str) -> tuple[int, Array]:
 
 
 def reach_of(table: Array, point: Array, scene: PlanningScene, names: tuple[str, ...]) -> Array:
-    """Return an upper bound (dof,) [m] on the distance of a constrained point of the manifold from the axis
-    of each joint.
+    """Return an upper bound (dof,) [m] on the distance between a
+    constrained point of the manifold and each joint axis.
 
     The bounds hold in all configurations.
     """

@@ -119,8 +119,8 @@ PLANNER = "RRTConnect"
 
 
 def check_planner(validated: ValidatedRequest) -> None:
-    """Raise an InputError if the planner that a request with path constraints selects does not support
-    them.
+    """Raise an InputError if a request has path constraints but
+    selects a planner that does not support them.
     """
     pipeline_id = validated.request.pipeline_id or "native"
     if pipeline_id != "native" or validated.planner_id != PLANNER:

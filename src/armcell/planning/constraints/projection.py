@@ -55,8 +55,8 @@ PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over
 
 @njit(cache=True)
 def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
-    """Write one row of the Jacobian for projection onto constraints: how fast the joints rotate a link, or
-    move a point, along the direction g.
+    """Write one row of the Jacobian for projection onto constraints: how fast each joint rotates a link about
+    the direction g, or moves a point along g.
 
     `turns` selects the angular velocity.
     """
@@ -81,8 +81,8 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """Write the Jacobian row and the residual with which a constrained point is projected along a direction
-    of a shape.
+    """Write the Jacobian row and the residual for projecting a constrained point along a direction given in
+    the frame of a region's shape.
     """
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]
@@ -97,8 +97,8 @@ def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
 
 @njit(cache=True)
 def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
-    """Add a row to the projection that moves a constrained point along one axis of a shape until its
-    coordinate |value| is at most `inner`.
+    """Add a row to the projection that moves a constrained point along one axis of a shape, until the
+    absolute value of its coordinate is at most `inner`.
 
     Return the row count.
     """

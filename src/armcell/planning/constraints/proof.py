@@ -64,8 +64,8 @@ KEEPS, UNKNOWN, LEAVES = 1, 0, -1
 
 @njit(cache=True)
 def _bends(angle):
-    """Return bounds g and c on the change of orientation for rotation vectors up to `angle` [rad], to prove
-    orientation constraints.
+    """Return bounds g and c on how much an orientation can change, for rotation vectors of up to `angle`
+    [rad]. The bounds are used to prove orientation constraints.
 
     Both bounds increase with the angle.
     """

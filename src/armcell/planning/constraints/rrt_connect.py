@@ -42,7 +42,7 @@ STALL = 0.1  # smallest progress of a step, as a share of its length
 
 
 def space_size(dof: int) -> int:
-    """Compute the size of the scratch memory that RRT-Connect with constraints needs, in doubles.
+    """Compute the size, in doubles, of the scratch memory that RRT-Connect with constraints needs.
 
     Layout: [two ends and steps], [sample steps], [sample], [closest approach], [zeros].
     """
@@ -84,8 +84,8 @@ def _sampled(n, c, x, p, a, b, step):
 
 @njit(cache=True)
 def _clear(k, p, a, out, first, end, step):
-    """Count how many configurations, from row `first` to row `end`, an edge of RRT-Connect with constraints
-    reaches without contact.
+    """Count how many configurations of an RRT-Connect edge under constraints, from row `first` to row `end`,
+    the arm reaches before the first contact.
 
     Row -1 is p[a:]. Short steps share one block of samples.
     """
@@ -174,7 +174,9 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
 def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, delta, step, allowance,
             projecting, nodes, parents, leaves, leaf_ints, capacity, room, stop, max_iterations,
             found):  # fmt: skip
-    """Run RRT-Connect with constraints on bare pointers. Its trees are stored as in `native.rrt_connect`."""
+    """Run RRT-Connect with constraints on raw pointers.
+    Its trees have the memory layout of `native.rrt_connect`.
+    """
     dof = n[DOF]
     q, out = dof, 2 * dof
     n0, n1, tree = found[NODES_0], found[NODES_1], found[TURN]

@@ -37,8 +37,8 @@ def _length(p, dof, first, last):
 
 @njit(cache=True)
 def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta, step, allowance, stop):
-    """Simplify a path under constraints: replace first long, then ever shorter parts of it by shortcuts that
-    are projected onto the constraints.
+    """Simplify a path under constraints: replace first long, then ever shorter parts of it with shortcuts
+    that are projected onto the constraints.
 
     p[tried:] is the walk's buffer.
     """
@@ -86,8 +86,8 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
 
 @njit(cache=True)
 def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance):
-    """Smooth a path under constraints: move each row toward the middle of its neighbors if the new edges can
-    be proven.
+    """Smooth a path under constraints: move each row toward the middle of
+    its neighbors if the new edges are proven valid.
 
     Return the number of moved rows.
     """

@@ -194,8 +194,8 @@ def _carriers(scene: PlanningScene, names: tuple[str, ...], link: str) -> set[in
 
 
 def _multipliers(scene: PlanningScene, names: tuple[str, ...], link: str) -> Array:
-    """Return for each joint (dof,) how far one radian of it can rotate the sensor or target link of a
-    visibility constraint.
+    """Return how far the sensor or target link of a visibility constraint can
+    rotate per radian of each joint, as an array (dof,).
     """
     total = np.zeros(len(names))
     for k, multiplier in _moving(scene, names, link):

@@ -155,9 +155,7 @@ def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, 
 
 
 def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) -> None:
-    """Find the largest part of the last rotation that the tip can make so that the Cartesian path is still
-    completed.
-    """
+    """Find the largest part of the last tip rotation with which the Cartesian path can still be completed."""
     before = [here, *request.waypoints][-2]
     goal = request.waypoints[-1]
     total = before.distance_to(goal)[1]
@@ -209,8 +207,8 @@ def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> Non
 
 
 def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, ik):
-    """Find the smallest change (3,) of the goal of a Cartesian path with which the line is completed, or
-    None.
+    """Find the smallest change (3,) to the goal of a Cartesian path that makes the whole line feasible.
+    Return None if none is found.
     """
     until = time.monotonic() + SHARE * max(diagnosis.time_left, 0.0)
     for size in sizes:
@@ -229,8 +227,8 @@ def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, i
 
 
 def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarray, pose) -> np.ndarray:
-    """Reduce a change (3,) of the goal of a Cartesian path to the smallest part of it with which the line is
-    still completed.
+    """Reduce a change (3,) to the goal of a Cartesian path to the
+    smallest part that still makes the whole line feasible.
     """
     low, high = 0.5, 1.0
     for _ in range(4):
@@ -269,8 +267,8 @@ def _full(diagnosis: Diagnosis, q: np.ndarray) -> np.ndarray:
 
 
 def _can_stand(diagnosis: Diagnosis, request: CartesianRequest, pose: SE3, ik: IKSolver) -> bool:
-    """Return whether the arm can reach a pose of a Cartesian path without collision, which is faster to test
-    than the whole line.
+    """Return whether the arm can reach a pose of a Cartesian path without collision.
+    This test is faster than testing the whole line.
     """
     some = islice(ik.solutions(pose, diagnosis.start_scene.positions, diagnosis.rng), 8)
     return any(not request.avoid_collisions or diagnosis.checker.is_free(q) for q in some)

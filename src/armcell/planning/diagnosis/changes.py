@@ -47,8 +47,8 @@ def change_waypoints(
 
 
 def replace_by_free_motion(scene: PlanningScene, request: CartesianRequest) -> SceneAndRequest:
-    """Apply a suggested change that replaces a motion on straight lines by a free motion to its last
-    waypoint.
+    """Apply a suggested change that replaces a motion on straight
+    lines with a free motion to its last waypoint.
     """
     goal = PoseGoal(request.waypoints[-1], request.link)
     return scene, PlanRequest(
@@ -85,8 +85,8 @@ def change_mass(scene: PlanningScene, request: Request, name: str, mass: float) 
 
 
 def reset_state(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Apply a suggested change that sets joints in the scene's own state, whatever their previous
-    values are.
+    """Apply a suggested change that overwrites joint positions in the scene's own state,
+    whatever their previous values are.
     """
     positions = np.array(scene.positions)
     positions[scene.model.columns(state.joint_names)] = state.positions

@@ -37,8 +37,8 @@ LIKELY_PERCENT = 100.0
 
 
 def code_of(error: InputError) -> ErrorCode:
-    """Return MoveIt's error code for the misuse that an exception reports (an InputError about a request), or
-    FAILURE.
+    """Return MoveIt's error code for the misuse that an InputError about a request reports. If there is no
+    specific code, return FAILURE.
     """
     if isinstance(error, UnknownNameError):
         return next((code for kind, code in CODES if error.kind.startswith(kind)), ErrorCode.FAILURE)
@@ -69,8 +69,8 @@ def explain_request_error(diagnosis: Diagnosis, error: InputError) -> None:
 
 
 def _like(name: str, known: list[str]) -> list[str]:
-    """List known names that are similar to an unknown name in an invalid request (misuse); the most likely
-    one comes first.
+    """List known names that are similar to an unknown name in an
+    invalid request (misuse), most likely name first.
     """
     folded = {k.lower(): k for k in known}
     like = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
@@ -79,7 +79,7 @@ def _like(name: str, known: list[str]) -> list[str]:
 
 
 def _rename(diagnosis: Diagnosis, wrong: str, right: str, anyway: bool = False) -> bool:
-    """Suggest replacing a wrong name by an existing one everywhere in an invalid request (misuse)."""
+    """Suggest replacing a wrong name with an existing one everywhere in an invalid request (misuse)."""
     request = diagnosis.request
     fields = [f for f in ("group", "link", "planner_id", "pipeline_id") if getattr(request, f, None) == wrong]
     planner = getattr(request, "planner_id", "")
@@ -150,7 +150,7 @@ def _numbers(diagnosis: Diagnosis) -> None:
 
 
 def _goal_without_tip(diagnosis: Diagnosis) -> None:
-    """Suggest another planning group if a request misuses a group that has no tip for a pose goal."""
+    """Suggest another planning group if a request has a pose goal for a group without a tip (misuse)."""
     request, model = diagnosis.request, diagnosis.scene.model
     group = model.groups.get(request.group)
     if group is None or group.tip_link is not None:
@@ -164,5 +164,7 @@ def _goal_without_tip(diagnosis: Diagnosis) -> None:
 
 
 def missing_result(error: InputError) -> PlanResult:
-    """Create the failed planning result of an invalid request (misuse) from the exception that it raised."""
+    """Create the failed planning result of an invalid request
+    (misuse) from the exception that the request caused.
+    """
     return PlanResult(code_of(error), str(error))

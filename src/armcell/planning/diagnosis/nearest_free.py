@@ -115,7 +115,7 @@ class PoseSearch:
         return next((q for q in some if self.free(q)), None)
 
     def nearest_position(self, T: SE3, directions: Array = DIRECTIONS) -> tuple[SE3, Array] | None:
-        """Find the reachable pose nearest to an unreachable one with the same orientation, and a
+        """Find the nearest reachable pose that has the same orientation as an unreachable pose, and a
         configuration that reaches it.
         """
         return self._nearest(directions, DISTANCES, lambda step: SE3(T.rotation, T.translation + step))

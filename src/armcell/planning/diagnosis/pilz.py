@@ -63,8 +63,8 @@ def explain_pilz_motion(diagnosis: Diagnosis) -> None:
 
 
 def _otherwise(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Suggest replacing a failed PTP, LIN or CIRC motion by a motion of another type or by a search for a
-    path.
+    """Suggest replacing a failed PTP, LIN or CIRC motion with a
+    different type of motion or with a path search.
     """
     ours = {k: v for k, v in request.parameters.items() if k not in POINTS}
     less = {"path_constraints": Constraints()} if request.planner_id == "CIRC" else {}
@@ -102,8 +102,8 @@ def change_blend_radius(
 def slow_motions(
     scene: PlanningScene, sequence: SequenceRequest, number: int, factor: float
 ) -> tuple[PlanningScene, SequenceRequest]:
-    """Apply a suggested change that slows down motion `number` (counted from 0) of a Pilz sequence, and the
-    next motion, by a factor.
+    """Apply a suggested change that slows down two consecutive motions of a Pilz sequence by a factor. The
+    first of them has the index `number`.
     """
     items = list(sequence.items)
     for k in (number, number + 1):

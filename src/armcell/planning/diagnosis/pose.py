@@ -139,8 +139,8 @@ def solutions_beyond_limits(
 
 
 def _turned_in(ik: IKSolver, q: np.ndarray) -> np.ndarray:
-    """Rotate the joints of a pose's solution by full turns, so that they exceed their limits as little as
-    possible.
+    """Rotate the joints in an IK solution of the pose by full turns,
+    so that they exceed their limits as little as possible.
     """
     at = q.copy()
     for k, name in enumerate(ik.joint_names):

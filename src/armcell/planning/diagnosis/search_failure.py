@@ -59,7 +59,7 @@ def explain_search_failure(diagnosis: Diagnosis) -> None:
 
 
 def _report_search(diagnosis: Diagnosis) -> None:
-    """Report statistics of a failed search for a path, and the contacts that it met."""
+    """Report statistics of a failed path search, and the contacts that it encountered."""
     evidence = diagnosis.result.evidence
     blocked = evidence.get("blocked_by", [])
     if "closest_approach_rad" in evidence:
@@ -72,8 +72,8 @@ def _report_search(diagnosis: Diagnosis) -> None:
 
 
 def _more_time(diagnosis: Diagnosis, request: PlanRequest) -> bool:
-    """Test whether a failed search finds a path when it gets more planning time, if the request allowed
-    little time.
+    """Test whether a failed search finds a path with more planning time.
+    The test is skipped unless the request allowed little time.
 
     Five seconds without success are conclusive.
     """
@@ -113,7 +113,7 @@ def _other_planner(diagnosis: Diagnosis, request: PlanRequest) -> bool:
 
 
 def _less_padding(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the largest padding with which a search that failed finds a path."""
+    """Find the largest padding with which a failed search succeeds when it is repeated."""
     scene = diagnosis.scene
     most = max([scene.padding, *scene.link_padding.values()])
     if most <= 0 or diagnosis.succeeds(padded(scene, 0.0), request, SHORT) is None:
@@ -136,7 +136,7 @@ def _less_padding(diagnosis: Diagnosis, request: PlanRequest) -> None:
 
 
 def _in_the_way(diagnosis: Diagnosis, request: PlanRequest) -> None:
-    """Find the smallest set of objects whose removal lets a search that failed find a path."""
+    """Find the smallest set of objects that must be removed so that a failed search finds a path."""
     names = _by_suspicion(diagnosis)
 
     def opens(gone: tuple[str, ...] | list[str]) -> bool:

@@ -151,8 +151,8 @@ def explain_start(measured: JointState, planned: JointState, tolerance: float, c
 
 
 def start_from(scene: PlanningScene, request: PlanRequest, state: JointState) -> SceneAndRequest:
-    """Apply a suggested change that replaces an invalid start by the measured state; the start that the
-    request contains is dropped.
+    """Apply a suggested change that removes an invalid start from the
+    request and sets the scene's state to the measured state.
     """
     return change_request(scene.with_state(state), request, start=None)
 

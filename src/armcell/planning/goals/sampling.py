@@ -86,8 +86,8 @@ def sample_goal_positions(
 
 def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGoal, q: Array,
             slack: tuple[float, float] = (0.0, 0.0)) -> bool:  # fmt: skip
-    """Return whether joint positions q (n,) reach a goal, within the goal's tolerances or within `slack` [m],
-    [rad].
+    """Return whether joint positions q (n,) reach a goal, within the goal's tolerances or within `slack` (a
+    distance [m] and an angle [rad]).
     """
     if isinstance(goal, ConstraintGoal):
         return satisfied(scene, group, goal.constraints, q)
@@ -207,9 +207,7 @@ def _within(goal: PoseGoal, rng: np.random.Generator) -> SE3:
 
 
 def _turn(tolerance: Array, parameterization: str, rng: np.random.Generator) -> SO3:
-    """Sample a random rotation for a pose goal, such that the rotation error is within the tolerances
-    (3,).
-    """
+    """Sample a random rotation for a pose goal. Its rotation error is within the tolerances (3,)."""
     most = np.minimum(np.where(tolerance < np.pi, SHARE * tolerance, np.pi), np.pi)
     for _ in range(TRIES):
         turn = rotation_of(rng.uniform(-most, most), parameterization)

@@ -124,8 +124,8 @@ def _with_strategy(result: PlanResult, how: str, began: float) -> PlanResult:
 
 
 class MovingArmTimeline:
-    """Timeline of the moving arm: its motion over time as straight pieces, with checks of the clearance to
-    it.
+    """Timeline of the moving arm's motion, approximated by straight pieces. It checks whether a planned
+    motion keeps enough clearance to this arm.
     """
 
     def __init__(self, arms: Arms, running: RunningMotion, start_time: float, clearance: float):
@@ -202,7 +202,7 @@ def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointT
 
 
 class _TimelineValidity:
-    """Validity check for edges in joint space and time: samples must be collision-free, and the clearance to
+    """Validity check for edges in joint space and time. Samples must be collision-free, and the clearance to
     the moving arm must be proven.
     """
 
@@ -307,7 +307,9 @@ def _smoothed(
     names: tuple[str, ...], path: SpaceTimePath, start_time: float, acceleration: Array,
     checker: KernelChecker, timeline: MovingArmTimeline,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Smooth a path in time around the moving arm; return the motion if it is certified, else None."""
+    """Smooth a path in joint space and time around the moving arm.
+    Return the motion if it can be certified, else None.
+    """
     times, points = path.times, path.points
     keep = np.concatenate([[True], np.diff(times) > 1e-6])
     times, points = times[keep], points[keep]

@@ -57,8 +57,8 @@ POSTURES = 4  # joint solutions tried at the end of a detour
 
 @dataclass(frozen=True, eq=False)
 class CarrySegment:
-    """Segment of a two-arm carry: a motion of both arms with timing, from rest to rest, along one path of the
-    carried object.
+    """Segment of a two-arm carry: a timed motion of both arms from rest to rest,
+    along one path of the carried object.
     """
 
     trajectory: JointTrajectory
@@ -330,8 +330,8 @@ class _DetourPlanner:
         return None if down is None else [*up, *through, *down]
 
     def _through(self, poses: list[SE3], q: Array) -> list[CarrySegment] | None:
-        """Build one segment of a two-arm carry with rounded corners through object poses, with padding if
-        possible.
+        """Build one segment of a two-arm carry through several object poses,
+        with rounded corners and, if possible, with padding.
 
         If the rounded segment is not free, build straight segments with stops.
         """

@@ -78,8 +78,8 @@ class ClosedChainIK:
         self.solvers = {g: ik_solver(scene.model, g, carried.tips[g]) for g in carried.grasps}
 
     def at(self, T: SE3, last: Array, share: float = 0.0, jump: float = JUMP) -> Array | ClosedChainFailure:
-        """Solve the inverse kinematics of a closed chain for the object at pose T (T_world_object), on the
-        same branch as `last`.
+        """Solve the inverse kinematics of a closed chain for the object at pose T (T_world_object). The
+        solution is on the same IK branch as the joint positions `last`.
         """
         new = last.copy()
         for group, ik in self.solvers.items():

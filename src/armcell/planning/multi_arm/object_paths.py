@@ -24,8 +24,8 @@ SOFT = 0.2  # [s] window of the two moving averages that round the speed's corne
 
 
 class ObjectPath(Protocol):
-    """Protocol of a path of a carried object: object poses as a function of the share of the path, from 0 to
-    1.
+    """Protocol of a path of a carried object: object poses as a
+    function of the traveled fraction of the path (0 to 1).
 
     Attributes:
         meters, radians: length and total rotation.
@@ -100,7 +100,8 @@ class RoundedObjectPath:
 
 
 def length(a: SE3, b: SE3, radius: float) -> float:
-    """Return the distance [m] between two poses of a carried object; it includes their rotation.
+    """Return the distance [m] between two poses of a carried object,
+    which also accounts for the rotation between them.
 
     A rotation counts as the motion of a point at the distance `radius` [m].
     """
@@ -122,8 +123,8 @@ def _evenly(through: Sequence[SE3], spacing: float, radius: float) -> list[SE3]:
 def time_law(
     path: Array, way: ObjectPath, velocity: Array, acceleration: Array, max_speed: float
 ) -> tuple[Array, Array]:
-    """Compute how fast an object can be carried along a path (time law) within joint limits and the largest
-    object speed.
+    """Compute how fast an object can be carried along a path (time law)
+    within the joint limits and the object's speed limit.
 
     Return times (m,) and shares (m,) of the path. The time law is one quintic from rest to rest; a rounded
     path is slower at its bends.
@@ -185,8 +186,8 @@ def _paced(
 
 
 def _quintic(x: Array) -> tuple[Array, Array, Array]:
-    """Evaluate the quintic time law for an object path, which goes from 0 to 1 and from rest to rest: value,
-    first and second derivative.
+    """Evaluate the quintic time law of an object path, which rises from 0 to 1 and starts and ends at rest.
+    Return its value and its first and second derivatives.
     """
     return (
         x**3 * (10 - 15 * x + 6 * x**2),

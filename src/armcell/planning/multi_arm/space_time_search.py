@@ -34,8 +34,8 @@ class EdgeValidity(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SpaceTimeProblem:
-    """Problem of a search in space and time: a start (n,) at a given time, and goals (g, n), each with the
-    earliest time [s] of rest there.
+    """Problem of a search in space and time: a start (n,) at a given time, and goals (g, n). Each goal has an
+    earliest time [s] at which the arm may come to rest there.
     """
 
     validity: EdgeValidity
@@ -73,8 +73,8 @@ class SpaceTimePath:
 
 
 class _Tree:
-    """Tree for a search in space and time, with nodes (q, t) and their parents. With sign 1 it grows into the
-    future, with sign -1 into the past.
+    """Tree for a search in space and time, with nodes (q, t) and their parents. It grows into the future if
+    its sign is 1, and into the past if its sign is -1.
     """
 
     def __init__(self, dof: int, sign: int):

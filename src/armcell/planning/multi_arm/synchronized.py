@@ -35,8 +35,8 @@ TRIES = 3  # pairs of separate plans with different seeds before planning both a
 
 @dataclass(frozen=True)
 class SynchronizedPlan(Outcome):
-    """Plan for synchronized motions of two arms, which take equally long: one motion per group, and both as
-    one trajectory.
+    """Plan for synchronized motions of two arms that take equally long. It contains one motion per group, and
+    both motions as one trajectory.
 
     Both are None unless planning succeeded.
     """

@@ -23,8 +23,8 @@ SPARE = 1.02  # safety factor of the suggested slowdown
 def check_joint_limits(
     model: RobotModel, trajectory: JointTrajectory, request: PlanRequest | None, what: str = ""
 ) -> Outcome | None:
-    """Check whether a PTP, LIN or CIRC motion respects the joint limits. Return None, or the worst joint and
-    the slowdown that would help.
+    """Check whether a PTP, LIN or CIRC motion respects the joint limits. Return None if it does, else the
+    worst joint and the slowdown that would help.
 
     The limits are the joints' own: the request's scalings apply to the tip, as in MoveIt.
 
@@ -103,7 +103,8 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _first_touching(checker: KernelChecker, points: Array, at: float) -> tuple[float, Array]:
-    """Find the first contact on a PTP, LIN or CIRC motion that is known to have a contact at a later point.
+    """Find the first contact on a PTP, LIN or CIRC motion,
+    given a later point of the motion at which there is a contact.
 
     The certification does not test a motion from its start to its end.
     """

@@ -45,8 +45,8 @@ class Line:
 
     @cached_property
     def turn(self) -> Array:
-        """Whole rotation along the tip path of a LIN motion as a vector (3,) [rad] in the axes of the
-        start.
+        """Total rotation along the tip path of a LIN motion,
+        as a rotation vector (3,) [rad] in the frame of the start pose.
         """
         return (self.start.rotation.inv() @ self.goal.rotation).log()
 

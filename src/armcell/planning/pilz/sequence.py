@@ -338,7 +338,7 @@ def _forbidden(item: _Item, made: Blend, points: Array) -> Outcome | None:
 def _joined(
     scene: PlanningScene, items: list[_Item], blends: list[Blend | None]
 ) -> tuple[JointTrajectory, dict]:
-    """Join the motions and blends of a sequence to one trajectory.
+    """Join the motions and blends of a sequence into one trajectory.
 
     Return it with the start and end [s] of each motion and blend.
     """

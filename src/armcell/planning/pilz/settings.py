@@ -51,7 +51,7 @@ class PilzSettings:
 def settings_from_request(
     planner_id: str, parameters: Mapping[str, Any], planner_configs: Mapping[str, Any]
 ) -> tuple[PilzSettings, tuple[str, ...]]:
-    """Read the settings of a PTP, LIN or CIRC motion, and list the names of values that have no effect.
+    """Read the settings of a PTP, LIN or CIRC motion, and list the names of given values that have no effect.
 
     Args:
         parameters: by name; they override the file's values.

@@ -147,7 +147,9 @@ _EXACT: dict[type, Callable[..., Array]] = {
 
 
 def _drawn(shape: Shape, T: Array, low: Array, step: float, counts: tuple[int, ...]) -> Array:
-    """Draw the surface of a shape into a part of a distance field's grid, and compute the distances to it."""
+    """Rasterize the surface of a shape into part of a distance field's grid,
+    and compute the distances to this surface.
+    """
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
     points, room = _surface(shape, step)

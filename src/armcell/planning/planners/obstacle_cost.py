@@ -13,7 +13,8 @@ F32 = NDArray[np.float32]
 
 
 class RobotSpheres:
-    """Spheres that approximate the bodies which a planning group moves, to compute the obstacle cost.
+    """Spheres that approximate the bodies moved by a planning group.
+    The obstacle cost is computed from these spheres.
 
     The spheres come from the kernel's pack. Shapes use s for spheres and m for configurations.
 
@@ -96,8 +97,8 @@ class RobotSpheres:
         return out
 
     def joint_gradient(self, R: Array, o: Array, x: F32, pull: F32) -> Array:
-        """Convert forces (m, s, 3) that the obstacle cost exerts on spheres at x (m, s, 3) to gradients by
-        joints (m, n).
+        """Convert forces (m, s, 3) that the obstacle cost exerts on spheres at x (m, s, 3) to gradients (m,
+        n) with respect to the joint positions.
 
         The result is the sum of J^T f over the spheres.
         """
@@ -133,8 +134,8 @@ class SelfCollisionPairs:
     def nearest(
         self, R: Array, o: Array, x: F32, within: float
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], F32]:
-        """Find for each self-collision pair the two nearest spheres, if they are closer than `within` [m], to
-        compute the obstacle cost.
+        """For each self-collision pair, find the two nearest spheres if they are closer than `within` [m].
+        The obstacle cost depends on their distance.
 
         Return configurations, spheres of both groups and gaps [m].
         """
@@ -271,8 +272,8 @@ def _hinge(d: F32, clearance: float) -> tuple[F32, F32]:
 
 
 def _moved(x: NDArray) -> NDArray:
-    """Compute by central differences how far each sphere moves per step of a path (k, m, s, 3); the obstacle
-    cost is weighted by this motion.
+    """Compute by central differences how far each sphere moves per step of a path (k, m, s, 3). The obstacle
+    cost is weighted by this distance.
     """
     out = np.empty_like(x)
     out[:, 1:-1] = 0.5 * (x[:, 2:] - x[:, :-2])

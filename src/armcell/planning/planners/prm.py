@@ -162,8 +162,8 @@ def plan_with_roadmap(
     roadmap: Roadmap, planner: NativePlanner, start: Array, goals: Array, lower: Array, upper: Array,
     seed: int = 0, stop: NDArray[np.int64] | None = None,
 ) -> PRMResult:  # fmt: skip
-    """Plan by PRM on a roadmap from earlier queries, with every edge proven collision-free, and extend the
-    roadmap by the new path.
+    """Plan by PRM on a roadmap from earlier queries, and add the new path to the roadmap. Every edge of the
+    path is proven collision-free.
 
     The result depends on earlier queries; the same queries in the same order give the same results.
 

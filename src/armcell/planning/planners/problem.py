@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SpaceOptions:
-    """Options of a planning problem that concern the search space instead of the planner."""
+    """Options of a planning problem that concern the search space rather than the planner."""
 
     longest_valid_segment_fraction: float | None = None  # check step: share of the space's extent
     projection_evaluator: tuple[str, ...] = ()  # joints whose values span the cells of (B)KPIECE

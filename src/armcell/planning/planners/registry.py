@@ -154,7 +154,7 @@ def normalized_pipeline_id(pipeline_id: str) -> str:
 
 
 class UnknownPlannerError(UnknownNameError):
-    """Error for a planner name that no pipeline in the planner registry has.
+    """Error for an unknown planner name: the planner registry does not list it for the selected pipeline.
 
     The message names the pipeline that has the planner, or the most similar planners.
     """

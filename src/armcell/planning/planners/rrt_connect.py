@@ -261,8 +261,8 @@ class NativePlanner:
 
 
 def nearest_roots(start: Array, goals: Array) -> Array:
-    """Return the start and the goal nearest to it (2, dof), the first pair of roots that RRT-Connect can
-    connect.
+    """Return the start and its nearest goal as an array (2, dof).
+    This is the first pair of roots that RRT-Connect can connect.
 
     This pair is the closest approach of the trees before any search.
     """

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 @lru_cache(maxsize=16)
 def smooth_metric(count: int) -> tuple[Array, Array]:
     """Return the inverse (count, count) of the smoothness metric for trajectory optimization, and a matrix
-    root of the inverse.
+    square root (Cholesky factor) of the inverse.
 
     The metric is the squared acceleration of a path with both ends fixed and at rest. The inverse is scaled
     to a largest element of 1; the root times white noise is smooth noise.

@@ -57,7 +57,9 @@ def _apart(a, i, b, k, dof):
 
 @inner_njit
 def _to_go(roots, dof, first, last, q, at):
-    """Return the distance from configuration q[at:] to the nearest root, the cost to go that AORRTC uses."""
+    """Return the distance from configuration q[at:] to the nearest root of a search tree. AORRTC uses it as
+    an estimate of the remaining cost.
+    """
     least = 1e300
     for r in range(first, last):
         least = min(least, _apart(roots, r * dof, q, at, dof))
@@ -66,9 +68,7 @@ def _to_go(roots, dof, first, last, q, at):
 
 @inner_njit
 def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
-    """Sample uniformly from the ellipsoid that contains all configurations on paths cheaper than the cost
-    bound of AORRTC.
-    """
+    """Sample uniformly from the ellipsoid that contains all paths cheaper than the cost bound of AORRTC."""
     length = _apart(roots, 0, roots, goal * dof, dof)
     norm = 0.0
     for j in range(0, dof, 2):  # a direction from normal deviates (Box and Muller)
@@ -94,8 +94,8 @@ def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
 
 @inner_njit
 def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
-    """Sample a configuration that a path cheaper than the cost bound of AORRTC can pass, and write it to
-    q[at:].
+    """Sample a configuration that lies on some path cheaper than the
+    cost bound of AORRTC, and write it to q[at:].
 
     Return False if no sample was found.
     """
@@ -117,7 +117,7 @@ def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
 def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
             axis, nodes, parents, radii, leaves, leaf_ints, capacity, room, random, stop, max_iterations,
             found):  # fmt: skip
-    """Run the compiled search of AORRTC on bare pointers.
+    """Run the compiled search of AORRTC on raw pointers.
 
     Nodes have dof + 1 coordinates; the last coordinate is the cost from their root.
     """

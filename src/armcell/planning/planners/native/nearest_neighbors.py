@@ -52,8 +52,8 @@ JOINED, LEAVES, SIZES = 0, 1, 2
 
 
 def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
-    """Allocate the leaves in which nearest neighbors are found, for two search trees of `capacity` nodes with
-    `dims` coordinates.
+    """Allocate the leaves for nearest-neighbor search in two search trees of `capacity` nodes each,
+    with `dims` coordinates per node.
     """
     most = _most(capacity)
     return (
@@ -201,8 +201,8 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
 
 @inner_njit
 def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
-    """Find the slot (SIMD lane, counted over all leaves) that holds the nearest neighbor of configuration
-    q[at:].
+    """Find the slot that holds the nearest neighbor of configuration q[at:].
+    Slots (SIMD lanes) are counted over all leaves.
     """
     zero, least, first = splat(np.float32(0.0)), np.float32(FAR * FAR), 0
     blocks = (leaves + L - 1) // L
@@ -244,8 +244,8 @@ def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
 
 @inner_njit(forceinline=True)
 def _look(floats, dims, f, leaf, q, at, best, where):
-    """Scan one more leaf in a nearest-neighbor search, and update the smallest distance in each slot (SIMD
-    lane) and the leaf where it occurs.
+    """Scan one more leaf in a nearest-neighbor search. For each slot (SIMD lane), update the smallest
+    distance and the leaf where it occurs.
     """
     base, total = f + leaf * dims * L, splat(np.float32(0.0))
     for j in range(dims):

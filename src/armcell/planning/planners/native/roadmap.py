@@ -103,8 +103,8 @@ def _add(nodes, dof, q, at, stamp, head, following, to, lengths, vertex_stamps, 
 
 @inner_njit
 def _not_free(k, lanes):
-    """Return which configurations in the buffer of the PRM kernel are not collision-free, by their slots
-    (SIMD lanes).
+    """Return a bit mask of the configurations in the PRM kernel's buffer that are not collision-free.
+    Each bit stands for one SIMD lane.
     """
     I, w = ints(k), lanes_of(k)
     for j in range(I[DOF]):
@@ -115,8 +115,8 @@ def _not_free(k, lanes):
 
 @njit(cache=True, nogil=True)
 def recheck(handle, no_room, nodes, vertex_stamps, stamp, counts, stop):
-    """Check every vertex of a PRM roadmap for collisions in the current scene, and store the result as a
-    stamp.
+    """Check every vertex of a PRM roadmap for collisions in the current scene, and mark it with a stamp:
+    positive if it is collision-free, else negative.
 
     no_room: zeros (dof,).
     """
@@ -231,7 +231,9 @@ def _pop(keys, items, n):
 
 @inner_njit
 def _to_go(nodes, dof, v, goals, room):
-    """Return the distance from vertex v of a roadmap to the nearest goal, the cost to go that A* uses."""
+    """Return the distance from vertex v of a roadmap to the nearest goal.
+    A* uses it as an estimate of the remaining cost.
+    """
     least = np.inf
     get(nodes, dof, v, room, 0)
     for g in goals:

@@ -31,7 +31,7 @@ FROM, TO, ITERATIONS, NODES, NODES_0, NODES_1, TURN, FOUND = range(8)
 
 
 def space_size(dof: int) -> int:
-    """Compute the size of the scratch memory that the RRT-Connect kernel needs, in doubles.
+    """Compute the size, in doubles, of the scratch memory that the RRT-Connect kernel needs.
 
     Layout: [edge, sample], [sample steps], [sample], [closest approach].
     """
@@ -68,7 +68,7 @@ def kronecker_steps(dof, out):
 def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
             nodes, parents, radii, leaves, leaf_ints, capacity, room, stop, max_iterations,
             found):  # fmt: skip
-    """Run the compiled search of RRT-Connect on bare pointers.
+    """Run the compiled search of RRT-Connect on raw pointers.
 
     Tree 0 grows from the start, tree 1 from the goals. Node i of tree t is node t * capacity + i.
     """

@@ -42,8 +42,8 @@ def _copy(p, width, src, dst):
 
 @inner_njit
 def _shortcut(k, p, count, first, last, at, mode, stop):
-    """Simplify a path in the compiled kernel: connect each vertex with the farthest vertex to which the
-    straight line is proven collision-free.
+    """Simplify a path in the compiled kernel: connect each vertex with the farthest vertex that it can reach
+    on a straight line proven collision-free.
     """
     dof = ints(k)[DOF]
     width, i = dof + 1, 0

@@ -63,8 +63,8 @@ def get(nodes, dof, i, q, at):
 
 @inner_njit
 def nearest(nodes, dof, first, count, q, at, room):
-    """Find the node of a native search tree that is nearest to q[at:] by comparing all `count` nodes from
-    `first` on.
+    """Find the node of a native search tree that is nearest to q[at:],
+    by comparing `count` nodes beginning with node `first`.
 
     `first` is a multiple of L.
 
