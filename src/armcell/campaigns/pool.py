@@ -28,8 +28,8 @@ Answer = dict[str, Any]
 
 
 class Worker(ABC):
-    """Interface of the workers in a trial pool. A worker runs one trial at a time, which it receives as
-    JSON-ready data.
+    """Interface of the workers in a trial pool.
+    A worker runs one trial at a time and receives it as JSON-compatible data.
 
     The answers arrive through `Workers`.
     """
@@ -46,8 +46,8 @@ class Worker(ABC):
 
     @abstractmethod
     def send(self, data: dict[str, Any]) -> None:
-        """Send a trial to a worker of the pool. If the worker is dead, `Workers.heard` reports this later;
-        this call does not fail.
+        """Send a trial to a worker of the pool. If the worker is dead, this call does not fail;
+        `Workers.heard` reports the death later.
         """
 
 
@@ -55,8 +55,8 @@ W = TypeVar("W", bound=Worker)
 
 
 class Workers(ABC, Generic[W]):
-    """Source of the workers for a trial pool. Use it in a `with` block; all workers stop at the end of the
-    block.
+    """Base class that provides the workers of a trial pool.
+    Use it in a `with` block; all workers stop at the end of the block.
 
     Attributes:
         size: number of workers to run.
@@ -74,23 +74,27 @@ class Workers(ABC, Generic[W]):
 
     @abstractmethod
     def start(self) -> W:
-        """Start one more worker of the trial pool."""
+        """Start an additional worker for the trial pool."""
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets on which the workers of the trial pool and their runtime listen now."""
+        """Return the sockets on which the workers of the trial pool
+        and their runtime are currently listening.
+        """
         return ()
 
     @abstractmethod
     def heard(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:
-        """Yield each worker of the trial pool that has answered, with its answers. For a dead worker, None
-        replaces the answers.
+        """Yield each worker of the trial pool that has answered, together with its answers. For a dead
+        worker, yield None instead of answers.
 
         Waits up to `seconds` for the first answer.
         """
 
     @abstractmethod
     def end(self, worker: W) -> str:
-        """Stop a worker of the trial pool and return a text that says how it ended, e.g. "with status 7"."""
+        """Stop a worker of the trial pool and return a text that
+        describes how it ended, e.g. "with status 7".
+        """
 
 
 class Pool(Generic[W]):

@@ -18,8 +18,8 @@ DOWN = "quaternion_from_euler(math.pi, 0, yaw) points it down"
 
 
 def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> str:
-    """Return a hint that explains why planning to a pose failed, if the tool's direction or the target link
-    is the cause.
+    """Explain in a hint why planning to a pose has failed,
+    if the tool direction or the target link is the cause.
 
     The function verifies each cause: IK must succeed for the pose turned over, or for the flange.
 
@@ -41,8 +41,8 @@ def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> 
 
 
 def closed_on_nothing(scene: PlanningScene, gripper: Gripper) -> str:
-    """Return a hint that explains why a closed gripper holds no object. The hint is empty if the scene has no
-    movable object.
+    """Explain in a hint why a closed gripper holds no object.
+    The hint is empty if the scene has no movable object.
     """
     T = scene.frame_pose(gripper.tcp_link)
     found = [(T.inv().apply(o.T_world_object.translation), n) for n, o in scene.objects.items() if o.movable]
@@ -66,8 +66,8 @@ def _points_up(T: SE3) -> bool:
 
 
 def _flange(model: RobotModel, group: str) -> str:
-    """Return the link to which a group's gripper is mounted, for a hint about a wrong target link. The name
-    is empty if there is none.
+    """Return the link on which a group's gripper is mounted, for a hint about a wrong target link.
+    The name is empty without a gripper.
 
     MoveIt packages usually end the group at this link.
     """

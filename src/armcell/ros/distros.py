@@ -24,8 +24,8 @@ PLUMBING = ("rmw_dds_common",)
 
 
 class Distro(NamedTuple):
-    """ROS 2 distribution: the message set in rosbags that belongs to it, and armcell's folders with further
-    definitions.
+    """ROS 2 distribution: its message definitions in rosbags,
+    and the armcell folders that contain further definitions.
 
     If two folders define the same type, the later folder wins.
     """
@@ -52,7 +52,8 @@ def distro_from_environment() -> str:
 
 @cache
 def layouts(distro: str) -> Interfaces:
-    """Return all message definitions of a ROS 2 distribution by `pkg/Name`, with the field layouts of ROS 2.
+    """Return all message definitions of a ROS 2 distribution, keyed by `pkg/Name`,
+    with the field layouts of ROS 2.
 
     Raises:
         UnknownNameError: armcell does not support the distribution.

@@ -49,8 +49,8 @@ def python(schema: Schema, packages: Iterable[str]) -> list[Generated]:
 
 
 def _in_order(schema: Schema, names: list[str]) -> list[str]:
-    """Sort messages for a generated Python module so that each message follows the messages that its fields
-    contain.
+    """Sort the messages in a generated Python module so that each message
+    comes after the messages that its fields contain.
     """
     done: list[str] = []
 
@@ -113,7 +113,7 @@ def _annotation(package: str, node: Any) -> str:
 
 
 def np_name(kind: str) -> str:
-    """Return the numpy type, e.g. "float64", that generated Python source uses for a ROS base type."""
+    """Return the numpy type, e.g. "float64", for a ROS base type in generated Python source."""
     return "bool_" if kind == "bool" else str(np.dtype(DTYPES[kind]))
 
 

@@ -66,8 +66,8 @@ def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanatio
 
 
 def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
-    """Return the scene in which the viewer draws why planning failed. Default positions replace those that
-    are not finite.
+    """Return the scene in which the viewer shows why planning failed. Positions that are not finite are
+    replaced by default positions.
     """
     positions = scene.state.updated(state).positions if state is not None else scene.positions
     usual = scene.model.default_positions()
@@ -75,8 +75,8 @@ def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
 
 
 def _body(api: Any, scene: PlanningScene, name: str, kind: str, color: Color) -> list[Any]:
-    """Draw the shapes of a link or object in one color, to show why planning failed, and return the viser
-    handles.
+    """Draw the shapes of a link or object in one color, to show why planning failed.
+    Return the viser handles.
     """
     if name in scene.model.links:
         T = kinematic_tree(scene.model).link_pose(scene.positions, name)

@@ -66,7 +66,7 @@ def primitive_shape(message: Any) -> Shape:
 
 
 def prism(base: NDArray[np.float64], height: float) -> Mesh:
-    """Convert a prism of shape_msgs to a mesh: extrude its polygon by half of `height` to both sides.
+    """Convert a shape_msgs prism to a mesh. The polygon is extruded by half of `height` in both directions.
 
     Args:
         base: corners (n, 2) [m] of a polygon without holes.
@@ -152,7 +152,7 @@ def plane_pose(message: Any) -> SE3:
 
 
 class ShapeMessages:
-    """Lists of the shape_msgs messages and their poses that describe a collision object or a bounding volume.
+    """Shapes of a collision object or a bounding volume as shape_msgs messages, with their poses.
 
     `add` appends one shape at a time.
     """
@@ -164,8 +164,8 @@ class ShapeMessages:
         self.planes: list[tuple[Any, SE3]] = []
 
     def add(self, shape: Shape, T: SE3) -> None:
-        """Append the shape_msgs message of a shape, and its pose. A capsule becomes a cylinder and two
-        spheres.
+        """Append a shape, converted to a shape_msgs message, and its pose.
+        A capsule becomes a cylinder and two spheres.
 
         Point clouds and octrees are omitted, because these lists cannot represent them.
         """

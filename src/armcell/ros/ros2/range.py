@@ -33,8 +33,7 @@ LOCALHOST."""
 
 
 def _has_network() -> bool:
-    """Return whether this machine has a network interface through which ROS 2 discovery can find nodes on
-    other machines.
+    """Return whether this machine has a network interface on which ROS 2 discovery can find other machines.
 
     The test sends no packets.
     """
@@ -48,7 +47,7 @@ def _has_network() -> bool:
 
 @dataclass(frozen=True)
 class Reach:
-    """Number of a ROS 2 domain, and the range within which discovery finds other nodes."""
+    """Number of a ROS 2 domain, and the range of machines that discovery includes."""
 
     domain: int = 0
     range: str = "LOCALHOST"

@@ -79,7 +79,7 @@ class Peer:
             self.tell_error(text)
 
     def on_fault(self, reason: str) -> None:
-        """Handle malformed bytes from a ROS-TCP peer, after which the connection must be closed."""
+        """Report malformed bytes from a ROS-TCP peer. The connection must be closed afterwards."""
         self.complain("frame", f"closed: {reason}")
 
     def tell_error(self, text: str) -> None:
@@ -113,8 +113,8 @@ class Peer:
         self._undo_if_closed()
 
     def encode(self, topic: str, message: Any) -> memoryview:
-        """Serialize a message for the ROS-TCP peer. The server overrides this method so that all peers share
-        the result.
+        """Serialize a message for the ROS-TCP peer.
+        The server overrides this method to share the result among all peers.
         """
         return self.codec.encode(message)
 
@@ -244,8 +244,8 @@ class Peer:
             answer.give(frame.body)
 
     def _on_request(self, number: int, frame: Frame) -> None:
-        """Answer a service request of the ROS-TCP peer in a worker thread, so that other frames need not
-        wait.
+        """Answer a service request of the ROS-TCP peer in a worker thread,
+        so that other frames do not have to wait.
         """
         with self._lock:
             full = self._calls >= MAX_CALLS
@@ -288,8 +288,8 @@ class Peer:
         self._respond(number, name, body)
 
     def _service_type(self, name: str) -> str | None:
-        """Return the type of a service: the one that the ROS-TCP peer has registered, otherwise the one on
-        the bus.
+        """Return the type of a service, as registered by the ROS-TCP peer or,
+        otherwise, as known on the bus.
         """
         with contextlib.suppress(InputError):
             return self.service_types.get(name) or self.bus.services().get(resolve(name))
@@ -304,7 +304,7 @@ class Peer:
 
     # --- end of the connection ---
     def close(self) -> None:
-        """Remove the topics and services of the ROS-TCP peer from the bus after the connection has ended.
+        """Remove the topics and services of the ROS-TCP peer from the bus after its connection has ended.
 
         A second call has no effect.
         """
@@ -323,15 +323,13 @@ class Peer:
             self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _undo_if_closed(self) -> None:
-        """Remove a registration of the ROS-TCP peer from the bus if the connection ended during the
-        registration.
-        """
+        """Undo a registration of the ROS-TCP peer on the bus if the connection has ended in the meantime."""
         if self._closed:
             self.close()
 
 
 class _Answer:
-    """Answer of a ROS-TCP peer to a service call, which `wait` returns as soon as it arrives."""
+    """Answer of a ROS-TCP peer to a service call. The method `wait` returns as soon as the answer arrives."""
 
     def __init__(self) -> None:
         self._there = threading.Event()
@@ -347,7 +345,7 @@ class _Answer:
 
 
 def need(params: Params, name: str, kind: type) -> Any:
-    """Return a required parameter from a command of the ROS-TCP peer. Other keys are ignored.
+    """Return a required parameter of a command from the ROS-TCP peer. Other parameters are ignored.
 
     Raises:
         CommandError: the parameter is missing or has another type.
