@@ -71,7 +71,7 @@ class _Actor:
 
 
 class RayWorker(Worker):
-    """Worker of a campaign on a Ray cluster: the handle of its actor and the pending call."""
+    """Worker of a campaign on a Ray cluster: the handle of its actor and the call that is pending."""
 
     def __init__(self, actor: Any):
         super().__init__()
@@ -191,7 +191,7 @@ class RayWorkers(Workers[RayWorker]):
 
 
 def _make_private() -> None:
-    """Turn on token authentication for a private Ray cluster, because Ray listens on all network interfaces.
+    """Enable token authentication for a private Ray cluster, because Ray listens on all network addresses.
 
     Ray reads the setting once, when a process imports it for the first time.
     """

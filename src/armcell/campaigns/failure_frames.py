@@ -26,7 +26,7 @@ NO_RUN = ("CRASHED", "TRIAL_TIMED_OUT", "INVALID_CELL")  # errors of trials that
 
 
 def picture_file(folder: Path, number: int) -> Path:
-    """Return the path for the picture of a failed trial. The file does not have to exist."""
+    """Return the path for the picture of a failed trial. The file need not exist."""
     return folder / "pictures" / f"trial_{number}.png"
 
 
@@ -66,8 +66,8 @@ def _wanted(store: Store) -> list[dict[str, Any]]:
 
 
 def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
-    """Run a failed trial again and return a picture of its first contact.
-    If there is no contact, return a picture of its end.
+    """Run a failed trial again and return a picture of its first contact. If there is no contact, return a
+    picture of the end of the trial.
 
     Returns:
         None if the trial does not fail again (e.g. a processor time limit ended it) or cannot be drawn.

@@ -143,8 +143,8 @@ def check_draws(cell: Cell) -> None:
 
 
 def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the paths of the parameters and drawn values that differ
-    between the trials of a campaign, for the gate.
+    """Return the paths of the parameters and drawn values that the gate found to differ between the trials of
+    a campaign.
 
     "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
     count, because it leaves the task unchanged.
@@ -276,9 +276,7 @@ def _asked(spec: CampaignSpec) -> str:
 
 
 def _fewest(least: float, above: int = 0) -> int:
-    """Return how many trials without a failure the gate needs as
-    proof of a success rate of at least `least`.
-    """
+    """Return how many trials without a failure the gate needs to prove a success rate of at least `least`."""
     return next(n for n in range(above + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)
 
 

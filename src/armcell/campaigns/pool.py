@@ -55,8 +55,8 @@ W = TypeVar("W", bound=Worker)
 
 
 class Workers(ABC, Generic[W]):
-    """Base class that provides the workers of a trial pool.
-    Use it in a `with` block; all workers stop at the end of the block.
+    """Source of the workers for a trial pool. Use it in a `with` block; all workers stop at the end of the
+    block.
 
     Attributes:
         size: number of workers to run.
@@ -74,12 +74,10 @@ class Workers(ABC, Generic[W]):
 
     @abstractmethod
     def start(self) -> W:
-        """Start an additional worker for the trial pool."""
+        """Start one more worker of the trial pool."""
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the sockets on which the workers of the trial pool
-        and their runtime are currently listening.
-        """
+        """Return the sockets on which the workers of the trial pool and their runtime listen now."""
         return ()
 
     @abstractmethod
@@ -92,9 +90,7 @@ class Workers(ABC, Generic[W]):
 
     @abstractmethod
     def end(self, worker: W) -> str:
-        """Stop a worker of the trial pool and return a text that
-        describes how it ended, e.g. "with status 7".
-        """
+        """Stop a worker of the trial pool and return a text that says how it ended, e.g. "with status 7"."""
 
 
 class Pool(Generic[W]):

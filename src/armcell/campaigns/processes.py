@@ -49,8 +49,8 @@ class ProcessWorker(Worker):
             pass  # the process is dead; `answers` notices the end of its output
 
     def answers(self) -> list[Answer] | None:
-        """Return the answers that a local worker process has sent since the last call.
-        Return None if the process is dead.
+        """Return the answers that a local worker process has sent since the last call, or None if the process
+        is dead.
         """
         data = os.read(self.output, 1 << 16)
         if not data:

@@ -46,7 +46,7 @@ def _in_order(store: Store) -> list[dict[str, Any]]:
 
 
 def summary(store: Store, stopped: str) -> dict[str, Any]:
-    """Return the content of summary.json in a campaign's report as JSON-compatible data."""
+    """Return the contents of summary.json in a campaign's report as JSON-ready data."""
     spec, rows = store.spec, _in_order(store)
     wall = sum(row["wall_s"] for row in rows)
     return {

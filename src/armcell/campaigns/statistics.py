@@ -223,8 +223,8 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
 
 
 def summary(values: Sequence[float | None]) -> dict[str, float] | None:
-    """Return the minimum, median, 95th percentile and maximum of a list of values,
-    or None if the list is empty.
+    """Return the minimum, median, 95th percentile and maximum of measured values as statistics,
+    or None if there are no values.
     """
     numbers = np.array([v for v in values if v is not None], float)
     if not len(numbers):

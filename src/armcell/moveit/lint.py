@@ -29,9 +29,7 @@ MAX_BYTES = 5_000_000
 
 @dataclass(frozen=True)
 class Finding:
-    """Problem that the linter has found in a ROS script: its line, its effect,
-    and the code to write instead.
-    """
+    """Problem that the linter finds in a ROS script: its line, its effect, and the code to write instead."""
 
     line: int
     rule: str

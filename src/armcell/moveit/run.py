@@ -23,8 +23,8 @@ def run_script(
     ended: Callable[[int, Session], None] = lambda status, session: None,
     began: Callable[[Session], None] = lambda session: None, bus: Bus | None = None,
 ) -> tuple[int, Session]:  # fmt: skip
-    """Run an unchanged ROS script to its end, wait for the motions
-    that it has started, and close its session.
+    """Run an unchanged ROS script to its end, wait for the motions that the script started, and close its
+    session.
 
     Args:
         live: a cell that is not connected yet, or a cell whose robot is another program on the bus (see
@@ -112,8 +112,7 @@ def _run(script: Path, session: Session) -> int:
 
 
 def _finish(session: Session) -> None:
-    """Wait at the end of a ROS script for the motions that it has started,
-    unless the user has pressed Ctrl-C.
+    """Wait at the end of a ROS script for the motions that it started, unless the user pressed Ctrl-C.
 
     The script may have caught the Ctrl-C and ended normally.
     """

@@ -118,7 +118,7 @@ class Session:
 
     def own(self, member: T) -> T:
         """Register an object that a ROS script has created, such as a subscriber,
-        so that the session closes it at its end.
+        so that it is closed together with the session.
         """
         self._members.append(member)
         return member

@@ -18,8 +18,8 @@ DOWN = "quaternion_from_euler(math.pi, 0, yaw) points it down"
 
 
 def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> str:
-    """Explain in a hint why planning to a pose has failed,
-    if the tool direction or the target link is the cause.
+    """Return a hint that explains why planning to a pose failed, if the tool's direction or the target link
+    is the cause.
 
     The function verifies each cause: IK must succeed for the pose turned over, or for the flange.
 
@@ -41,8 +41,8 @@ def unreached_pose(scene: PlanningScene, group: str, link: str, target: SE3) -> 
 
 
 def closed_on_nothing(scene: PlanningScene, gripper: Gripper) -> str:
-    """Explain in a hint why a closed gripper holds no object.
-    The hint is empty if the scene has no movable object.
+    """Return a hint that explains why a closed gripper holds no object. The hint is empty if the scene has no
+    movable object.
     """
     T = scene.frame_pose(gripper.tcp_link)
     found = [(T.inv().apply(o.T_world_object.translation), n) for n, o in scene.objects.items() if o.movable]

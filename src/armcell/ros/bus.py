@@ -241,7 +241,7 @@ class Bus:
         return service
 
     def find_elsewhere(self, finder: Finder) -> None:
-        """Register a function that looks outside the message bus for services that have no server on it."""
+        """Register a function that finds services elsewhere if the message bus has no server for them."""
         with self._lock:
             self._finders.append(finder)
 

@@ -77,7 +77,7 @@ class Codec:
         self._store.get_msgdef(rosbags_name(plain_name(name)))
 
     def decode(self, name: str, data: bytes | memoryview) -> Any:
-        """Decode bytes, in the format of this codec, that contain exactly one ROS message of the type `name`.
+        """Decode bytes that contain exactly one ROS message of the type `name`, in the format of this codec.
 
         Raises:
             UnknownNameError: the type does not exist.

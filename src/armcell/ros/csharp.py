@@ -176,7 +176,7 @@ def namespace(package: str) -> str:
 
 
 def _kind(schema: Schema, name: str) -> tuple[str, str]:
-    """Return the folder (msg, srv or action) of a ROS message and the name of its C# class."""
+    """Return the folder (msg, srv or action) and the C# class name of a ROS message."""
     item = name.split("/")[1]
     if any(name in (f"{s}Request", f"{s}Response") for s in schema.services):
         return "srv", item

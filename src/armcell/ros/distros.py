@@ -52,8 +52,7 @@ def distro_from_environment() -> str:
 
 @cache
 def layouts(distro: str) -> Interfaces:
-    """Return all message definitions of a ROS 2 distribution, keyed by `pkg/Name`,
-    with the field layouts of ROS 2.
+    """Return all message definitions of a ROS 2 distribution by `pkg/Name`, with the field layouts of ROS 2.
 
     Raises:
         UnknownNameError: armcell does not support the distribution.

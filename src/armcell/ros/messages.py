@@ -189,8 +189,8 @@ def _array(message: Any, name: str, value: Any, dtype: np.dtype) -> Any:
 
 
 def _fits(array: Any, dtype: np.dtype) -> bool:
-    """Return whether the array in a message field can be converted to
-    a numeric type without changing any values.
+    """Return whether the array in a message field can be converted to a numeric type without changing any
+    value.
     """
     if dtype.kind == "f":
         return array.dtype.kind in "fiub"

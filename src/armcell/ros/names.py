@@ -36,8 +36,8 @@ def resolve(name: str, namespace: str = "/") -> str:
 
 
 def resolved(name: str, node: str, namespace: str) -> str:
-    """Convert a ROS name in the source of a program, which may be absolute,
-    private or relative, to a full ROS name.
+    """Resolve a ROS name in the source of a program, which may be absolute, private or relative, to a full
+    ROS name.
 
     `/a` stays `/a`, `~a` is relative to the node, and `a` is relative to the namespace.
 

@@ -113,7 +113,7 @@ def _annotation(package: str, node: Any) -> str:
 
 
 def np_name(kind: str) -> str:
-    """Return the numpy type, e.g. "float64", for a ROS base type in generated Python source."""
+    """Return the numpy type, e.g. "float64", that generated Python source uses for a ROS base type."""
     return "bool_" if kind == "bool" else str(np.dtype(DTYPES[kind]))
 
 

@@ -129,7 +129,7 @@ class Schema:
         return self._classes[name]
 
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
-        """Create a message from the name of its type in the schema and the values of its fields.
+        """Create a message from the name of its type in the schema and from field values.
 
         Examples: `new("geometry_msgs/Point", x=1.0)`, `new("builtin_interfaces/Time", 3, 500)`.
         """
@@ -159,7 +159,7 @@ class Schema:
         return plain
 
     def tidy(self, name: str) -> Tidy:
-        """Return the converter that prepares messages of one type in the schema for encoding."""
+        """Return the converter with which the schema prepares messages of one type for encoding."""
         if name not in self._tidies:
             self._tidies.setdefault(name, Tidy(self.whole(name), self.tidy))
         return self._tidies[name]

@@ -50,8 +50,8 @@ class Transport(Protocol):
         ...
 
     def ready(self) -> str:
-        """Return the line to print after the start of a transport.
-        It contains the address to which other programs connect.
+        """Return the line to print after the transport has started. It contains the address to which other
+        programs connect.
         """
         ...
 

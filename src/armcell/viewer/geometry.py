@@ -78,7 +78,7 @@ _TESSELLATE: dict[type, Callable[[Any], trimesh.Trimesh]] = {
 
 
 def shape_part(shape: Shape, color: Color) -> Part:
-    """Convert a shape to a triangle mesh for the viewer. An infinite plane becomes a thin slab."""
+    """Convert a shape to a triangle mesh that the viewer draws. An infinite plane becomes a thin slab."""
     kind = Mesh if isinstance(shape, Mesh) else type(shape)
     return _shaded(_TESSELLATE[kind](shape), color)
 

@@ -86,7 +86,7 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Start accepting requests to the web page.
+        """Let the guard of the web page start accepting requests.
 
         Before this call, requests with the token get a "starting" page.
         """
@@ -144,8 +144,8 @@ class PageGuard:
         return answer
 
     def _admit(self, connection: ServerConnection) -> Response | None:
-        """Decide whether a new websocket of the web page is accepted (None) or, because too many browsers are
-        connected, gets a 503 response.
+        """Accept a new websocket of the web page by returning None. If too many browsers are connected,
+        return a 503 response instead.
         """
         from websockets.protocol import State
 

@@ -122,8 +122,8 @@ def _free_port(host: str, port: int) -> int:
 # --- patches of viser, which has no hooks for the guard and for its console output ---
 @contextlib.contextmanager
 def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
-    """Make every server that viser starts during a `with` block check
-    requests with the guard of the page first.
+    """Protect every server that viser starts during a `with` block:
+    the guard of the page checks each request first.
 
     Yields:
         List that receives the `websockets` server object.

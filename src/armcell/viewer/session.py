@@ -117,7 +117,7 @@ class PlanningSession:
     # --- goal and settings ---
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return the groups that have joints, for which the planning session can plan."""
+        """Return the groups for which the planning session can plan: the groups that have joints."""
         return tuple(g.name for g in self.scene.model.groups.values() if g.joint_names)
 
     @property
@@ -351,7 +351,7 @@ class PlanningSession:
         self._publish(job, explanation=result.explain(EXPLAIN_S))
 
     def _publish(self, job: Job, *, planned_with: int | None = None, **fields) -> None:
-        """Set attributes of the planning session, unless the job that sets them was abandoned."""
+        """Set attributes of the planning session, unless the background job that sets them was abandoned."""
         with self._lock:
             if self._jobs.current is not job:
                 return
@@ -459,7 +459,7 @@ class PlanningSession:
         return self._jobs.wait(timeout)
 
     def close(self) -> None:
-        """Stop all jobs of the planning session and disconnect the robot. The session stays usable."""
+        """Stop all jobs of the planning session and disconnect from the robot. The session stays usable."""
         self.stop()
         self.wait(CLOSE_S)
         self._disconnect()

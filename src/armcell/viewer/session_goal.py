@@ -34,7 +34,7 @@ TRIES = 2000  # random samples tested for a collision-free state
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Settings for planning in a session and for its goal, which the user selects in the panel."""
+    """Settings of a planning session, including those of its goal. The user selects them in the panel."""
 
     pipeline: str = "native"
     planner: str = "RRTConnect"
@@ -96,8 +96,8 @@ class GoalView:
 
 
 def judged(scene: PlanningScene, group: str, positions: Array, start: Array) -> GoalView:
-    """Check the goal positions (dof,) of a session for collisions.
-    Obstacle padding that `start` (dof,) already violates is reduced.
+    """Check the goal positions (dof,) of a session for collisions. Where the state `start` (dof,) already
+    violates the padding of an obstacle, the padding is reduced.
     """
     names = scene.model.group(group).joint_names
     checker = KernelChecker(replace(scene, positions=positions), names)
@@ -117,8 +117,8 @@ def _touching(checker: KernelChecker, positions: Array, T: SE3 | None, by_pose: 
 
 
 def posed(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed: int) -> GoalView:
-    """Solve IK for the goal pose of a session.
-    Return the collision-free solution that is nearest to `near` (dof,).
+    """Solve IK for the goal pose of a session and return the collision-free solution that is nearest to
+    `near` (dof,).
 
     If all solutions collide, the nearest of them is returned; for an unreachable pose, the closest state.
 

@@ -75,8 +75,8 @@ def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
 
 
 def _body(api: Any, scene: PlanningScene, name: str, kind: str, color: Color) -> list[Any]:
-    """Draw the shapes of a link or object in one color, to show why planning failed.
-    Return the viser handles.
+    """Draw the shapes of a link or object in one color, to show why planning failed, and return the viser
+    handles.
     """
     if name in scene.model.links:
         T = kinematic_tree(scene.model).link_pose(scene.positions, name)

@@ -157,7 +157,7 @@ logout = loginfo
 
 
 def logdebug_throttle(period: float, msg: Any, *args: Any) -> None:
-    """Ignore a debug message of limited rate, because rospy does not show debug messages by default."""
+    """Ignore a debug message with a rate limit, because rospy does not show debug messages by default."""
 
 
 def logdebug_once(msg: Any, *args: Any) -> None:

@@ -164,8 +164,8 @@ class ShapeMessages:
         self.planes: list[tuple[Any, SE3]] = []
 
     def add(self, shape: Shape, T: SE3) -> None:
-        """Append a shape, converted to a shape_msgs message, and its pose.
-        A capsule becomes a cylinder and two spheres.
+        """Append the shape_msgs message of a shape, and its pose. A capsule becomes a cylinder and two
+        spheres.
 
         Point clouds and octrees are omitted, because these lists cannot represent them.
         """

@@ -45,8 +45,8 @@ class ArmStatusPublisher:
         self._last: dict[str, tuple[int, int]] = {}
 
     def publish(self, driver: Driver) -> None:
-        """Measure the wrench and the modes of each arm and publish them.
-        Only the thread that steps the driver may call this method.
+        """Measure and publish the wrench and the modes of each arm. Only the thread that steps the driver may
+        call this method.
         """
         new = self._bus.schema.new
         known = driver.arm_modes() if Capability.REPORT_MODES in driver.capabilities else {}

@@ -21,7 +21,7 @@ T_LINK_OPTICAL = SE3.from_quat_xyzw([0, 0, 0], [-0.5, 0.5, -0.5, 0.5])
 
 
 class CameraPublisher:
-    """Publisher for the camera images of a live cell on ROS topics.
+    """Publisher that sends the images of a live cell's cameras to ROS topics.
 
     Call it in the thread that steps the driver. Topics of a camera NAME, as in image_pipeline:
 

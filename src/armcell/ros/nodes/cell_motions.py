@@ -40,8 +40,8 @@ FALLEN = 0.03  # [m] an object that slipped by more from its grasp has fallen
 
 
 class CellMotions:
-    """Interface for clients in any thread to observe, edit and move a live cell,
-    while `run` executes the motions.
+    """Interface through which clients in any thread observe, edit and move a live cell, while `run` executes
+    the motions.
 
     An object between closed fingers is attached to the hand automatically, no matter which client closed
     them, and returns to the world when the fingers open. Clients need not attach or detach grasped objects in
@@ -101,7 +101,7 @@ class CellMotions:
         return thread
 
     def close(self) -> None:
-        """Stop the running motions of a live cell and request that `run` returns."""
+        """Stop the running motions of a live cell and request that `run` ends."""
         self._stop.set()
         self.conductor.stop()
 
@@ -117,7 +117,7 @@ class CellMotions:
         return self.conductor.call(self.now)
 
     def now(self) -> PlanningScene:
-        """Return the measured scene in which a live cell starts a motion.
+        """Return the current measured scene of a live cell, including held objects.
         Only the thread of the driver may call this method.
         """
         self.look_at_hands()
@@ -169,7 +169,7 @@ class CellMotions:
         self.conductor.call(lambda: self.live.ctx.expect_contact(body, others, expected))
 
     def tell(self, kind: str, text: str, **data: Any) -> None:
-        """Queue an event for all observers of a live cell and its motions."""
+        """Queue an event for the observers of a live cell and its motions."""
         self.conductor.soon(lambda: self.live.ctx.emit(kind, text, **data))
 
     # --- motions ---
@@ -242,8 +242,8 @@ class CellMotions:
         return self._put_beside(work, trajectory)
 
     def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
-        """Check the controllers that a client of the cell has named for a motion.
-        Together they must move all joints of the motion.
+        """Check that the controllers that a client of the cell has named
+        for a motion move all joints of the motion.
         """
         if controllers:
             chosen(self.controllers, controllers, joints)

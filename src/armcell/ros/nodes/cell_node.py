@@ -110,8 +110,8 @@ class CellNode(CellMotions):
             logger.info("trajectory refused: %s", error)
 
     def _follow(self, goal: Goal) -> Done:
-        """Execute a control_msgs/FollowJointTrajectory goal from a client of the cell node,
-        in the thread of the action.
+        """Execute a control_msgs/FollowJointTrajectory goal for a client of the cell node, in the thread of
+        the action.
 
         The goal is accepted when the motion starts.
         """

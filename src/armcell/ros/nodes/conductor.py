@@ -102,7 +102,7 @@ class Work:
 
 
 class Conductor(DriverProxy):
-    """Queue that runs the motions of several clients in parallel, on a single driver.
+    """Queue that runs the motions of several clients in parallel on one driver.
 
     It forwards the driver's own methods, for jobs and in `call`. `advance` also steps the other motions and
     calls `after_step`.

@@ -202,8 +202,8 @@ class Controllers:
         return ended
 
     def _finger_motion(self, gripper: Gripper, width: float) -> Callable[[], Outcome | None]:
-        """Move the fingers with an external trajectory controller.
-        Return a function that polls whether they have arrived.
+        """Move the fingers with an external trajectory controller and return a function that polls whether
+        they have arrived.
 
         The caller must detect from the joint states whether an object stops the fingers.
         """

@@ -507,7 +507,7 @@ def _started(scene: PlanningScene, message: Any) -> PlanningScene:
 
 
 def _moves(checker: ExactChecker, contact: Any) -> bool:
-    """Return whether the joints of a move_group request can move a body that is in contact."""
+    """Return whether the joints in a move_group request can move one of the bodies in contact."""
     moved = {checker.geometries[i].body for pair in checker.pairs for i in pair}
     return contact.body_a in moved or contact.body_b in moved
 
@@ -526,7 +526,7 @@ def _request_code(request: Any, error: InputError) -> ErrorCode:
 
 
 def code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
-    """Return move_group's error code for an unknown name, such as a frame, link or object name.
+    """Return the error code of move_group for an unknown name, such as a frame, link or object.
 
     Args:
         error: the error.

@@ -258,7 +258,8 @@ class PickPlaceNode:
     def search(
         self, goal: Goal, action: str, stages: list[Stage], scene: PlanningScene, seconds: float
     ) -> tuple[PartialSolution | None, Outcome]:
-        """Search for a plan that completes all stages of a pickup or place goal. Return the first such plan.
+        """Search for a plan that completes all stages of a pickup or place goal, and return the first one
+        found.
 
         Returns:
             The plan with SUCCESS, or None with an outcome that summarizes why the candidates failed.

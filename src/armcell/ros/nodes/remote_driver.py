@@ -226,7 +226,9 @@ class RemoteDriver(Driver):
 
     @property
     def silence(self) -> float:
-        """Return the time [s, wall clock] since the remote driver last received joint states, or 0."""
+        """Return the time [s, wall clock] since the remote driver last
+        received joint states; 0 if it has received none.
+        """
         with self.lock:
             return time.monotonic() - self._at if self._joints is not None else 0.0
 
@@ -412,8 +414,8 @@ class _Played(ReportedMotion):
 
 
 def _result_of(said: list[str], begun: bool) -> Outcome | None:
-    """Determine the result of a remote motion from the
-    /trajectory_status messages received since it was sent.
+    """Determine the result of a remote motion from the /trajectory_status messages that arrived after it was
+    sent.
 
     Args:
         said: the status messages.

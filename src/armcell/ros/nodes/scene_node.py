@@ -28,7 +28,7 @@ MONITORED = ("/move_group/monitored_planning_scene", "/monitored_planning_scene"
 
 
 class SceneNode:
-    """Node that lets clients on the bus query and edit the planning scene of a cell.
+    """Node through which clients on the bus query and edit the planning scene of a cell.
 
     Services: /get_planning_scene, /apply_planning_scene, /clear_octomap. Input topics: /planning_scene,
     /planning_scene_world (replaces the world), /collision_object, /attached_collision_object. Output topics:
@@ -94,8 +94,8 @@ class SceneNode:
         self._clearing.append(clear)
 
     def tell_changed(self) -> None:
-        """Schedule the publication of the complete planning scene
-        after a change that was not made by a client.
+        """Schedule the publication of the complete planning scene, after a change that did not come from a
+        client.
         """
         self._changed.set()
 

@@ -88,7 +88,7 @@ class ServedCell:
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a gripper of the served cell may have closed, by a command or automatically."""
+        """Return whether a gripper of the served cell was commanded to close or can close automatically."""
         return self.node.grippers.closes_by_itself or self.node.grippers.has_closed
 
     @property
@@ -193,7 +193,9 @@ class ServedPlanner(ServedCell):
 
     @property
     def has_closed(self) -> bool:
-        """Return whether a gripper of the served cell has closed, by a command or by the simulator."""
+        """Return whether a gripper of the served cell was commanded to close or was closed by the
+        simulator.
+        """
         return self.driver.has_closed
 
     def rest(self) -> None:

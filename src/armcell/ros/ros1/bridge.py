@@ -95,8 +95,8 @@ class BusBridge:
             self._use_sim_time()
 
     def _use_sim_time(self) -> None:
-        """Set the ROS 1 parameter /use_sim_time if the bridge forwards /clock.
-        Other nodes read the parameter when they start.
+        """Set the ROS 1 parameter /use_sim_time if the bridge forwards /clock. Other nodes read this
+        parameter when they start.
         """
         with contextlib.suppress(RpcError):
             if not self._bus.parameters.get(USE_SIM_TIME, False):

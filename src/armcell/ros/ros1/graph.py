@@ -28,7 +28,7 @@ SETTLED = 10.0  # [s] to register everything
 
 @dataclass(frozen=True)
 class Ros1Status:
-    """State of a program's connection to a ROS 1 graph, for status lines."""
+    """State of the connection between a program and a ROS 1 graph, for status lines."""
 
     node: str
     master: str
@@ -77,7 +77,7 @@ class Ros1Graph:
         self._stack = ExitStack()
 
     def reserve(self) -> None:
-        """Find the master of a ROS 1 graph, or reserve a port on which a built-in master can start.
+        """Find the master of a ROS 1 graph, or reserve the port for a built-in master.
 
         The reserved port accepts no connections before `start`.
 
@@ -89,7 +89,7 @@ class Ros1Graph:
         self._stack.callback(self._forget_master)
 
     def start(self) -> None:
-        """Join the ROS 1 graph. Return when the master knows all topics and services of the bus.
+        """Join the ROS 1 graph and return when the master knows all topics and services of the bus.
 
         Raises:
             InputError: no master is reachable and the settings forbid the built-in one, or its port is taken.
@@ -198,7 +198,7 @@ class Ros1Graph:
         stack.callback(leave)
 
     def _follow_clock(self, stack: ExitStack) -> None:
-        """Set the clock of the bus from the topic /clock of the ROS 1 graph, if ROS uses simulated time.
+        """Set the clock of the bus from /clock of the ROS 1 graph, if ROS uses simulated time.
 
         The clock stays local if the bus itself publishes /clock, or if /use_sim_time is not true.
         """

@@ -27,7 +27,7 @@ def encoded(fields: Mapping[str, str]) -> bytes:
 
 
 def decoded(body: bytes) -> Fields:
-    """Parse a TCPROS connection header, which is given without its length prefix, and return its fields.
+    """Parse a TCPROS connection header, given without its length prefix, and return its fields.
 
     Raises:
         WireError: the bytes are not a valid header.

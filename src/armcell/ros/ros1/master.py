@@ -383,8 +383,8 @@ class _Tellers:
 
 
 def _newest(todo: list[tuple[str, tuple[Any, ...]]]) -> list[tuple[str, tuple[Any, ...]]]:
-    """Remove outdated notifications of the ROS 1 master.
-    Only the latest one for each topic or parameter remains.
+    """Remove outdated notifications of the ROS 1 master, so that only the last one for each topic or
+    parameter remains.
     """
     last: dict[tuple[str, Any], tuple[str, tuple[Any, ...]]] = {}
     for method, arguments in todo:

@@ -76,8 +76,8 @@ class ParameterTree:
         del node[last]
 
     def search(self, namespace: str, key: str) -> str | None:
-        """Search for a ROS 1 parameter in a namespace and then in each
-        enclosing namespace, from the inside out.
+        """Search for a ROS 1 parameter in a namespace and then in the enclosing namespaces, beginning with
+        the nearest.
 
         Only the first part of the key must exist.
 

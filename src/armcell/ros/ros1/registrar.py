@@ -164,8 +164,7 @@ class Registrar:
             self._changed.notify_all()
 
     def _subscribe(self, entry: Entry, what: str) -> None:
-        """Register a subscriber at the ROS 1 master, and pass on the
-        list of publishers that the master returns.
+        """Register a subscriber at the ROS 1 master and pass on the publishers that the master returns.
 
         If a publisherUpdate arrives during the call, the order of the answer and the update is unknown. The
         method then repeats the call, up to `OVERTAKEN` times; after that, the update counts.

@@ -53,7 +53,8 @@ class Ros2Codec:
 
     # --- types ---
     def message(self, name: str) -> type[Message]:
-        """Return the Python class for a message type, as the ROS 2 codec accepts and returns it.
+        """Return the Python class of the messages that the ROS 2
+        codec encodes and decodes for a message type.
 
         Raises:
             UnknownNameError: the type does not exist.
@@ -74,7 +75,7 @@ class Ros2Codec:
         return self._wire[name]
 
     def has_more(self, name: str) -> bool:
-        """Return whether a message type has fields in ROS 2 that ROS 1 does not have.
+        """Return whether the ROS 2 codec knows fields of a message type that ROS 1 does not have.
 
         Messages that a script creates lack those fields.
         """
@@ -89,7 +90,7 @@ class Ros2Codec:
         self._store.get_msgdef(rosbags_name(name))
 
     def type_hash(self, name: str, kind: str = "msg") -> str | None:
-        """Compute the REP 2016 type hash of a ROS 2 message, service or action.
+        """Return the REP 2016 type hash of a ROS 2 message, service or action, as the codec computes it.
 
         Returns:
             The hash, or None for distributions without type hashes.
@@ -135,7 +136,9 @@ class Ros2Codec:
         return self._tidies[name]
 
     def translation(self, name: str) -> _Translation:
-        """Return the function that converts a message of the bus to the field layout of ROS 2."""
+        """Return the function with which the codec converts a message of the bus to the field layout of ROS
+        2.
+        """
         if name not in self._translations:
             self._translations[name] = _Translation(self, name)
         return self._translations[name]
@@ -146,8 +149,8 @@ def _is_empty(codec: Ros2Codec, name: str) -> bool:
 
 
 def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
-    """List the fields of a ROS 2 message, each with the attribute of the bus message that the codec copies
-    into it, or None if it has none.
+    """List the fields of a ROS 2 message, each with the attribute of the bus message from which the codec
+    copies it, or with None if there is no such attribute.
 
     Names match regardless of case: CameraInfo's `d` in ROS 2 is `D` on the bus.
     """
@@ -165,7 +168,7 @@ _MISSING: Any = object()
 
 
 class _Translation:
-    """Function object that converts a message of the bus to the field layout of ROS 2 for the codec.
+    """Function object with which the codec converts a message of the bus to the field layout of ROS 2.
 
     Messages whose fields match already are returned without a copy.
     """

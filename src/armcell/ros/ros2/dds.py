@@ -203,7 +203,7 @@ class Participant:
         return found.raw
 
     def close(self) -> None:
-        """Leave the DDS domain. Do not call this method in the callback of a reader."""
+        """Leave the DDS domain. The callback of a reader must not call this method."""
         with self._lock:
             if self.closed:
                 return
@@ -350,7 +350,7 @@ class _Endpoint:
         return list(handles[: max(min(count, BATCH), 0)])
 
     def newly_incompatible(self, function: str) -> bool:
-        """Return whether a DDS peer with incompatible QoS has been discovered since the last call."""
+        """Return whether a DDS peer with incompatible QoS has appeared since the last call."""
         status = _QosStatus()
         if getattr(self._dds, function)(self.handle, ct.byref(status)) < 0:
             return False

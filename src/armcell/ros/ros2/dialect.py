@@ -16,8 +16,8 @@ from armcell.ros.schema import Schema
 
 
 def definitions(schema: Schema, distro: str) -> dict[str, Definition]:
-    """Return all message definitions of a ROS 2 distribution, keyed by `pkg/Name`,
-    including the messages of its actions.
+    """Return all message definitions of a ROS 2 distribution by `pkg/Name`, including the messages of its
+    actions.
 
     Raises:
         UnknownNameError: the distribution does not exist.

@@ -88,8 +88,8 @@ class ActionServing:
         ]
 
     def close(self) -> None:
-        """Stop offering an action to ROS 2.
-        Unfinished goals are aborted, and clients that wait for a result receive one.
+        """Stop offering an action to ROS 2. Unfinished goals are aborted, and clients that wait for them
+        receive a result.
         """
         for server in self._servers:
             server.close()

@@ -155,8 +155,7 @@ class ParameterServices:
 
 
 def _below(name: str, prefixes: list[str], depth: int) -> bool:
-    """Return whether the name of a parameter starts with a prefix
-    that a ListParameters request of ROS 2 contains.
+    """Return whether a ListParameters request of ROS 2 selects a parameter by one of its prefixes.
 
     Args:
         depth: largest number of levels below the prefix; 0 means any.

@@ -28,8 +28,8 @@ class Profile:
         return f"{reliability}, {'transient local' if self.latched else 'volatile'}"
 
     def lacks(self, requested: Profile) -> list[str]:
-        """List the QoS policies that a ROS 2 subscriber requests but
-        the profile of the publisher does not offer.
+        """List the QoS policies that a ROS 2 subscriber requests but that the profile of the publisher does
+        not offer.
 
         The list is empty if publisher and subscriber are compatible.
         """
@@ -75,7 +75,8 @@ def offered(topic: str, type_name: str, latched: bool) -> Profile:
 
 
 def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Profile:
-    """Return the QoS profile for a ROS 2 subscription: the strongest profile that all known publishers offer.
+    """Return the QoS profile for a ROS 2 subscription. It is the strongest profile that every known publisher
+    offers.
 
     Without known publishers, the profile is ROS 2's default.
     """

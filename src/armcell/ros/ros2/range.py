@@ -33,7 +33,8 @@ LOCALHOST."""
 
 
 def _has_network() -> bool:
-    """Return whether this machine has a network interface on which ROS 2 discovery can find other machines.
+    """Return whether this machine has a network interface through which ROS 2 discovery can find nodes on
+    other machines.
 
     The test sends no packets.
     """
@@ -47,7 +48,9 @@ def _has_network() -> bool:
 
 @dataclass(frozen=True)
 class Reach:
-    """Number of a ROS 2 domain, and the range of machines that discovery includes."""
+    """Number of a ROS 2 domain, and the range (e.g. only this
+    machine) within which discovery finds other nodes.
+    """
 
     domain: int = 0
     range: str = "LOCALHOST"

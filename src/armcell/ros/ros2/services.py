@@ -175,8 +175,8 @@ class Client:
 
     @property
     def is_there(self) -> bool:
-        """Return whether both endpoints of a ROS 2 service server have been discovered:
-        its request reader and its reply writer.
+        """Return whether discovery has found both endpoints of a ROS 2 service server: its request reader and
+        its reply writer.
         """
         return bool(self._writer.readers()) and bool(self._reader.writers())
 

@@ -203,7 +203,7 @@ class _Connection(Peer):
             self.offer(topic, type_name)
 
     def tell_error(self, text: str) -> None:
-        """Discard an error text instead of sending it,
+        """Discard an error text of the ROS-TCP client instead of sending it,
         because ROS-TCP endpoints do not accept error messages.
 
         The reference endpoint would close the connection.

@@ -138,7 +138,9 @@ class Link:
         self._leave()
 
     def put(self, *parts: Part) -> None:
-        """Send a ROS-TCP command or a service answer without blocking. Any thread may call this method."""
+        """Send a ROS-TCP command or service answer over the connection without blocking. Any thread may call
+        this method.
+        """
         if not self._send_at_once(parts):
             self.outbox.put(*parts)
 
@@ -152,8 +154,8 @@ class Link:
             self.outbox.put_message(topic, *parts)
 
     def _send_at_once(self, parts: tuple[Part, ...]) -> bool:
-        """Send a small ROS-TCP frame directly from the calling thread,
-        if no other frames are waiting to be sent.
+        """Send a small ROS-TCP frame directly from the calling thread if no earlier frames are waiting in the
+        outbox.
 
         Under load from Python threads this saves milliseconds, because a woken thread must wait for the
         interpreter.

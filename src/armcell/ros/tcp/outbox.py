@@ -139,9 +139,7 @@ class Outbox:
             return taken
 
     def finish(self) -> None:
-        """Accept no further messages in the ROS-TCP outbox.
-        Messages that are already queued are still sent.
-        """
+        """Accept no further messages in the ROS-TCP outbox, but still send the messages that are queued."""
         with self._condition:
             self._finishing = True
             self._condition.notify_all()

@@ -113,8 +113,8 @@ class Peer:
         self._undo_if_closed()
 
     def encode(self, topic: str, message: Any) -> memoryview:
-        """Serialize a message for the ROS-TCP peer.
-        The server overrides this method to share the result among all peers.
+        """Serialize a message for the ROS-TCP peer. The server overrides this method so that all peers share
+        the result.
         """
         return self.codec.encode(message)
 
@@ -244,8 +244,8 @@ class Peer:
             answer.give(frame.body)
 
     def _on_request(self, number: int, frame: Frame) -> None:
-        """Answer a service request of the ROS-TCP peer in a worker thread,
-        so that other frames do not have to wait.
+        """Answer a service request of the ROS-TCP peer in a worker thread, so that other frames need not
+        wait.
         """
         with self._lock:
             full = self._calls >= MAX_CALLS
@@ -304,7 +304,7 @@ class Peer:
 
     # --- end of the connection ---
     def close(self) -> None:
-        """Remove the topics and services of the ROS-TCP peer from the bus after its connection has ended.
+        """Remove the topics and services of the ROS-TCP peer from the bus after the connection has ended.
 
         A second call has no effect.
         """
@@ -323,7 +323,9 @@ class Peer:
             self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _undo_if_closed(self) -> None:
-        """Undo a registration of the ROS-TCP peer on the bus if the connection has ended in the meantime."""
+        """Remove a registration of the ROS-TCP peer from the bus if the connection ended during the
+        registration.
+        """
         if self._closed:
             self.close()
 

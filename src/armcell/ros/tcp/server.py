@@ -87,7 +87,7 @@ class RosTcpServer:
         self._thread = threading.Thread(target=self._accept, name="ros-tcp accept", daemon=True)
 
     def reserve(self) -> None:
-        """Bind the port of the ROS-TCP server, without accepting connections before `start`.
+        """Bind the port of the ROS-TCP server, but accept no connections before `start`.
 
         This allows `start` to wait until the cell is ready.
         """
@@ -130,9 +130,7 @@ class RosTcpServer:
         self.close()
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Return the address of the ROS-TCP server.
-        The result is empty before `reserve` or `start` is called.
-        """
+        """Return the address of the ROS-TCP server; the result is empty before `reserve` or `start`."""
         return () if self._socket is None else (Endpoint.of(self._socket, "ROS-TCP"),)
 
     def clients(self) -> list[ClientStatus]:
@@ -143,9 +141,7 @@ class RosTcpServer:
 
     # --- for sessions ---
     def encode(self, topic: str, codec: Codec, message: Any) -> memoryview:
-        """Serialize a message for the clients of the ROS-TCP server,
-        only once for all clients with the same encoding.
-        """
+        """Serialize a message only once for all clients of the ROS-TCP server that use the same encoding."""
         key = (resolve(topic), codec.name)
         have = self._encoded.get(key)
         if have is None or have[0] is not message:

@@ -21,7 +21,7 @@ SCENE, URDF = "scene.json", "robot.urdf"
 
 @dataclass(frozen=True)
 class UnityExport:
-    """Result of exporting a cell for Unity: the written folders and the omitted objects.
+    """Result of exporting a cell for Unity: the folders that were written and the objects that were omitted.
 
     Attributes:
         package: folder of the C# package.
@@ -72,6 +72,6 @@ def export_unity(
 
 
 def copy_package(target: Path, types: Schema | None = None) -> None:
-    """Copy the C# package for Unity, and add generated C# classes for moveit_msgs and control_msgs."""
+    """Copy the C# package for Unity and add generated C# classes of moveit_msgs and control_msgs."""
     shutil.copytree(package_source(), target, dirs_exist_ok=True)
     write(csharp(types or schema()), target / MESSAGES)

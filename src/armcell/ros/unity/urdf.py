@@ -45,7 +45,7 @@ def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Pat
 
 
 def file_name(name: str) -> str:
-    """Convert the name of a link or object to a text that is valid in a file name of the exported URDF."""
+    """Convert the name of a link or object to a text that is valid in the file names of an exported URDF."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
 
 
