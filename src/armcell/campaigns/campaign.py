@@ -28,8 +28,8 @@ Tell = Callable[[Store, int], None]  # (store, trials run in this process)
 
 
 def begin(spec: CampaignSpec, runs: Path) -> Store:
-    """Create the folder of a new campaign, after checking that the cell is valid at both ends of every
-    parameter range.
+    """Create the folder of a new campaign.
+    First check that the cell is valid at both ends of every parameter range.
 
     Raises:
         InputError: the cell or a parameter is invalid; raised before any trial runs.
@@ -133,9 +133,7 @@ def _sure_enough(store: Store) -> bool:
 
 
 def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
-    """Yield those trials of a campaign that have no stored result, from number `first` up to but excluding
-    `last`.
-    """
+    """Yield the trials of a campaign that have no stored result, from number `first` to `last` (excluded)."""
     spec = store.spec
     ranges = distributions(spec)
     failed = [
@@ -150,8 +148,8 @@ def _missing(store: Store, first: int, last: int) -> Iterator[Trial]:
 def trial(
     spec: CampaignSpec, ranges: dict[str, Distribution], number: int, failed: Sequence[Array] = ()
 ) -> Trial:
-    """Return the trial of a campaign with a given number. The sampled values depend only on the seed, the
-    number and the earlier failures.
+    """Return the trial of a campaign with a given number.
+    Its sampled values depend only on the seed, the number and earlier failures.
 
     Args:
         failed: draws of failed trials of earlier rounds, for adaptive sampling.

@@ -49,7 +49,7 @@ print(json.dumps([address, json.loads(found or b"{}")]))
 
 
 class _Actor:
-    """Ray actor that runs trials on a cluster. It loads the cell once."""
+    """Ray actor that runs trials on a cluster. It loads the cell only once."""
 
     def __init__(self, spec: dict[str, Any], hashes: dict[str, str]):
         self._spec, self._hashes = CampaignSpec(**spec), hashes
@@ -126,7 +126,9 @@ class RayWorkers(Workers[RayWorker]):
         return self
 
     def _join(self, found: str | None) -> None:
-        """Connect to the Ray cluster at the address `found`. If it is None, start a private cluster."""
+        """Connect to the Ray cluster at the address `found`,
+        or start a private cluster if the address is None.
+        """
         common = {
             "log_to_driver": False, "logging_level": "error", "runtime_env": {"env_vars": dict(ONE_THREAD)},
         }  # fmt: skip
@@ -210,8 +212,8 @@ def _version() -> str:
 
 
 def find_cluster(address: str) -> str | None:
-    """Return the address of a running, compatible Ray cluster. None means that a private cluster must be
-    started.
+    """Return the address of a running, compatible Ray cluster.
+    If there is none, return None; a private cluster must then be started.
 
     None is possible only for the address "auto".
 
@@ -257,7 +259,7 @@ def find_cluster(address: str) -> str | None:
 
 
 def _how(text: str) -> str:
-    """Extract the cause from Ray's long error text about a worker that died on the cluster."""
+    """Extract from Ray's long error text why a worker on the cluster has died."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     for line in lines:
         for cause in ("Worker exit detail: ", "its node has died", "killed by"):

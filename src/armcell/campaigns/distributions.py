@@ -12,7 +12,8 @@ from armcell.core import InputError, UnknownNameError
 
 
 class Distribution(Protocol):
-    """Distribution of a campaign parameter. `at` is the inverse of its cumulative distribution function.
+    """Probability distribution of a campaign parameter. The method `at` evaluates the inverse of its
+    cumulative distribution function.
 
     Samplers draw numbers in [0, 1) and pass them to `at`.
     """
@@ -22,8 +23,8 @@ class Distribution(Protocol):
 
 @dataclass(frozen=True)
 class Uniform:
-    """Uniform distribution of a campaign parameter from low to high. `whole` restricts it to integers,
-    including both ends.
+    """Uniform distribution of a campaign parameter from low to high. The option `whole` restricts it to
+    integers, including both ends.
     """
 
     low: float
@@ -75,8 +76,8 @@ class Choice:
 
 
 def ends(found: Distribution) -> list[Any]:
-    """Return values at which to test a campaign parameter: the minimum and maximum of its distribution, and
-    two values between them.
+    """Return values for testing a campaign parameter: the minimum and maximum of its distribution,
+    and two values in between.
 
     For a choice, return all values. One of the two inner values is not a round fraction of the range: of the
     range 1 to 3, the other values are all integers.

@@ -31,8 +31,7 @@ def picture_file(folder: Path, number: int) -> Path:
 
 
 def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, of: None) -> None:
-    """Take the missing pictures of failed trials. The first picture of every cause comes first, then those of
-    further failures.
+    """Take missing pictures of failed trials. Take one picture of each failure cause before any others.
 
     Args:
         tell: called with the number of finished pictures and the total number.
@@ -67,8 +66,8 @@ def _wanted(store: Store) -> list[dict[str, Any]]:
 
 
 def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
-    """Run a failed trial again and return a picture of its first contact. Without a contact, the picture
-    shows the end of the trial.
+    """Run a failed trial again and return a picture of its first contact. If there is no contact, return a
+    picture of the end of the trial.
 
     Returns:
         None if the trial does not fail again (e.g. a processor time limit ended it) or cannot be drawn.

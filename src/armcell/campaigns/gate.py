@@ -119,7 +119,8 @@ def issue(
 
 
 def check_reason(allow_unvaried: str | None) -> None:
-    """Reject an empty reason for `--allow-unvaried`, the option with which the gate accepts identical trials.
+    """Reject an empty reason for the option `--allow-unvaried`.
+    With this option, the gate accepts identical trials.
 
     Raises:
         InputError: the reason contains no words.
@@ -131,7 +132,7 @@ def check_reason(allow_unvaried: str | None) -> None:
 
 
 def check_draws(cell: Cell) -> None:
-    """Reject a cell whose trials would all be identical. The gate makes this check before a campaign runs.
+    """Reject a cell whose trials would all be identical. The gate checks this before a campaign runs.
 
     Raises:
         InputError: the cell randomizes nothing.
@@ -173,8 +174,8 @@ def _unvaried(cell: Cell, what: str, file: Path) -> InputError:
 
 
 def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
-    """Return the gate record of a cell if it matches the cell, the task, the configuration and the library
-    versions.
+    """Return the gate record of a cell if it matches the current cell, task,
+    configuration and library versions.
 
     Raises:
         InputError: the record is missing or invalid; the error says how to get a new one.
@@ -213,8 +214,7 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """Describe how the content hashes of two cells differ, for the message with which the gate refuses a
-    cell.
+    """Describe how the content hashes of two cells differ. The gate uses this text when it rejects a cell.
 
     Args:
         old_versions: library versions of the first cell; if given, the text names both versions.
@@ -233,8 +233,8 @@ def changed_parts(
 
 # --- the key ---
 def key_file() -> Path:
-    """Return the path of the user's key that signs gate records. An environment variable overrides the
-    default.
+    """Return the path of the key with which the user signs gate records.
+    An environment variable overrides the default.
     """
     named = os.environ.get(KEY_VARIABLE)
     if named:

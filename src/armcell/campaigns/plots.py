@@ -18,8 +18,8 @@ BINS = 10
 
 
 def share_plot(rows: Sequence[Row]) -> bytes:
-    """Plot the success rate of a campaign over the number of trials, with its 95 % confidence interval, as
-    PNG.
+    """Plot the success rate of a campaign against the number of trials,
+    with its 95 % confidence interval, as PNG.
     """
     fair = sorted(fairly_drawn(rows), key=lambda row: row["trial"])
     figure, (ax,) = _figure(1, 1, 2.2)
@@ -37,8 +37,8 @@ def share_plot(rows: Sequence[Row]) -> bytes:
 
 
 def parameter_plots(rows: Sequence[Row], paths: Sequence[str]) -> bytes | None:
-    """Plot the success rate of a campaign in each tenth of a parameter's range, with confidence intervals, as
-    PNG.
+    """Plot the success rate of a campaign for each tenth of a parameter's range,
+    with confidence intervals, as PNG.
 
     Args:
         paths: parameter paths, as in `statistics.drawn`; without any, the result is None.
@@ -74,8 +74,7 @@ def parameter_plots(rows: Sequence[Row], paths: Sequence[str]) -> bytes | None:
 
 
 def distribution_plots(rows: Sequence[Row], columns: dict[str, tuple[str, float]]) -> bytes | None:
-    """Plot a histogram of each measured column of a campaign as PNG. The result is None if no trial has a
-    value.
+    """Plot a histogram of each measured quantity of a campaign as PNG. Return None if no trial has a value.
 
     Args:
         columns: column of the rows -> (title with the unit, scale factor).

@@ -28,8 +28,8 @@ Answer = dict[str, Any]
 
 
 class Worker(ABC):
-    """Interface of the workers in a trial pool. A worker runs one trial at a time, which it receives as
-    JSON-ready data.
+    """Interface of the workers in a trial pool.
+    A worker runs one trial at a time and receives it as JSON-compatible data.
 
     The answers arrive through `Workers`.
     """
@@ -46,8 +46,8 @@ class Worker(ABC):
 
     @abstractmethod
     def send(self, data: dict[str, Any]) -> None:
-        """Send a trial to a worker of the pool. If the worker is dead, `Workers.heard` reports this later;
-        this call does not fail.
+        """Send a trial to a worker of the pool. If the worker is dead, this call does not fail;
+        `Workers.heard` reports the death later.
         """
 
 
@@ -82,8 +82,8 @@ class Workers(ABC, Generic[W]):
 
     @abstractmethod
     def heard(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:
-        """Yield each worker of the trial pool that has answered, with its answers. For a dead worker, None
-        replaces the answers.
+        """Yield each worker of the trial pool that has answered, together with its answers. For a dead
+        worker, yield None instead of answers.
 
         Waits up to `seconds` for the first answer.
         """

@@ -20,8 +20,8 @@ ONE_THREAD = dict.fromkeys(
 
 
 class ProcessWorker(Worker):
-    """Worker process of a campaign on this machine. It runs `worker.py` and exchanges JSON lines through its
-    input and output.
+    """Worker process of a campaign on this machine.
+    It runs `worker.py` and exchanges JSON lines through standard input and output.
     """
 
     def __init__(self, spec: CampaignSpec):

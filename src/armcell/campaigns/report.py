@@ -204,8 +204,8 @@ def _causes(data: dict[str, Any]) -> str:
 
 
 def _moments(data: dict[str, Any], folder: Path) -> str:
-    """Return HTML figures for a campaign's report, which show each failed trial at its first contact or else
-    at its end.
+    """Return the HTML figures of a campaign's report that show each failed trial at its first contact or,
+    without a contact, at its end.
     """
     figures = []
     for failure in data["failures"]:
@@ -243,8 +243,8 @@ def _drawn(values: dict[str, Any]) -> str:
 
 
 def _linked(number: int, folder: Path) -> str:
-    """Return the number of a trial as HTML for a campaign's report, with a link to its picture if there is
-    one.
+    """Return the number of a trial as HTML for a campaign's report.
+    If a picture of the trial exists, the number links to it.
     """
     there = picture_file(folder, number).exists()
     return f'<a href="#trial_{number}">{number}</a>' if there else str(number)

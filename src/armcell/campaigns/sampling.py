@@ -37,8 +37,8 @@ def latin_hypercube_draw(seed: int, number: int, dimensions: int) -> Array:
 
 
 def adaptive_draw(seed: int, number: int, failed: Sequence[Array], dimensions: int) -> tuple[Array, bool]:
-    """Sample the parameters (dimensions,) of a trial in [0, 1), and return also whether they were placed near
-    an earlier failure.
+    """Sample the parameters (dimensions,) of a trial in [0, 1).
+    Also return whether the sample was placed near an earlier failure.
 
     Args:
         failed: draws of the failed trials of earlier rounds.

@@ -24,7 +24,7 @@ KEYS = (
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """Specification of a campaign, which comes from a file or from Python.
+    """Specification of a campaign, which is read from a file or created in Python.
 
     Attributes:
         cell: built-in name, folder or file.
@@ -74,7 +74,8 @@ class CampaignSpec:
         distributions(self)  # raises errors of the distributions early
 
     def _check_places(self) -> None:
-        """Reject a campaign specification in which two paths set the same value, or a value and a part of it.
+        """Reject a campaign specification in which two paths set the same value,
+        or one path sets a part of the other's value.
 
         A parameter may vary a part of a fixed value, e.g. the force of a push.
         """
@@ -116,7 +117,7 @@ class CampaignSpec:
 
 
 def distributions(spec: CampaignSpec) -> dict[str, Distribution]:
-    """Return the distributions of a campaign's parameters, by the path of the parameter."""
+    """Return the distribution of each campaign parameter, keyed by the path of the parameter."""
     return {path: distribution(data, f"parameters/{path}") for path, data in spec.parameters.items()}
 
 
@@ -143,8 +144,8 @@ def checked_cell(spec: CampaignSpec) -> Cell:
 
 
 def _cured(error: InputError, cell: Cell, path: str, found: Distribution, value: Any) -> InputError:
-    """Return an error about a parameter in a campaign specification, with a hint if an integer would be
-    valid.
+    """Return an error about a parameter in a campaign specification.
+    If an integer would be valid, the error contains a hint.
     """
     if not isinstance(found, Uniform) or found.whole or float(value).is_integer():
         return error

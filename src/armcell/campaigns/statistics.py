@@ -21,8 +21,8 @@ ALPHA = 0.05  # significance level; all intervals are 95 % intervals
 
 @dataclass(frozen=True)
 class Share:
-    """Proportion `count` of `total` in the statistics of a campaign, with two kinds of 95 % confidence
-    interval.
+    """Proportion `count` / `total` in the statistics of a campaign,
+    with two kinds of 95 % confidence interval.
     """
 
     count: int
@@ -34,8 +34,8 @@ class Share:
 
     @property
     def wilson(self) -> tuple[float, float]:
-        """Return the Wilson score interval of a success rate, which contains the true rate with a probability
-        of 95 % on average.
+        """Return the Wilson score interval of a success rate.
+        On average, it contains the true rate with a probability of 95 %.
 
         Wilson (1927), J. Am. Stat. Assoc. 22.
         """
@@ -43,8 +43,8 @@ class Share:
 
     @property
     def clopper_pearson(self) -> tuple[float, float]:
-        """Return the exact (Clopper-Pearson) confidence interval of a success rate, which contains the true
-        rate with a probability of at least 95 %.
+        """Return the exact (Clopper-Pearson) confidence interval of a success rate. It contains the true rate
+        with a probability of at least 95 %.
 
         Clopper and Pearson (1934), Biometrika 26.
         """
@@ -67,8 +67,8 @@ class Share:
 
 
 def fairly_drawn(rows: Sequence[Row]) -> list[Row]:
-    """Return the result rows of a campaign without the trials that adaptive sampling placed near failures,
-    which would bias statistics.
+    """Return the result rows of a campaign without the trials that adaptive sampling placed near failures.
+    Those trials would bias the statistics.
     """
     return [row for row in rows if not row["near_failure"]]
 
@@ -85,7 +85,7 @@ def success(rows: Sequence[Row]) -> Share:
 
 @dataclass(frozen=True)
 class Cause:
-    """Group of failures in a campaign that have the same error code, stage and pair of bodies."""
+    """Group of failures in a campaign with the same error code, stage and pair of bodies."""
 
     code: str
     stage: str
@@ -95,8 +95,8 @@ class Cause:
 
 
 def causes(rows: Sequence[Row]) -> list[Cause]:
-    """Group the failures of a campaign by error code, stage and bodies, and return the groups, most frequent
-    first.
+    """Group the failures of a campaign by error code, stage and bodies.
+    Return the groups, the most frequent one first.
     """
     found: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
@@ -133,8 +133,8 @@ class Effect:
 
 
 def drawn(row: Row) -> dict[str, Any]:
-    """Return the values that varied in a trial, by path: the campaign's parameters and the cell's `randomize`
-    draws.
+    """Return the values that were varied in a trial, by path:
+    the campaign's parameters and the cell's `randomize` draws.
 
     A trial whose values gave an invalid cell has no `randomize` draws.
     """
@@ -143,8 +143,8 @@ def drawn(row: Row) -> dict[str, Any]:
 
 
 def effects(rows: Sequence[Row]) -> list[Effect]:
-    """Return the effect of every varied campaign parameter on success, with its statistics, largest effect
-    first.
+    """Return the effect of each varied campaign parameter on the success rate, with statistics.
+    The largest effect comes first.
 
     The result is empty if all trials succeeded or all failed. Tests: for numbers Mann-Whitney (is one side of
     the range better?) and Kolmogorov-Smirnov (is any part of the range better?), for choices chi-squared. The
@@ -223,8 +223,8 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
 
 
 def summary(values: Sequence[float | None]) -> dict[str, float] | None:
-    """Return the minimum, median, 95th percentile and maximum of some values as statistics, or None if there
-    are no values.
+    """Return the minimum, median, 95th percentile and maximum of measured values as statistics,
+    or None if there are no values.
     """
     numbers = np.array([v for v in values if v is not None], float)
     if not len(numbers):
@@ -234,7 +234,7 @@ def summary(values: Sequence[float | None]) -> dict[str, float] | None:
 
 
 def _p(result: Any) -> float:
-    """Return the p-value from the result of a statistical test that scipy ran on a campaign.
+    """Return the p-value of a statistical test on the results of a campaign, given scipy's result object.
 
     The argument is typed Any because scipy creates its result classes at run time.
     """

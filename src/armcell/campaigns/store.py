@@ -34,7 +34,7 @@ ROW = {
 
 
 class Store:
-    """Folder that stores one campaign. Only one process at a time can lock it.
+    """Folder that stores one campaign. Only one process at a time can hold the lock on it.
 
     Attributes:
         spec: the campaign's specification.
@@ -64,7 +64,7 @@ class Store:
 
     @staticmethod
     def new(root: Path, spec: CampaignSpec, hashes: Mapping[str, str]) -> Store:
-        """Create the folder of a new campaign below `root`, which is usually "runs"."""
+        """Create the folder of a new campaign inside the folder `root`, which is usually "runs"."""
         folder = new_run_folder(root, f"campaign-{Path(spec.cell).stem}")
         asked = {"format": FORMAT, "spec": spec.as_dict(), "hashes": dict(hashes)}
         try:
@@ -91,8 +91,8 @@ class Store:
             os.ftruncate(self._file, size)
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Store the result of a finished trial in the campaign's folder. A trial that is already stored is
-        ignored.
+        """Store the result of a finished trial in the campaign's folder.
+        If the trial is already stored, do nothing.
 
         Raises:
             InputError: the disk is full or missing; earlier rows stay intact.
@@ -118,7 +118,8 @@ class Store:
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a file of a campaign atomically, so that readers see either the complete new file or the old one.
+    """Write a file of a campaign atomically, so that readers see either
+    the complete old file or the complete new file.
 
     Raises:
         InputError: the file is not writable, e.g. because the disk is full.
@@ -137,7 +138,9 @@ def write_whole(file: Path, data: bytes) -> None:
 
 
 def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
-    """Read the specification with which a campaign began, and the content hashes that its cell had then."""
+    """Read the specification with which a campaign was started,
+    and the content hashes of its cell at that time.
+    """
     file = folder / ASKED
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
@@ -172,8 +175,8 @@ def _row(line: bytes) -> dict[str, Any]:
 
 
 def rows_of(file: Path) -> tuple[list[dict[str, Any]], int]:
-    """Read the complete lines of a campaign's trials.jsonl. Return the rows and the length of these lines in
-    bytes.
+    """Read the complete lines of a campaign's trials.jsonl.
+    Return the parsed rows and the total length of these lines in bytes.
 
     Raises:
         InputError: a complete line is not a valid trial row.

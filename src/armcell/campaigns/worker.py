@@ -26,8 +26,8 @@ def cell_of(spec: CampaignSpec) -> Cell:
 
 
 def _lines(source: TextIO) -> queue.Queue[dict[str, Any]]:
-    """Read JSON lines into a queue in a worker process of a campaign. When the input ends, the process exits
-    at once.
+    """Read JSON lines into a queue in a worker process of a campaign.
+    The process exits as soon as the input ends.
 
     No process waits for the running trial after the input has ended.
     """

@@ -15,12 +15,12 @@ SUCCESS, FAILURE, PREEMPTED = 1, 99999, -7  # moveit_msgs/MoveItErrorCodes
 
 
 def measured_scene() -> PlanningScene:
-    """Return the planning scene with the measured robot state, as a call of moveit_commander needs it."""
+    """Return the planning scene with the measured robot state for a call of moveit_commander."""
     return current_session().served.cell.scene()
 
 
 def send(session: Session, action: str, type_name: str, goal: Any) -> SentGoal:
-    """Send the goal of a moveit_commander call to its action server, through the client of the session.
+    """Send the goal of a moveit_commander call to its action server, using the client of the session.
 
     Raises:
         RuntimeError: the action has no server.
@@ -34,7 +34,7 @@ def send(session: Session, action: str, type_name: str, goal: Any) -> SentGoal:
 
 
 def finished(session: Session, sent: SentGoal) -> Any:
-    """Wait until the action goal that a moveit_commander call has sent ends, and return its result.
+    """Wait until the action goal of a moveit_commander call has ended, and return its result.
 
     Raises:
         KeyboardInterrupt: the user pressed Ctrl-C, or the session is shutting down.
@@ -53,7 +53,7 @@ def finished(session: Session, sent: SentGoal) -> Any:
 
 
 def joint_constraints(session: Session, values: dict[str, float], tolerance: float) -> Any:
-    """Return goal constraints that fix joint positions, as a call of moveit_commander sends them.
+    """Return the goal constraints for given joint positions, as a call of moveit_commander sends them.
 
     Args:
         values: joint name -> position [rad or m].
@@ -69,7 +69,7 @@ def joint_constraints(session: Session, values: dict[str, float], tolerance: flo
 def pose_constraints(
     session: Session, link: str, target: Any, position: float | None, orientation: float | None
 ) -> Any:
-    """Return goal constraints that fix the pose of a link, as a call of moveit_commander sends them.
+    """Return the goal constraints for the pose of a link, as a call of moveit_commander sends them.
 
     Args:
         target: a PoseStamped.

@@ -35,8 +35,8 @@ SHIMS = {
 
 
 class _MessageModule(types.ModuleType):
-    """Shim module for a ROS message package, `<package>.msg` or `<package>.srv`, which creates each message
-    class on first access.
+    """Module that replaces the one of a ROS message package, `<package>.msg` or `<package>.srv`. It creates
+    each message class on first access.
     """
 
     def __init__(self, name: str, classes: MessageClasses, package: str, kinds: list[str]):
@@ -75,7 +75,8 @@ class _MessageModule(types.ModuleType):
 
 
 def _service_class(classes: MessageClasses, name: str) -> type | None:
-    """Return a service class for a shim module. The class contains the request class and the response class.
+    """Return a service class for a shim module.
+    It contains the request class and the response class of the service.
 
     Returns:
         The class, or None if the name is not a service.
@@ -93,8 +94,8 @@ def _service_class(classes: MessageClasses, name: str) -> type | None:
 
 
 def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
-    """Return the shim modules of all ROS message packages, with their `.msg` and `.srv` submodules, ready to
-    be installed.
+    """Create shim modules for all ROS message packages,
+    with their `.msg` and `.srv` submodules, ready to be installed.
     """
     schema = classes.schema
     parts = {f"{s}{end}" for s in schema.services for end in ("Request", "Response")}
@@ -115,7 +116,8 @@ def message_modules(classes: MessageClasses) -> dict[str, types.ModuleType]:
 
 @contextmanager
 def installed(classes: MessageClasses) -> Iterator[list[str]]:
-    """Install the ROS shims (rospy, moveit_commander, tf, ...) in `sys.modules` for a `with` block.
+    """Install the ROS shims (rospy, moveit_commander, tf, ...) in
+    `sys.modules` for the duration of a `with` block.
 
     The previous modules are restored after the block.
 

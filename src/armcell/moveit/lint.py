@@ -82,8 +82,8 @@ def lint_text(text: str) -> list[Finding]:
 
 
 class Script:
-    """ROS script that the linter has parsed, with the names of the variables that hold plans and
-    moveit_commander objects.
+    """ROS script parsed by the linter, with the names of those
+    variables that hold plans or moveit_commander objects.
     """
 
     def __init__(self, tree: ast.Module):
@@ -121,7 +121,7 @@ class Script:
                     yield test
 
     def calls_of(self, *names: str) -> Iterator[ast.Call]:
-        """Iterate over the calls in a linted ROS script that call a method with one of the given names."""
+        """Yield the calls in a linted ROS script whose method has one of the given names."""
         return (c for c in self.calls if isinstance(c.func, ast.Attribute) and c.func.attr in names)
 
     def uses(self, name: str) -> bool:
@@ -129,8 +129,8 @@ class Script:
 
 
 def dotted(node: ast.AST) -> str:
-    """Return a name or attribute chain of a linted script, such as `self.a.b`, as text. Any other expression
-    gives an empty text.
+    """Return a name or attribute chain in a linted script as text, e.g. `self.a.b`.
+    The text is empty for any other expression.
     """
     if isinstance(node, ast.Name):
         return node.id
@@ -403,8 +403,8 @@ def commands_gripper(script: Script) -> bool:
 
 
 def closes_gripper_itself(file: Path) -> bool:
-    """Return whether the ROS script in a file commands a gripper itself, according to the linter. A file that
-    cannot be parsed counts as if it did.
+    """Return whether the ROS script in a file commands a gripper itself, according to the linter. If the file
+    cannot be parsed, return True.
     """
     try:
         return commands_gripper(Script(ast.parse(file.read_text(encoding="utf-8"))))

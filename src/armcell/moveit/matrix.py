@@ -8,7 +8,7 @@ MATRIX = "moveit_msgs/AllowedCollisionMatrix"
 
 
 def set_default(self: Any, obj: str, allow: bool) -> None:
-    """Set in MoveIt's allowed collision matrix whether contacts of a body are allowed by default."""
+    """Set in MoveIt's allowed collision matrix whether a body may touch other bodies by default."""
     if obj in self.default_entry_names:
         self.default_entry_values[self.default_entry_names.index(obj)] = allow
     else:

@@ -51,7 +51,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def text_of(value: Any, indent: str = "") -> str:
-    """Return a message of a ROS script as YAML text, in the form in which ROS prints it."""
+    """Return a message of a ROS script as YAML text, formatted as in ROS."""
     lines = []
     for name in value._fields:
         item = getattr(value, name)
@@ -130,8 +130,8 @@ class MessageClasses:
         return lambda: [zero] * length
 
     def local(self, message: Any) -> Any:
-        """Return a copy of a bus message for a ROS script, which may change it freely. Numeric arrays become
-        tuples, as in genpy.
+        """Return a copy of a bus message for a ROS script, which may modify the copy.
+        Numeric arrays become tuples, as in genpy.
         """
         name = message._type
         if name in STAMPS:
@@ -160,5 +160,5 @@ def _local_array(kind: str, value: Any) -> Any:
 
 @functools.cache
 def classes() -> MessageClasses:
-    """Return the message classes for ROS scripts that belong to the built-in message definitions."""
+    """Return the message classes for ROS scripts, built from the built-in message definitions."""
     return MessageClasses(schema())

@@ -26,8 +26,8 @@ _current: list[Session] = []
 
 
 class Session:
-    """Session in which a ROS script runs: the cell that is served to the script, and the state that rospy
-    keeps per process.
+    """Session of a running ROS script.
+    It contains the cell that is served to the script and the state that rospy has in each process.
 
     Args:
         cell: a live cell that is not connected yet, or a cell whose simulator or robot is another program on
@@ -95,8 +95,8 @@ class Session:
         _current.remove(self)
 
     def shut_down(self, reason: str) -> None:
-        """Shut down the session of a ROS script, like rospy.signal_shutdown: end all waiting calls and run
-        the shutdown hooks once.
+        """Shut down the session of a ROS script, like rospy.signal_shutdown.
+        All waiting calls end, and the shutdown hooks run once.
         """
         self.interrupted |= reason == "interrupted"
         self.shutting_down.set()
@@ -110,23 +110,23 @@ class Session:
                 logger.exception("a shutdown hook failed")
 
     def interrupt(self) -> None:
-        """Handle a signal while a ROS script runs: end every waiting call and let `is_shutdown()` return
-        True. The shutdown hooks run later.
+        """Handle a signal while a ROS script runs.
+        Every waiting call ends, and `is_shutdown()` returns True. The shutdown hooks run later.
         """
         self.interrupted = True
         self.shutting_down.set()
 
     def own(self, member: T) -> T:
-        """Register an object that a ROS script has created, such as a subscriber, so that it is closed with
-        the session.
+        """Register an object that a ROS script has created, such as a subscriber,
+        so that it is closed together with the session.
         """
         self._members.append(member)
         return member
 
     # --- messages, services and logs ---
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
-        """Create a message for a ROS script from its type `pkg/Name` and the values of its fields, in the
-        session of the script.
+        """Create a message for a ROS script, in the session of the script,
+        from its type `pkg/Name` and the values of its fields.
 
         Args:
             name: message type `pkg/Name`.
@@ -135,8 +135,8 @@ class Session:
         return self.messages[name](*values, **fields)
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a ROS service from the session of a script and return a copy of the response, which the script
-        may change.
+        """Call a ROS service from the session of a script and return a copy of the response.
+        The script may modify the copy.
 
         Raises:
             ServiceError: the service does not exist, or failed.
@@ -153,11 +153,13 @@ class Session:
             print(line, file=sys.stderr, flush=True)  # noqa: T201  (a script's log is output for its user)
 
     def has_said(self, text: str) -> bool:
-        """Return whether a text occurs in the last log lines that a ROS script has written."""
+        """Return whether a text occurs in the most recent log lines of a ROS script."""
         return any(text in line for line in self.lines[-RECENT:])
 
     def hint(self, key: str, text: str) -> None:
-        """Log a hint for the author of the running ROS script, once per key."""
+        """Log a hint for the author of the running ROS script.
+        Hints with the same key are logged only once.
+        """
         if key not in self._hints:
             self._hints.add(key)
             self.say("HINT", text)
@@ -167,7 +169,9 @@ class Session:
         return self._hints
 
     def hint_at_gripper(self) -> None:
-        """Log a hint if a ROS script logs that it closes the gripper but has never commanded the gripper."""
+        """Log a hint if a log line of a ROS script says that the gripper closes,
+        but the script has never commanded the gripper.
+        """
         if self.claims_to_close and not self.served.has_closed:
             self.hint(
                 "auto-grip", "the script logs that it closes the gripper, but never closes it: publish to "
@@ -175,8 +179,8 @@ class Session:
             )  # fmt: skip
 
     def watch_other_end(self) -> None:
-        """Log a hint for the ROS script, once, if the external simulator or robot has stopped sending joint
-        states.
+        """Log a hint for the ROS script if the external simulator or robot has stopped sending joint states.
+        The hint appears only once.
         """
         if isinstance(self.served, ServedPlanner) and self.served.driver.silence > SILENT:
             self.hint(
@@ -185,7 +189,7 @@ class Session:
             )  # fmt: skip
 
     def finish(self) -> None:
-        """Wait, at the end of the session, for motions that the ROS script left running."""
+        """Wait at the end of the session for motions of the ROS script that are still running."""
         goals = [goal for client in self.clients.values() for goal in client.unfinished]
         while self._goes_on() and not all(goal.wait(CHECK) for goal in goals):
             pass

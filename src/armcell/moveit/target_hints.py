@@ -66,8 +66,8 @@ def _points_up(T: SE3) -> bool:
 
 
 def _flange(model: RobotModel, group: str) -> str:
-    """Return the link to which a group's gripper is mounted, for a hint about a wrong target link. The name
-    is empty if there is none.
+    """Return the link on which a group's gripper is mounted, for a hint about a wrong target link.
+    The name is empty without a gripper.
 
     MoveIt packages usually end the group at this link.
     """

@@ -35,8 +35,8 @@ PREFERRED = ("geometry_msgs", "moveit_msgs", "sensor_msgs", "trajectory_msgs", "
 
 
 def missing_import(name: str, schema: Schema) -> str:
-    """Return the import statement for a name that a script copied from a tutorial lacks. The text is empty if
-    the name is unknown.
+    """Return the import statement that a script copied from a tutorial needs for a name.
+    The text is empty for an unknown name.
     """
     if keyword.iskeyword(name) or hasattr(builtins, name):
         return ""

@@ -248,8 +248,8 @@ class ActionServer:
         self._publish_status()
 
     def _finish(self, goal: Goal, done: Done) -> None:
-        """Publish the final state of a ROS action goal. If actionlib does not allow this state, a state that
-        it allows is published instead.
+        """Publish the final state of a ROS action goal.
+        A state that actionlib does not allow is replaced by one that it does allow.
 
         Only a pending goal can be rejected or recalled; only an accepted goal can succeed, abort or be
         preempted.
@@ -359,7 +359,8 @@ class ActionClient:
         self.close()
 
     def wait_for_server(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] until a server is connected to all five topics of an actionlib action.
+        """Wait up to `timeout` [s] for the server of a ROS action. The server is ready once it is connected
+        to all five topics of the action.
 
         Returns:
             True if a server receives goals and cancels and publishes result, feedback and status.

@@ -42,7 +42,7 @@ class ServiceError(ArmcellError):
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """State of a topic on the message bus at one time: its type, connections and message counts."""
+    """Snapshot of a topic on the message bus: its type, its connections and its message counts."""
 
     name: str
     type: str
@@ -82,7 +82,7 @@ class Bus:
 
     @property
     def names(self) -> NameMap | None:
-        """Return the map from a program's names to names on the message bus, or None if it is not set."""
+        """Return the map from names in a program to names on the message bus, or None if there is none."""
         return self._names
 
     @property
@@ -95,7 +95,7 @@ class Bus:
         self._root._parameters = parameters
 
     def full_name(self, name: str) -> str:
-        """Return the full name on the message bus for a topic or service name that a program uses.
+        """Convert a topic or service name that a program uses to its full name on the message bus.
 
         Raises:
             InputError: ROS does not accept the name.
@@ -223,7 +223,7 @@ class Bus:
 
     # --- services ---
     def serve(self, name: str, type_name: str, handler: Handler) -> Service:
-        """Register a service on the message bus. Each call invokes `handler(request)` for the response.
+        """Register a service on the message bus. Each call runs `handler(request)` to get the response.
 
         The handler runs in the caller's thread.
 
@@ -241,7 +241,7 @@ class Bus:
         return service
 
     def find_elsewhere(self, finder: Finder) -> None:
-        """Register a transport's function that finds services without a server on the message bus."""
+        """Register a function that finds services elsewhere if the message bus has no server for them."""
         with self._lock:
             self._finders.append(finder)
 

@@ -29,7 +29,7 @@ class Clock:
         return time.time() if simulated is None else simulated
 
     def set(self, seconds: float) -> None:
-        """Set the clock of the message bus to `seconds` and let it run on simulation time from now on.
+        """Set the clock of the message bus to `seconds`. From now on, the clock shows simulation time.
 
         Time may jump backward, for example when the simulation is reset.
         """

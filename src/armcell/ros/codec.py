@@ -26,7 +26,7 @@ MAX_ITEMS = 1 << 26
 
 
 class WireError(ArmcellError):
-    """Error of a codec that decodes bytes which are not a ROS message of the expected type."""
+    """Error of a codec that is given bytes which are not a ROS message of the expected type."""
 
 
 class Codec:
@@ -65,7 +65,8 @@ class Codec:
             raise InputError(f"{name} cannot be encoded: {error}", hint=_culprit(message)) from None
 
     def prepare(self, name: str) -> None:
-        """Generate the codec functions for a message type now, so that its first message is not delayed.
+        """Generate the codec functions for a message type in advance,
+        so that its first message is not delayed.
 
         Generation takes up to 0.1 s, for example for a planning scene.
 
@@ -96,8 +97,8 @@ class Codec:
 
 
 class _Classes(dict):
-    """Dictionary with which the codec finds message classes by their rosbags names. Each class is created on
-    first access.
+    """Dictionary of the message classes that the codec uses, by their rosbags names.
+    Each class is created on first access.
     """
 
     def __init__(self, schema: Schema, cdr: bool):
@@ -122,8 +123,8 @@ def _is_empty(definition: Definition) -> bool:
 
 
 def _culprit(message: Any) -> str | None:
-    """Return a hint about the first field that prevents the codec from encoding a message: a text instead of
-    a number, or vice versa.
+    """Return a hint about the first field that the codec cannot encode,
+    because it contains text instead of a number or vice versa.
 
     Returns None if no direct field of the message has this fault, that is, if the fault is nested deeper.
     """

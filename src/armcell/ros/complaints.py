@@ -9,7 +9,7 @@ MORE = "more"  # the shared kind for every new fault beyond the limit
 
 
 class Complaints:
-    """Thread-safe counter of the faults in received messages, which counts each kind of fault separately.
+    """Thread-safe counter of faults in received messages. It counts each kind of fault separately.
 
     Args:
         most: maximum number of distinct kinds. Later kinds share one counter, so that a faulty sender can
@@ -22,8 +22,8 @@ class Complaints:
         self._counts: Counter[str] = Counter()
 
     def is_new(self, kind: str) -> bool:
-        """Count a fault in a received message and return whether its kind is new, so that only the first one
-        is logged.
+        """Count a fault in a received message.
+        Return whether a fault of this kind occurs for the first time and must be logged.
         """
         with self._lock:
             if kind not in self._counts and len(self._counts) >= self._most:

@@ -63,8 +63,8 @@ def pose_from_message(pose: Any) -> SE3:
 
 
 def transform_message(schema: Schema, header: Any, child: str, T: SE3) -> Any:
-    """Convert an SE3 pose to a geometry_msgs/TransformStamped message, which relates the frame `child` to the
-    frame in the header.
+    """Convert an SE3 pose to a geometry_msgs/TransformStamped message:
+    the pose of the frame `child` in the frame of the header.
     """
     vector = schema.new("geometry_msgs/Vector3", *T.translation.tolist())
     rotation = schema.new("geometry_msgs/Quaternion", *_xyzw(T))

@@ -12,7 +12,8 @@ TYPE = "std_msgs/String"
 
 
 class Descriptions:
-    """Publisher of robot descriptions: it publishes the URDF and SRDF parameters of a bus on latched topics.
+    """Publisher of robot descriptions.
+    It publishes the URDF and the SRDF, which are parameters of the bus, on latched topics.
 
     A topic that already has another publisher is skipped.
     """

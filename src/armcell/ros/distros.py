@@ -24,8 +24,8 @@ PLUMBING = ("rmw_dds_common",)
 
 
 class Distro(NamedTuple):
-    """ROS 2 distribution: the message set in rosbags that belongs to it, and armcell's folders with further
-    definitions.
+    """ROS 2 distribution: its message definitions in rosbags,
+    and the armcell folders that contain further definitions.
 
     If two folders define the same type, the later folder wins.
     """

@@ -34,8 +34,8 @@ DTYPES: dict[str, Any] = {
 
 
 class Message:
-    """Base class of all ROS message classes. The attribute `_type` contains `pkg/Name`, and constants are
-    class attributes.
+    """Base class of all ROS message classes. The attribute `_type` contains the name of the type, `pkg/Name`;
+    constants are class attributes.
     """
 
     __slots__ = ()
@@ -88,8 +88,8 @@ STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 
 
 def python_name(field: str) -> str:
-    """Return the Python attribute for a field of a ROS message. A field named like a Python keyword gets an
-    underscore: `lambda_`.
+    """Return the Python attribute name for a field of a ROS message. If the field is named like a Python
+    keyword, an underscore is appended: `lambda_`.
     """
     return f"{field}_" if keyword.iskeyword(field) else field
 

@@ -90,7 +90,7 @@ class NameMap:
         return _renamed(self._there, full)
 
     def to_bus(self, name: str) -> str:
-        """Return the name that the program uses for a topic or service with a given name on the ROS graph.
+        """Convert the name of a topic or service on the ROS graph to the name that the program uses.
 
         Names outside the namespace stay unchanged.
         """
@@ -100,9 +100,7 @@ class NameMap:
 
 
 def _renamed(table: Mapping[str, str], name: str) -> str:
-    """Look up a ROS name in a table of remappings. If an action is remapped, its topics are remapped as
-    well.
-    """
+    """Look up a ROS name in a table of remappings. Remapping an action also remaps its topics."""
     if name in table:
         return table[name]
     action, _, part = name.rpartition("/")
@@ -110,7 +108,8 @@ def _renamed(table: Mapping[str, str], name: str) -> str:
 
 
 def name_map(node: str, namespace: str = "", remap: Iterable[str] = ()) -> NameMap | None:
-    """Return the ROS name map for a namespace and remappings, or None if they change no name.
+    """Return the map that applies a namespace and remappings to ROS names,
+    or None if it would change no name.
 
     Args:
         node: name of the node.
@@ -132,8 +131,8 @@ def name_map(node: str, namespace: str = "", remap: Iterable[str] = ()) -> NameM
 
 
 def _own(name: str, namespace: str) -> str:
-    """Make a remapped ROS name relative to the namespace, unless it is global or already contains the
-    namespace.
+    """Make a remapped ROS name relative to the namespace.
+    Global names and names that already contain the namespace stay unchanged.
     """
     inside = f"/{namespace.strip('/')}/"
     if name in GLOBAL or name.startswith(inside):

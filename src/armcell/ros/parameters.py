@@ -23,7 +23,9 @@ class Parameters:
         self._lock = threading.Lock()
 
     def set(self, name: str, value: Any) -> None:
-        """Set the value of a ROS parameter. A mapping replaces the whole namespace of that name."""
+        """Set the value of a ROS parameter.
+        A mapping replaces all parameters in the namespace of that name.
+        """
         name = resolve(name)
         with self._lock:
             self._drop(name)
@@ -32,8 +34,8 @@ class Parameters:
             self._values.update(_flat(name, value))
 
     def get(self, name: str, default: Any = _NONE) -> Any:
-        """Return the value of a ROS parameter, or a namespace as nested dicts. The name "/" returns all
-        parameters.
+        """Return the value of a ROS parameter.
+        A namespace is returned as nested dicts; the name "/" returns all parameters.
 
         Raises:
             UnknownNameError: the parameter is not set and the caller gave no default.

@@ -49,8 +49,8 @@ def python(schema: Schema, packages: Iterable[str]) -> list[Generated]:
 
 
 def _in_order(schema: Schema, names: list[str]) -> list[str]:
-    """Sort messages for a generated Python module so that each message follows the messages that its fields
-    contain.
+    """Sort the messages in a generated Python module so that each message
+    comes after the messages that its fields contain.
     """
     done: list[str] = []
 

@@ -17,7 +17,7 @@ TEXT_FIELDS = ("error_string", "message", "status_message", "reason")
 
 
 def failed(answer: Any, text: str, code: ErrorCode = ErrorCode.FAILURE) -> Any:
-    """Write the reason of a failure into the fields of a ROS result or response and return the message.
+    """Write the reason for a failure into the fields of a ROS result or response and return this message.
 
     A text field changes only if the reason contains its old text, for example if the field is empty. Error
     codes that already state a failure stay unchanged.

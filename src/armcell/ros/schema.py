@@ -74,8 +74,8 @@ class Schema:
         self.actions = sorted({*self.actions, *found.actions})
 
     def _add_ros2(self) -> None:
-        """Add the types and fields that only ROS 2 has to the message schema. Newer distributions take
-        precedence.
+        """Add to the message schema the types and fields that exist only in ROS 2.
+        Newer distributions take precedence.
         """
         for distro in reversed(DISTROS):
             found = layouts(distro)
@@ -93,8 +93,8 @@ class Schema:
     # --- types ---
     @property
     def messages(self) -> list[str]:
-        """Return the sorted names of all messages in the schema, including the messages of which services and
-        actions consist.
+        """Return the sorted names of all messages in the schema,
+        including the messages that services and actions consist of.
         """
         return sorted(self.definitions)
 
@@ -105,8 +105,8 @@ class Schema:
             raise UnknownNameError("message type", name, self.definitions) from None
 
     def whole(self, name: str) -> Definition:
-        """Return the definition of a message type in the schema: its ROS 1 fields, extended by those that
-        only ROS 2 has.
+        """Return the definition of a message type in the schema: its ROS 1 fields,
+        followed by the fields that only ROS 2 has.
 
         The class of the type has all of these fields.
 
@@ -172,8 +172,8 @@ class Schema:
         return "".join(f"{line}\n" for line in self._lines(self.definition(name), {}))
 
     def full_text(self, name: str) -> str:
-        """Return the definition of a message type in the schema as text, followed by all nested types, as in
-        bag files.
+        """Return the definition of a message type in the schema as text, followed by those of all nested
+        types. Bag files use this form.
         """
         name = plain_name(name)
         seen: list[str] = [name]
@@ -205,8 +205,8 @@ class Schema:
         return self._texts[name]
 
     def _lines(self, definition: Definition, names: Mapping[str, str]) -> list[str]:
-        """Return the lines of a message definition in the schema. The types of nested messages are replaced
-        by `names`.
+        """Return the lines of a message definition in the schema. Types of nested messages are replaced
+        according to the dict `names`.
 
         A replaced type has no array suffix.
         """
@@ -225,8 +225,8 @@ class Schema:
 
 
 def _merged(known: Definition, other: Definition) -> Definition:
-    """Merge two definitions of a message in the schema: keep the first and append the fields that only the
-    second has.
+    """Merge two definitions of a message in the schema: the first definition,
+    followed by the fields that only the second one has.
 
     Field names are compared without case, because CameraInfo's names differ only in case.
     """
@@ -246,7 +246,7 @@ _first = threading.Lock()  # `cache` alone would let two threads each create a s
 
 
 def schema() -> Schema:
-    """Return the built-in message schema; all callers share one instance."""
+    """Return the built-in message schema. All callers share one instance."""
     with _first:
         return _built_in()
 

@@ -21,7 +21,7 @@ TOPICS = ("/tf", "/tf_static")
 
 @dataclass
 class Frame:
-    """TF frame and the statistics of the transforms that were received for it."""
+    """TF frame with statistics of the transforms received for it."""
 
     name: str
     parents: dict[str, float]  # arrival time of the last transform from each parent [s, receiver's clock]
@@ -82,8 +82,8 @@ class TfMonitor:
         return sorted({f.parent for f in self.frames.values()} - set(self.frames))
 
     def lines(self, now: float) -> list[str]:
-        """Return the tree of TF frames as text, one line per frame, indented by depth, with its age and
-        rate.
+        """Return the tree of TF frames as text.
+        Each line contains one frame, indented by its depth, with its age and rate.
         """
         below: dict[str, list[str]] = {}
         for frame in self.frames.values():

@@ -38,8 +38,8 @@ class Transport(Protocol):
         ...
 
     def start(self) -> None:
-        """Start the transport, which then accepts connections. Call this method when the cell on the bus can
-        answer.
+        """Start the transport, which then accepts connections.
+        The cell on the bus must already be able to answer.
         """
         ...
 
@@ -56,7 +56,8 @@ class Transport(Protocol):
         ...
 
     def status_text(self) -> str:
-        """Return the connected programs and the lost messages of a transport as text for the status line.
+        """Return the connected programs and the number of lost messages
+        of a transport as text for the status line.
 
         Raises:
             InputError: the transport has ended.
@@ -90,15 +91,15 @@ def split_address(address: str, port: int) -> tuple[str, int]:
 
 
 def losses(dropped: int, mistakes: int) -> str:
-    """Format the numbers of dropped and malformed messages of a transport for a status line. Zeros are
-    omitted.
+    """Format the numbers of lost and malformed messages of a transport for a status line.
+    Zeros are omitted.
     """
     return (f"  dropped {dropped}" if dropped else "") + (f"  mistakes {mistakes}" if mistakes else "")
 
 
 @transports.register("tcp")
 class TcpTransport:
-    """Transport to Unity, which runs a server for Unity's ROS-TCP-Connector.
+    """Transport to Unity: a server to which Unity's ROS-TCP-Connector connects.
 
     Args:
         address: HOST:PORT to listen on; port 0 selects a free port.
@@ -194,8 +195,8 @@ class Ros2Transport:
         )
 
     def reserve(self) -> None:
-        """Do nothing, because the ROS 2 transport has no port to reserve: DDS chooses its ports at the
-        start.
+        """Do nothing, because the ROS 2 transport has no fixed port to reserve.
+        DDS chooses its ports when it starts.
         """
 
     def ready(self) -> str:

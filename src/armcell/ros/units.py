@@ -15,8 +15,8 @@ FAR = 100.0  # [m] maximum distance from the origin: no work cell is larger
 
 
 def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[float]) -> str | None:
-    """Return a hint about wrong units if joint positions are within the limits only when read as degrees or
-    millimeters.
+    """Return a hint about wrong units if joint positions exceed the
+    limits but would be valid as degrees or millimeters.
 
     Args:
         model: the robot, for joint types and limits.
@@ -39,7 +39,7 @@ def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[floa
 
 
 def check_near(T: SE3) -> None:
-    """Check that a pose is in meters. A distance of more than 100 m from the origin suggests millimeters.
+    """Check that a pose is in meters. A pose more than 100 m from the origin is probably in millimeters.
 
     Raises:
         InputError: the translation is longer than 100 m.

@@ -41,8 +41,8 @@ _SECTIONS = 32
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Triangle mesh in a single color, which the viewer draws. The vertices [m] are in the frame of the link
-    or object that owns it.
+    """Triangle mesh in a single color, drawn by the viewer. The vertices [m] are in the frame of the link or
+    object to which the mesh belongs.
     """
 
     vertices: Array  # (v, 3)
@@ -84,7 +84,8 @@ def shape_part(shape: Shape, color: Color) -> Part:
 
 
 def collision_part(shape: Shape) -> Part:
-    """Return the mesh that shows a collision shape in the viewer: translucent and slightly inflated.
+    """Return the mesh that shows a collision shape in the viewer.
+    It is translucent and slightly larger than the shape.
 
     The inflation avoids flicker where the collision shape coincides with the visual mesh.
     """
@@ -148,7 +149,7 @@ def node_name(*parts: str) -> str:
 
 
 def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True) -> Any:
-    """Draw a mesh in the viewer (viser) at the pose `T` in the frame of the parent node.
+    """Draw a mesh in the viewer (viser) at the pose `T`, given in the frame of the parent node.
 
     Returns:
         viser's handle.
@@ -168,7 +169,7 @@ def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True)
 
 
 def visual_parts(visual: Visual) -> tuple[Part, ...]:
-    """Return the meshes with which the viewer draws one visual element of a link.
+    """Return the meshes that the viewer draws for one visual element of a link.
 
     A color given in the URDF overrides the colors of the mesh file, as in RViz.
     """

@@ -25,8 +25,8 @@ AMBER: Color = (0.95, 0.60, 0.05, 0.55)
 
 
 class Ghost:
-    """Translucent robot (ghost) that shows a state in the viewer, with link collision shapes and attached
-    objects. It is hidden until `place`.
+    """Translucent robot (ghost) that shows a state in the viewer, with its collision shapes and attached
+    objects. It is hidden until the first call of `place`.
 
     Args:
         name: name of the ghost's node in viser's scene.
@@ -54,7 +54,7 @@ class Ghost:
         ]
 
     def of_group(self, group: str) -> None:
-        """Show only those links of the ghost robot that the planning group moves."""
+        """Show only the links of the ghost robot that the planning group moves."""
         columns = set(self._model.columns(self._model.group(group).joint_names))
         tree = self._tree
         self._moved = frozenset(

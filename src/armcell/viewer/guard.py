@@ -60,7 +60,7 @@ FULL = f"{MAX_CLIENTS} browsers show this page already; close one of them.\n"
 
 
 class PageGuard:
-    """Guard of a web page that keeps the page's secrets and accepts or rejects each request to it.
+    """Access guard of a web page. It stores the secrets of the page and accepts or rejects each request.
 
     The guard fails closed: it rejects requests that it cannot parse.
 
@@ -86,15 +86,15 @@ class PageGuard:
         self._open = False
 
     def open(self) -> None:
-        """Let the guard of the web page accept requests from now on.
+        """Let the guard of the web page start accepting requests.
 
         Before this call, requests with the token get a "starting" page.
         """
         self._open = True
 
     def in_front_of(self, serve: Process) -> Process:
-        """Wrap a `process_request` function of `websockets` so that the guard of the web page filters its
-        requests.
+        """Wrap a `process_request` function of `websockets` so that the
+        guard of the web page checks each request first.
         """
 
         def process(connection: ServerConnection, request: Request) -> Any:
@@ -144,8 +144,8 @@ class PageGuard:
         return answer
 
     def _admit(self, connection: ServerConnection) -> Response | None:
-        """Accept a new websocket of the web page (None), or return a 503 response if too many browsers are
-        connected.
+        """Accept a new websocket of the web page by returning None. If too many browsers are connected,
+        return a 503 response instead.
         """
         from websockets.protocol import State
 
@@ -167,8 +167,8 @@ class PageGuard:
             return False
 
     def _refuse(self, text: str, header: str = "", values: Sequence[str] = ()) -> Response:
-        """Return the guard's 403 response to a rejected request of a web page. Each foreign host or origin is
-        logged only once.
+        """Return the 403 response to a rejected request for a web page.
+        Each foreign host or origin is logged only once.
         """
         said = (header, ", ".join(values)[:100])
         if header and said not in self._told and len(self._told) < MAX_TOLD:
@@ -184,8 +184,8 @@ def page_url(host: str, port: int, token: str) -> str:
 
 
 def _name_of(host: str) -> str:
-    """Return the host name or address in the Host header of a page request, without the port. A malformed
-    header gives an empty text.
+    """Return the host name or address in the Host header of a page request, without the port. If the header
+    is malformed, the text is empty.
     """
     match = _HOST.fullmatch(host)
     return match[1].strip("[]") if match else ""
@@ -216,8 +216,8 @@ def _response(status: int, text: str, more: dict[str, str]) -> Response:
 
 
 def _harden(headers: Any, host: str) -> None:
-    """Add HTTP headers to a page's response that forbid framing, connections to foreign hosts, and
-    referrers.
+    """Add HTTP headers to the response of a page.
+    They forbid framing, connections to other hosts, and referrers.
     """
     own = f"ws://{host} wss://{host}" if host else ""
     headers["Content-Security-Policy"] = (

@@ -22,8 +22,8 @@ class Job:
 
 
 class Jobs:
-    """Runner for the background jobs of a browser panel, which runs one job at a time and rejects others
-    meanwhile.
+    """Runner for the background jobs of a browser panel.
+    It runs one job at a time and rejects others in the meantime.
 
     Args:
         lock: lock of the owner; held whenever the current job changes.
@@ -87,7 +87,9 @@ class Jobs:
         return True
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no background job of the panel runs. Return False if `timeout` [s] expires first."""
+        """Wait until no background job of the panel is running.
+        Return False if `timeout` [s] expires first.
+        """
         job = self.current
         if job is not None and job.thread is not None:
             job.thread.join(timeout)

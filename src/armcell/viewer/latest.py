@@ -10,8 +10,8 @@ logger = logging.getLogger(__name__)
 
 
 class Latest:
-    """Worker thread that, for each name, runs only the latest function submitted. An older function that has
-    not started yet is dropped.
+    """Worker thread that runs only the latest function submitted under each name.
+    Older functions that have not started yet are dropped.
     """
 
     def __init__(self) -> None:

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 
 class StatusPanel:
-    """Status panel of the viewer, with read-only fields and with checkboxes that show or hide parts of the
-    view.
+    """Status panel of the viewer.
+    It has read-only fields, and checkboxes that show or hide parts of the view.
 
     Args:
         gui: viser's GUI API.
@@ -44,7 +44,7 @@ class StatusPanel:
         return self._boxes[what].value
 
     def update(self, sample: StateSample | None, events: list[Event]) -> None:
-        """Show new events of the cell and its newest state sample in the status panel.
+        """Show new events and the latest state of the cell in the status panel.
 
         The stage name comes from the event's `data["name"]` or `data["stage"]`, else from its text.
         """

@@ -21,8 +21,8 @@ LABEL = 44  # characters of a suggestion on its button; the tooltip has the full
 
 
 class PlanTab:
-    """Widgets of the "Plan" tab, which show the settings and the result of one planning session. `refresh`
-    updates them.
+    """Widgets of the "Plan" tab.
+    They show the settings and the result of a planning session; `refresh` updates them.
 
     Args:
         play: starts the preview from the beginning.
@@ -84,8 +84,8 @@ class PlanTab:
         self.acceleration.on_update(on(lambda: session.set(acceleration_scaling=self.acceleration.value)))
 
     def _choose_pipeline(self) -> None:
-        """Select a planning pipeline in the "Plan" tab. The current planner is kept if the new pipeline has
-        it.
+        """Select a planning pipeline in the "Plan" tab.
+        The current planner stays selected if the new pipeline offers it.
 
         Otherwise select RRTConnect, or else the pipeline's first planner.
         """
@@ -187,7 +187,9 @@ class PlanTab:
         self._session.plan()
 
     def show_time(self, t: float) -> None:
-        """Move the time slider of the "Plan" tab to the time [s] of the preview, without starting a seek."""
+        """Move the time slider of the "Plan" tab to the time [s] that the preview shows,
+        without triggering a seek.
+        """
         with quietly():
             self.time.value = min(round(t, 2), self.time.max)
 

@@ -29,7 +29,7 @@ STATUS_COLORS = {"free": GREEN, "collision": PALE_RED, "out of reach": GREY}
 
 
 class PlanningPanel:
-    """Browser front end of a planning session. Use the planning panel in a `with` block.
+    """Browser user interface of a planning session. Use this panel in a `with` block.
 
     The panel connects widgets to the session and draws its state. It contains no planning logic.
 
@@ -133,7 +133,7 @@ class PlanningPanel:
 
     # --- the preview ---
     def play(self) -> None:
-        """Play the planned motion in the planning panel from its beginning."""
+        """Play the planned motion in the planning panel from the beginning."""
         result = self.session.result
         if result is not None and result.ok and result.trajectory is not None:
             self._player.play(max(result.trajectory.duration, 1e-3))
@@ -143,8 +143,8 @@ class PlanningPanel:
         self._player.seek(t)
 
     def _show_motion(self, t: float) -> None:
-        """Draw the robot in the planning panel at a time [s] of the motion. Only the player's thread may call
-        this method.
+        """Draw the robot in the planning panel at a time [s] of the motion.
+        Only the thread of the player may call this method.
 
         Calls from a second thread could draw an older time last.
         """

@@ -14,7 +14,8 @@ PAUSE = 0.5  # [s] at the end, before the next repetition
 
 
 class Player:
-    """Player of a motion preview, which calls `show` in real time with times [s] from 0 to the duration.
+    """Player for a motion preview.
+    It calls `show` in real time with times [s] from 0 to the duration of the motion.
 
     Args:
         show: draws the motion at a time [s]; called from the player's thread.
@@ -32,7 +33,7 @@ class Player:
         self._thread.start()
 
     def play(self, duration: float) -> None:
-        """Play the preview of a motion from its beginning. The motion takes `duration` [s]."""
+        """Play the preview of a motion from the beginning. The motion takes `duration` [s]."""
         with self._wake:
             self._duration = duration
             self._wake.notify()

@@ -84,14 +84,14 @@ class ReplayView:
 
     # --- time ---
     def seek(self, time: float) -> None:
-        """Stop the replay and show the recorded run at a time [s]."""
+        """Stop the replay and show the state of the recorded run at a time [s]."""
         self._stopped()
         self._player.stop()
         self.show(time)
 
     def toggle(self) -> None:
-        """Pause the replay if it plays, or else continue from the slider's time. At the end, the replay
-        starts again from the beginning.
+        """Pause the replay if it is playing; otherwise, continue from the time on the slider. At the end, the
+        replay starts again from the beginning.
         """
         if self._player.playing:
             self.seek(float(self.time.value))
@@ -135,8 +135,8 @@ class ReplayView:
         self.viewer.on_state(self.record.states[self.record.index_at(time + 1e-9)].sample())
 
     def _said_until(self, time: float) -> list[Event]:
-        """Return the last stage event of the replayed run up to a time [s], followed by the newest event if
-        it is of another kind.
+        """Return the last stage event of the replayed run up to a time [s]. If the newest event up to that
+        time is not a stage event, it is appended.
         """
         before = [e for e in self.record.events if e.time <= time + 1e-9]
         stages = [e for e in before if e.kind == "stage"]

@@ -27,7 +27,7 @@ def free_name(scene: PlanningScene, kind: str) -> str:
 def with_new(
     scene: PlanningScene, name: str, kind: str, size: tuple[float, ...], T_world_object: SE3
 ) -> PlanningScene:
-    """Return a copy of the scene in which the user's edit has added a box, sphere or cylinder.
+    """Return a copy of the scene with a new box, sphere or cylinder that the user adds.
 
     Args:
         size: box (x, y, z), sphere (radius) or cylinder (radius, length) [m].
@@ -45,8 +45,7 @@ def with_new(
 
 
 def with_attached(scene: PlanningScene, name: str, link: str | None) -> PlanningScene:
-    """Return a copy of the edited scene in which an object is attached to a link, at the current pose of the
-    object.
+    """Return a copy of the edited scene with an object attached to a link. The object keeps its current pose.
 
     Links that are in contact with the object now are allowed to stay in contact.
 
@@ -67,7 +66,8 @@ def bodies(scene: PlanningScene) -> list[str]:
 
 
 def other_bodies(scene: PlanningScene, body: str) -> list[str]:
-    """Return the bodies that can collide with a given body, for editing the allowed collisions.
+    """Return the bodies that can collide with a given body.
+    The user chooses among them when editing the allowed collisions.
 
     Planning does not check objects against each other.
     """
@@ -102,8 +102,8 @@ def save(scene: PlanningScene, file: str, folder: Path, ours: set[Path]) -> str:
 
 
 def with_loaded(scene: PlanningScene, file: str, folder: Path) -> PlanningScene:
-    """Return a copy of the edited scene with the objects of a file added. Objects with equal names are
-    replaced.
+    """Return a copy of the edited scene with the objects from a file.
+    Objects in the scene that have the same names are replaced.
 
     Raises:
         InputError: the file is invalid; the error names the file, the line or element, and the reason.

@@ -183,7 +183,9 @@ class SceneTab:
 
 
 def _offer(dropdown: Any, names: tuple[str, ...]) -> None:
-    """Set the choices of a dropdown in the "Scene" tab. The current choice is kept if it is among them."""
+    """Set the choices of a dropdown list in the "Scene" tab.
+    The current choice is kept if it is still in the list.
+    """
     options = (NONE, *names)
     if dropdown.options != options:
         if dropdown.value not in options:

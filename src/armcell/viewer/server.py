@@ -28,7 +28,7 @@ _starting = threading.Lock()
 
 @dataclass(frozen=True)
 class PageServer:
-    """Web server of a browser page: a viser server whose requests pass through a guard.
+    """Web server for a browser page. It is a viser server whose requests are checked by a guard.
 
     Attributes:
         url: URL with the token; anyone who knows the URL can use the page.
@@ -45,7 +45,7 @@ class PageServer:
         return self.endpoints[0].port
 
     def open(self) -> None:
-        """Let the viser server of the page answer browsers. Call this method after building the page."""
+        """Let the viser server of the page answer browsers. Call this method once the page is built."""
         self.guard.open()
 
     def stop(self) -> None:
@@ -95,7 +95,7 @@ def start_page(host: str, port: int, label: str, names: Iterable[str] = ()) -> P
 
 
 def _free_port(host: str, port: int) -> int:
-    """Return the first port, from `port` upwards, to which the viser server can bind.
+    """Return the first port, starting at `port`, to which the viser server can bind.
 
     viser itself would wait forever for an invalid host.
 
@@ -122,7 +122,8 @@ def _free_port(host: str, port: int) -> int:
 # --- patches of viser, which has no hooks for the guard and for its console output ---
 @contextlib.contextmanager
 def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
-    """Put the guard of the page in front of every server that viser starts during a `with` block.
+    """Protect every server that viser starts during a `with` block:
+    the guard of the page checks each request first.
 
     Yields:
         List that receives the `websockets` server object.
@@ -171,7 +172,8 @@ _wire.addFilter(_OneLine())
 
 
 def _counted() -> Any:
-    """Return the websocket class of the page server. A new connection closes at once if there are too many.
+    """Return the websocket class of the page server.
+    If too many connections are open, a new one is closed at once.
 
     The limit applies with and without the token: idle connections would otherwise use up the file
     descriptors of a process that controls robots.
@@ -223,8 +225,8 @@ def _unguarded(why: str) -> ArmcellError:
 
 
 def _from_viser(depth: int = 2) -> bool:
-    """Return whether the function two levels up in the call stack belongs to viser, whose output the page
-    server logs.
+    """Return whether the function two levels up in the call stack belongs to viser.
+    The page server redirects viser's output to the log.
     """
     return str(sys._getframe(depth).f_globals.get("__name__", "")).partition(".")[0] == "viser"
 
@@ -234,8 +236,8 @@ _printing = threading.Lock()
 
 @contextlib.contextmanager
 def _quiet_viser() -> Iterator[None]:
-    """Redirect what viser prints with `rich.print` to the log during a `with` block. Output of other modules
-    is printed as usual.
+    """Redirect the output of viser's `rich.print` to the log during a `with` block.
+    Output of other modules is printed as usual.
 
     viser announces its start and end on stdout even with `verbose=False`, and stdout belongs to the caller.
     """

@@ -117,7 +117,7 @@ class PlanningSession:
     # --- goal and settings ---
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return the groups for which the planning session can plan, because they have joints."""
+        """Return the groups for which the planning session can plan: the groups that have joints."""
         return tuple(g.name for g in self.scene.model.groups.values() if g.joint_names)
 
     @property
@@ -126,7 +126,7 @@ class PlanningSession:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Return the names of the named states of the group that the planning session has selected."""
+        """Return the names of the named states of the planning session's group."""
         return tuple(self.scene.model.named_states.get(self.group, {}))
 
     @property
@@ -139,7 +139,7 @@ class PlanningSession:
         return self.scene.positions if self.start is None else self.start
 
     def set_group(self, name: str) -> None:
-        """Select the group of the planning session and reset the goal to the start state.
+        """Select the group for which the planning session plans, and reset the goal to the start state.
 
         Raises:
             UnknownNameError: the group does not exist.
@@ -171,7 +171,7 @@ class PlanningSession:
         self._tell("goal")
 
     def set_positions(self, state: JointState, start: bool = False) -> None:
-        """Set some joints of the planning session's goal or start state. Others stay unchanged.
+        """Set some joints in the goal or start state of the planning session; others stay unchanged.
 
         Raises:
             InputError: a position is outside the joint limits.
@@ -253,7 +253,7 @@ class PlanningSession:
 
     # --- the world ---
     def change_scene(self, change: Callable[[PlanningScene], PlanningScene], said: str = "") -> None:
-        """Replace the planning session's scene by `change(scene)`, e.g. to add or attach objects.
+        """Replace the scene of the planning session by `change(scene)`, e.g. to add or attach objects.
 
         Raises:
             InputError: raised by `change`, or the robot is executing a motion; the scene stays unchanged.
@@ -296,7 +296,7 @@ class PlanningSession:
         self._tell("scene", "settings", "goal", "result")
 
     def _adopt_goal(self, request: PlanRequest | CartesianRequest) -> None:
-        """Show the first goal of a request as the goal of the planning session."""
+        """Use the first goal of a request as the goal that the planning session shows."""
         goal = PoseGoal(request.waypoints[-1]) if isinstance(request, CartesianRequest) else request.goals[0]
         if isinstance(goal, NamedGoal):
             goal = JointGoal(self.scene.model.named_state(request.group, goal.name))
@@ -379,7 +379,7 @@ class PlanningSession:
     # --- executing ---
     @property
     def why_not_executable(self) -> str:
-        """Return why the planning session cannot execute its last plan. Empty if it can."""
+        """Explain why the planning session cannot execute its last plan; the text is empty if it can."""
         result = self.result
         if self._connect is None:
             return "there is no robot to execute it: this is a scene, not a cell"
@@ -396,7 +396,7 @@ class PlanningSession:
         return ""
 
     def execute(self) -> None:
-        """Start to execute the last plan of the planning session in the background.
+        """Start executing the last plan of the planning session in the background.
 
         Raises:
             InputError: the plan cannot be executed; the text is `why_not_executable`.
@@ -425,7 +425,7 @@ class PlanningSession:
         self._tell("scene", "goal", "result")
 
     def _connected(self, job: Job) -> LiveCell:
-        """Return the planning session's live cell, reconnected if the user has edited the world."""
+        """Return the live cell of the planning session; reconnect it if the user has edited the world."""
         if self._live is not None and self._live_with != self._edits:
             self._disconnect()
         if self._live is None:
@@ -459,7 +459,7 @@ class PlanningSession:
         return self._jobs.wait(timeout)
 
     def close(self) -> None:
-        """Stop all jobs of the planning session, which stays usable, and disconnect from the robot."""
+        """Stop all jobs of the planning session and disconnect from the robot. The session stays usable."""
         self.stop()
         self.wait(CLOSE_S)
         self._disconnect()

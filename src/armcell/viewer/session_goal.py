@@ -34,7 +34,7 @@ TRIES = 2000  # random samples tested for a collision-free state
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Settings of a planning session and of its goal, which the user selects in the panel."""
+    """Settings of a planning session, including those of its goal. The user selects them in the panel."""
 
     pipeline: str = "native"
     planner: str = "RRTConnect"
@@ -96,8 +96,8 @@ class GoalView:
 
 
 def judged(scene: PlanningScene, group: str, positions: Array, start: Array) -> GoalView:
-    """Check the goal positions (dof,) of a session for collisions. Padding of obstacles that the state
-    `start` (dof,) already violates is reduced.
+    """Check the goal positions (dof,) of a session for collisions. Where the state `start` (dof,) already
+    violates the padding of an obstacle, the padding is reduced.
     """
     names = scene.model.group(group).joint_names
     checker = KernelChecker(replace(scene, positions=positions), names)
@@ -163,8 +163,8 @@ def random_positions(scene: PlanningScene, group: str, rng: np.random.Generator)
 
 
 def keep_upright(scene: PlanningScene, group: str) -> Constraints:
-    """Return a path constraint for the session that keeps the tip upright but lets it rotate about the
-    vertical.
+    """Return a path constraint that keeps the tip upright during the session's motion.
+    The tip may still rotate about the vertical.
 
     The tip axis that is nearest to the vertical at the start may tilt by at most `TILT`. Tolerances are
     rotation vectors in the axes of the target orientation; the component about the vertical axis is free.

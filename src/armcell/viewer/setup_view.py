@@ -43,7 +43,7 @@ class Proposed(Protocol):
 
 
 class SetupView:
-    """Browser page that shows the proposed setup of a robot until the user clicks "Write" or "Cancel".
+    """Browser page that shows a proposed robot setup until the user clicks "Write" or "Cancel".
 
     Use it in a `with` block. Each pair of links has a box that selects whether it is collision-checked or
     ignored. The page shows the boxes of one link at a time, links with the most frequent contacts first.
@@ -140,8 +140,8 @@ class SetupView:
             self._show_pairs()
 
     def _show_pairs(self) -> None:
-        """Show a check box on the setup page for each pair of the selected link, with the frequency of their
-        contacts.
+        """Show a checkbox on the setup page for each pair of links that includes the selected one, with the
+        frequency of contacts between the two.
         """
         with self._deciding:
             for box in self.boxes.values():
@@ -162,7 +162,9 @@ class SetupView:
                     self.boxes[pair.links] = box
 
     def _stands(self, group: str, state: str) -> bool:
-        """Return whether the robot on the setup page is at a named state of a group, within 1e-3."""
+        """Return whether the robot on the setup page is in a named state of a group,
+        with a tolerance of 1e-3.
+        """
         target = self._model.named_state(group, state)
         here = self._q[self._model.columns(target.joint_names)]
         return bool(np.allclose(here, target.positions, atol=1e-3))

@@ -55,8 +55,8 @@ class StatesTab:
         self._session.set_positions(JointState((name,), np.array([value])), self.is_start)
 
     def _unit(self, name: str) -> tuple[str, float]:
-        """Return the unit in which the "States" tab shows a joint, and the factor from radians or meters to
-        that unit.
+        """Return the unit in which the "States" tab shows a joint,
+        and the factor for converting radians or meters to that unit.
         """
         slides = self._session.scene.model.joint(name).type == "prismatic"
         return ("mm", 1000.0) if slides else ("deg", 180.0 / np.pi)

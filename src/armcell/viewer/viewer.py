@@ -93,12 +93,14 @@ class CellViewer:
         return self.page.port
 
     def open(self) -> None:
-        """Let the cell viewer answer browsers that open its page."""
+        """Start serving the page of the cell viewer to browsers."""
         self.page.open()
 
     @property
     def server(self) -> viser.ViserServer:
-        """Return the viser server of the cell viewer, for adding scene nodes and widgets to the page."""
+        """Return the viser server of the cell viewer, with which
+        nodes and widgets can be added to the page.
+        """
         return self._server
 
     # --- Observer: called from the thread that steps the cell ---
@@ -160,7 +162,9 @@ class CellViewer:
         _place(self.object_frames[item.name], item.T_world_object)
 
     def show_scene(self, scene: PlanningScene) -> None:
-        """Show another scene with the same robot in the cell viewer, with its objects and its robot state."""
+        """Show a new scene with the same robot in the cell viewer,
+        including the objects and the robot state.
+        """
         with self._wake:  # discard samples of the old scene
             self._sample = None
             old, self._scene = self._scene, scene
@@ -179,7 +183,7 @@ class CellViewer:
             self._place_links()
 
     def _shown(self, what: str, visible: bool) -> None:
-        """Handle a click on a checkbox in the cell viewer's panel that shows or hides a part of the view."""
+        """Handle a click on a checkbox that shows or hides a part of the view in the cell viewer."""
         for handle in tuple({"collision": self._collisions, "path": self._paths}[what]):
             handle.visible = visible
 
@@ -254,8 +258,8 @@ class CellViewer:
 
 
 def _merged(scene: PlanningScene, q: Array, joints: JointState) -> Array:
-    """Return a copy of `q` (dof,) with the positions of the actuated joints in `joints`, for display in the
-    cell viewer.
+    """Return a copy of `q` (dof,) for the cell viewer,
+    in which the actuated joints have the positions from `joints`.
     """
     q, at = q.copy(), {name: i for i, name in enumerate(scene.model.joint_names)}
     for name, value in zip(joints.joint_names, joints.positions, strict=True):

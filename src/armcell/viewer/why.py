@@ -66,8 +66,8 @@ def draw_explanation(server: viser.ViserServer, scene: PlanningScene, explanatio
 
 
 def _at(scene: PlanningScene, state: JointState | None) -> PlanningScene:
-    """Return the scene in which the viewer draws why planning failed. Default positions replace those that
-    are not finite.
+    """Return the scene in which the viewer shows why planning failed. Positions that are not finite are
+    replaced by default positions.
     """
     positions = scene.state.updated(state).positions if state is not None else scene.positions
     usual = scene.model.default_positions()

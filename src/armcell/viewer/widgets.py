@@ -18,7 +18,7 @@ _quiet = threading.local()
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Let the thread of a panel tab set widgets during a `with` block without triggering their callbacks."""
+    """Let a thread of a panel tab set widgets during a `with` block without triggering their callbacks."""
     before, _quiet.on = getattr(_quiet, "on", False), True
     try:
         yield
@@ -27,8 +27,8 @@ def quietly() -> Iterator[None]:
 
 
 class Callbacks:
-    """Factory for the callbacks of widgets in a panel tab. If a callback fails, it reports the error and
-    resets the widgets.
+    """Factory for the callbacks of widgets in a panel tab.
+    When a callback fails, the error is shown and the widgets are reset.
 
     Args:
         say: shows an error text.

@@ -48,8 +48,8 @@ class ROSTimeMovedBackwardsException(ROSInterruptException):
 
 # --- names and errors ---
 def resolved(name: str) -> str:
-    """Return a name in the rospy node as a full graph name. A `~private` name is below the name of the
-    node.
+    """Convert a name in the rospy node to a full graph name.
+    A `~private` name is resolved in the namespace of the node.
     """
     try:
         if name.startswith("~"):
@@ -66,7 +66,7 @@ def check_running() -> None:
 
 @contextlib.contextmanager
 def ros_errors(kind: type[Exception]) -> Any:
-    """Convert exceptions of armcell that a `with` block raises to the exceptions that rospy would raise."""
+    """Convert exceptions that armcell raises in a `with` block to the exceptions that rospy would raise."""
     try:
         yield
     except (ArmcellError, ServiceError) as error:
@@ -155,7 +155,7 @@ def get_time() -> float:
 
 
 def sleep(duration: float | Duration) -> None:
-    """Sleep for a duration of the cell's clock, as rospy.sleep does with use_sim_time.
+    """Sleep for a duration measured by the cell's clock, as rospy.sleep does with use_sim_time.
 
     Args:
         duration: seconds or a Duration.
@@ -182,7 +182,9 @@ def wait_until(seconds: float) -> None:
 
 
 class Rate:
-    """Loop timer like rospy.Rate: its `sleep` keeps a loop at a fixed rate [Hz] of the cell's clock."""
+    """Loop timer like rospy.Rate.
+    Its method `sleep` keeps a loop at a fixed rate [Hz], measured by the cell's clock.
+    """
 
     def __init__(self, hz: float, reset: bool = False):
         self.sleep_dur = Duration.from_sec(1.0 / hz)
@@ -203,8 +205,8 @@ class Rate:
 
 
 class Timer(threading.Thread):
-    """Timer like rospy.Timer, which calls a function with a TimerEvent at a fixed period of the cell's
-    clock.
+    """Timer like rospy.Timer.
+    It calls a function with a TimerEvent at a fixed period, measured by the cell's clock.
     """
 
     def __init__(
@@ -237,7 +239,7 @@ class Timer(threading.Thread):
 
 
 class TimerEvent:
-    """Expected and actual times of the current and previous calls of a timer, like rospy's TimerEvent."""
+    """Expected and actual times of a timer's current and previous calls, like rospy's TimerEvent."""
 
     def __init__(
         self, last_expected: Any, last_real: Any, current_expected: Any, current_real: Any, last_duration: Any

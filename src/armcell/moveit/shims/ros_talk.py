@@ -37,8 +37,8 @@ class Publisher:
             self._publisher = current_session().bus.advertise(self.name, self.type, latch)
 
     def publish(self, *args: Any, **kwds: Any) -> None:
-        """Publish a message, or a message that is created from the given field values, like
-        rospy.Publisher.
+        """Publish a message like rospy.Publisher.
+        The message is given directly or by the values of its fields.
         """
         if len(args) == 1 and not kwds and getattr(args[0], "_type", None) == self.type:
             message = args[0]
@@ -60,8 +60,8 @@ class Publisher:
 
 
 class Subscriber:
-    """Subscriber like rospy.Subscriber. In its own thread it calls a function with a copy of each message,
-    which the script may change.
+    """Subscriber like rospy.Subscriber.
+    Its thread calls a function with a copy of each message, which the function may modify.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ def _response(cls: Any, given: Any) -> Any:
 
 
 class ServiceProxy:
-    """Client of a ROS service that is called like a function, as rospy.ServiceProxy is."""
+    """Client of a ROS service, which can be called like a function, as in rospy.ServiceProxy."""
 
     def __init__(self, name: str, service_class: Any, persistent: bool = False, headers: Any = None):
         self.resolved_name, self.service_class = resolved(name), service_class

@@ -107,7 +107,7 @@ def _log(level: str, message: Any, args: tuple[Any, ...]) -> None:
 
 
 def logdebug(msg: Any, *args: Any, **kwargs: Any) -> None:
-    """Ignore a debug message: rospy.logdebug shows nothing by default."""
+    """Ignore a debug message, because rospy.logdebug shows nothing by default."""
 
 
 def loginfo(msg: Any, *args: Any, **kwargs: Any) -> None:
@@ -157,11 +157,13 @@ logout = loginfo
 
 
 def logdebug_throttle(period: float, msg: Any, *args: Any) -> None:
-    """Ignore a throttled debug message, as rospy does not show debug messages by default."""
+    """Ignore a debug message with a rate limit, because rospy does not show debug messages by default."""
 
 
 def logdebug_once(msg: Any, *args: Any) -> None:
-    """Ignore a debug message that would be logged once, as rospy does not show debug messages by default."""
+    """Ignore a debug message that would be logged only once,
+    because rospy does not show debug messages by default.
+    """
 
 
 class _Exceptions:

@@ -18,8 +18,8 @@ Exception = TransformException
 
 
 class TransformListener:
-    """Transform listener like the one of ROS 1's tf, which returns transforms as tuples (x, y, z) and (x, y,
-    z, w).
+    """Transform listener like that of tf in ROS 1.
+    It returns transforms as a position (x, y, z) and a quaternion (x, y, z, w).
     """
 
     def __init__(self, *args: Any, **kwargs: Any):
@@ -68,7 +68,7 @@ class TransformListener:
 
 
 class TransformBroadcaster:
-    """Transform broadcaster like the one of ROS 1's tf, which publishes one transform per call."""
+    """Transform broadcaster like that of tf in ROS 1. Each call publishes one transform."""
 
     def __init__(self, queue_size: int = 100):
         self._broadcaster = tf2_ros.TransformBroadcaster()

@@ -27,7 +27,7 @@ class TransformException(Exception):
 
 
 class LookupException(TransformException):
-    """Exception that tf2_ros raises if a frame was never published on /tf or /tf_static."""
+    """Exception that tf2_ros raises if a frame has never been published on /tf or /tf_static."""
 
 
 class ConnectivityException(TransformException):

@@ -135,9 +135,7 @@ def goal_from_message(message: Any, scene: PlanningScene) -> Goal:
 
 
 def _joint_goal(wanted: Constraints) -> Goal:
-    """Convert joint constraints to a `JointGoal`. If their tolerances differ, the result is a
-    `ConstraintGoal`.
-    """
+    """Convert joint constraints to a `JointGoal`, or to a `ConstraintGoal` if their tolerances differ."""
     tolerances = {t for c in wanted.joints for t in (c.tolerance_above, c.tolerance_below)}
     names = [c.joint for c in wanted.joints]
     if len(tolerances) > 1 or len(set(names)) < len(names):

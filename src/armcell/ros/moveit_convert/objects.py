@@ -15,8 +15,8 @@ ADD, REMOVE, APPEND, MOVE = 0, 1, 2, 3  # moveit_msgs/CollisionObject
 
 
 def frame_of(header: Any) -> str:
-    """Return the frame in the header of a collision object, without a leading slash. An empty frame means the
-    world.
+    """Return the frame in the header of a collision object, without a leading slash.
+    An empty name stands for the world frame.
     """
     return header.frame_id.lstrip("/") or WORLD
 

@@ -36,8 +36,8 @@ def error_code_message(schema: Schema, code: ErrorCode | int, message: str = "")
 def plan_request_from_message(
     message: Any, scene: PlanningScene, parameters: Mapping[str, Any] | None = None
 ) -> PlanRequest:
-    """Convert a moveit_msgs/MotionPlanRequest message to a `PlanRequest`. Empty fields get the defaults of
-    MoveIt's move_group.
+    """Convert a moveit_msgs/MotionPlanRequest message to a `PlanRequest`.
+    Empty fields get the defaults of MoveIt's move_group node.
 
     An empty pipeline or planner selects the default, a scaling factor outside (0, 1] becomes 1, a missing
     planning time becomes 5 s, and less than one attempt becomes one. The workspace applies only if its frame

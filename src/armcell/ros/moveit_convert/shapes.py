@@ -66,7 +66,7 @@ def primitive_shape(message: Any) -> Shape:
 
 
 def prism(base: NDArray[np.float64], height: float) -> Mesh:
-    """Convert a prism of shape_msgs to a mesh: extrude its polygon by half of `height` to both sides.
+    """Convert a shape_msgs prism to a mesh. The polygon is extruded by half of `height` in both directions.
 
     Args:
         base: corners (n, 2) [m] of a polygon without holes.
@@ -152,7 +152,7 @@ def plane_pose(message: Any) -> SE3:
 
 
 class ShapeMessages:
-    """Lists of the shape_msgs messages and their poses that describe a collision object or a bounding volume.
+    """Shapes of a collision object or a bounding volume as shape_msgs messages, with their poses.
 
     `add` appends one shape at a time.
     """

@@ -15,7 +15,7 @@ from armcell.scene import AttachedBody, PlanningScene
 
 
 def joint_state_from_message(message: Any, model: RobotModel) -> JointState | None:
-    """Convert a sensor_msgs/JointState message to a joint state that does not contain mimic joints.
+    """Convert a sensor_msgs/JointState message to a joint state. Mimic joints are left out.
 
     Returns:
         The joint state, or None if the message names no actuated joint.

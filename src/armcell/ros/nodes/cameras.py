@@ -42,8 +42,8 @@ class CameraPublisher:
         self._cameras = [_Topics(bus, camera) for camera in cameras.values()]
 
     def publish(self, tf: Publisher | None = None) -> None:
-        """Publish the camera images that are due. The camera frames are published as well if /tf has a
-        publisher.
+        """Publish the camera images that are due.
+        If something publishes /tf, the camera frames are published there as well.
 
         Args:
             tf: publisher of /tf; None publishes no frames.
@@ -52,7 +52,7 @@ class CameraPublisher:
             topics.publish(tf)
 
     def frames(self) -> dict[str, int]:
-        """Return the number of images that each camera has delivered so far, by the name of the camera."""
+        """Return how many images each camera has delivered so far, by camera name."""
         return {topics.name: topics.delivered for topics in self._cameras}
 
     def close(self) -> None:
@@ -96,7 +96,9 @@ class _Topics:
         self._camera.ask(self, self._give, rgb=bool(self._color.subscribers or points), depth=bool(depth))
 
     def _give(self, image: CameraImage) -> None:
-        """Publish a rendered camera image on its ROS topics, in the thread that delivers the image."""
+        """Publish a rendered camera image on its ROS topics.
+        The thread that delivers the image calls this method.
+        """
         with self._giving:
             if not self._closed:
                 self._publish(image)
@@ -123,8 +125,8 @@ class _Topics:
             self._points.publish(cloud_message(schema, header, points, image.rgb))
 
     def _frames(self) -> list[Any]:
-        """Return the transforms of a camera that are published on /tf: from the parent link to the camera's
-        link and to its optical frame.
+        """Return the transforms that a camera publishes on /tf:
+        from the parent link to the camera's link and to its optical frame.
         """
         camera, bus = self._camera.camera, self._bus
         parent = WORLD if camera.link is None else camera.link

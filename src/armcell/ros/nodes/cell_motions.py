@@ -95,7 +95,7 @@ class CellMotions:
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
-        """Execute the motions of a live cell in a new thread and return the thread."""
+        """Start a thread that executes the motions of a live cell, and return the thread."""
         thread = threading.Thread(target=self.run, name=f"cell {self.live.name}", daemon=True)
         thread.start()
         return thread
@@ -111,14 +111,14 @@ class CellMotions:
 
     # --- scene and held objects ---
     def scene(self) -> PlanningScene:
-        """Return the measured scene of a live cell, including added and held objects, for checking
-        motions.
+        """Return the measured scene of a live cell, including added and held objects.
+        Motions are checked against this scene.
         """
         return self.conductor.call(self.now)
 
     def now(self) -> PlanningScene:
-        """Return the measured scene of a live cell for its motions. Only the thread of the driver may call
-        this method.
+        """Return the current measured scene of a live cell, including held objects.
+        Only the thread of the driver may call this method.
         """
         self.look_at_hands()
         return self.live.ctx.scene()
@@ -147,8 +147,8 @@ class CellMotions:
             self._widths[reading.held] = reading.width
 
     def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change the scene of a live cell with the function `make` and return the resulting scene, against
-        which motions are checked.
+        """Apply the function `make` to the scene of a live cell.
+        Return the resulting scene, against which motions are then checked.
 
         Raises:
             InputError: `make` raised it; the world is unchanged.
@@ -162,8 +162,8 @@ class CellMotions:
         return self.conductor.call(lambda: self.live.driver.gripper(gripper.name).held)
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare that motions of the cell may bring `body` into contact with `others`, or revoke this
-        declaration.
+        """Declare that contact between `body` and `others` is expected during motions of the cell,
+        or revoke this declaration.
         """
         others = tuple(others)
         self.conductor.call(lambda: self.live.ctx.expect_contact(body, others, expected))
@@ -174,8 +174,8 @@ class CellMotions:
 
     # --- motions ---
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return the waiting and running motions of a live cell. If joints are given, only their motions are
-        returned.
+        """Return the waiting and running motions of a live cell.
+        If joints are given, return only motions of these joints.
         """
         return self.conductor.works(joints)
 
@@ -184,7 +184,7 @@ class CellMotions:
         self.conductor.stop()
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Start to open or close a gripper of a live cell and return a handle to this motion.
+        """Start opening or closing a gripper of a live cell and return a handle to this motion.
 
         Args:
             gripper: the gripper.
@@ -200,8 +200,8 @@ class CellMotions:
         planned_in: PlanningScene | None = None,
         controllers: Sequence[str] = (),
     ) -> Work:
-        """Queue a trajectory_msgs/JointTrajectory as a motion of the cell. It starts when earlier motions of
-        its joints have ended.
+        """Queue a trajectory_msgs/JointTrajectory as a motion of the cell.
+        It starts after earlier motions of the same joints have ended.
 
         `say` reports the progress. A trajectory without points stops its joints, or all joints if it names
         none. The motion gate certifies the motion when it starts, with the contacts that `planned_in` allows.
@@ -242,15 +242,15 @@ class CellMotions:
         return self._put_beside(work, trajectory)
 
     def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
-        """Check that the controllers which a client has named for a motion of the cell move all joints of
-        that motion.
+        """Check that the controllers that a client of the cell has named
+        for a motion move all joints of the motion.
         """
         if controllers:
             chosen(self.controllers, controllers, joints)
 
     def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
-        """Return a view of the cell's driver that executes a motion only with the named controllers, if any
-        are named.
+        """Return a view of the cell's driver that uses only the named controllers. If no controllers are
+        named, it may use all of them.
         """
         return driver
 
@@ -279,8 +279,8 @@ class CellMotions:
         return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
-        """Queue a motion of the cell. If it conflicts with motions of other arms, it is queued after those
-        arms have arrived.
+        """Queue a motion of the cell.
+        If it conflicts with motions of other arms, first wait until those arms have arrived.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -306,16 +306,16 @@ class CellMotions:
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
     def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
-        """Return a motion of the cell that must start or end before the motion `work` can be checked, or
-        None.
+        """Return another motion of the cell that must start or end
+        before the motion `work` can be checked, or None.
         """
         before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """Describe the conflict of a new motion with running motions of the cell, if the conflict disappears
-        when these motions end.
+        """Describe the conflict between a new motion and running motions of the cell, if the conflict is over
+        once these motions have ended.
 
         Returns an empty string if there is no such conflict.
         """

@@ -77,8 +77,8 @@ class CellNode(CellMotions):
 
     # --- the driver's thread ---
     def run(self) -> None:
-        """Step the cell of this node and execute the commands of its clients until `close`, after which the
-        node is removed.
+        """Step the cell of this node and execute the commands of its clients until `close`,
+        and then remove the node.
         """
         try:
             super().run()

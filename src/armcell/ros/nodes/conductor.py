@@ -27,8 +27,8 @@ STOPPED = ExecutionResult(ErrorCode.PREEMPTED, "cancelled before it began")
 
 
 class Work:
-    """Motion in the queue of the conductor, given either as `steps`, which creates a generator, or as a
-    blocking `job`.
+    """Motion in the queue of the conductor.
+    It is either a function `steps`, which creates a generator, or a blocking function `job`.
 
     Attributes:
         joints: the joints of the motion; motions that share a joint never run at the same time.
@@ -64,13 +64,11 @@ class Work:
         return self._over.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait up to `timeout` [s] for the end of a motion in the conductor's queue. Return False on
-        timeout.
-        """
+        """Wait up to `timeout` [s] for a motion in the conductor's queue to end. Return False on timeout."""
         return self._over.wait(timeout)
 
     def stop(self, why: str) -> None:
-        """Stop a motion in the conductor's queue early. Its outcome then contains the reason `why`."""
+        """Stop a motion in the conductor's queue early. The text `why` becomes part of its outcome."""
         if not self.cancel.is_set():
             self._why_stopped = why
         self.cancel.set()
@@ -122,8 +120,8 @@ class Conductor(DriverProxy):
 
     # --- from any thread ---
     def put(self, work: Work) -> Work:
-        """Add a motion to the queue of the conductor. It starts when earlier motions of its joints have
-        ended.
+        """Add a motion to the queue of the conductor.
+        It starts after earlier motions of the same joints have ended.
 
         Raises:
             InputError: too many motions wait, or the cell is closed.
@@ -139,8 +137,8 @@ class Conductor(DriverProxy):
         return work
 
     def works(self, joints: Iterable[str] | None = None) -> list[Work]:
-        """Return the waiting and running motions of the conductor. If joints are given, only their motions
-        are returned.
+        """Return the waiting and running motions of the conductor.
+        If joints are given, return only motions of these joints.
         """
         with self._lock:
             every = [*self._running, *self._waiting]
@@ -158,9 +156,7 @@ class Conductor(DriverProxy):
             work.cancel.set()
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a function in the driver's thread of the conductor, between two steps, and return its
-        result.
-        """
+        """Run a function between two steps in the thread of the conductor's driver, and return its result."""
         if threading.current_thread() is self._thread:
             return function()
         answer: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
@@ -180,8 +176,8 @@ class Conductor(DriverProxy):
         return value
 
     def soon(self, function: Callable[[], None]) -> None:
-        """Schedule a function that the conductor runs in the driver's thread between two steps. The call does
-        not wait.
+        """Schedule a function to run between two steps in the thread of the conductor's driver.
+        The call does not wait.
 
         Exceptions of the function are only logged.
         """
@@ -198,7 +194,9 @@ class Conductor(DriverProxy):
 
     # --- the driver's thread ---
     def turn(self) -> None:
-        """Run the driver of the conductor for one period, or run one complete blocking job."""
+        """Advance the driver of the conductor by one period,
+        or run one blocking job from beginning to end.
+        """
         self._thread = threading.current_thread()
         with self._lock:
             job = next((w for w in self._ready() if w.job is not None), None)
@@ -239,7 +237,7 @@ class Conductor(DriverProxy):
             self.turn()
 
     def close(self) -> None:
-        """End all motions of the conductor, answer all callers that wait, and reject new motions."""
+        """End all motions of the conductor, release all waiting callers, and reject new motions."""
         with self._lock:
             self._closed = True
             works = [*self._running, *self._waiting]
@@ -250,7 +248,9 @@ class Conductor(DriverProxy):
             self._calls.get()()
 
     def _ready(self) -> list[Work]:
-        """Return the waiting motions of the conductor that share no joint with an earlier motion."""
+        """Return the waiting motions that the conductor can start,
+        because no earlier motion uses their joints.
+        """
         taken = {joint for w in self._running for joint in w.joints}
         ready = []
         for work in self._waiting:
@@ -278,8 +278,8 @@ class Conductor(DriverProxy):
                 self._finish(work, None, error)
 
     def _step_all(self) -> None:
-        """Advance every running motion of the conductor by one step. Motions that waited for one of them
-        start in the same period.
+        """Advance every running motion of the conductor by one step. If a motion ends, motions that waited
+        for it start in the same period.
 
         A motion that waits for another one starts in the driver period in which the other one ends.
         """

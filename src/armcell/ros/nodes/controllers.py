@@ -48,7 +48,7 @@ CODES = {
 def chosen(
     controllers: Mapping[str, Iterable[str]], names: Sequence[str], joints: Iterable[str]
 ) -> list[str]:
-    """Select those external ROS controllers that move the given joints.
+    """Select the external ROS controllers that move the given joints.
 
     Args:
         controllers: joint names of each available controller.
@@ -76,14 +76,14 @@ class Outlet(Protocol):
     """Connection to one external ROS controller, through its action or its topic."""
 
     def missing(self, timeout: float) -> InputError | None:
-        """Wait up to `timeout` [s] for an external ROS controller. If it is not available, return the
-        error.
+        """Wait up to `timeout` [s] for an external ROS controller.
+        Return an error if it is still not available.
         """
         ...
 
     def begin(self, trajectory: JointTrajectory) -> Any:
-        """Send a motion to an external ROS controller and return a handle, which `ended` and `cancel`
-        require.
+        """Send a motion to an external ROS controller and return a handle.
+        Pass the handle to `ended` and `cancel`.
         """
         ...
 
@@ -95,7 +95,7 @@ class Outlet(Protocol):
 
 
 class Controllers:
-    """Clients that send motions to the external ROS controllers of a cell.
+    """Client of the external ROS controllers that execute the motions of a cell.
 
     Args:
         bus: the message bus.
@@ -142,7 +142,7 @@ class Controllers:
 
     # --- trajectories ---
     def follow(self, trajectory: JointTrajectory, names: Sequence[str] = ()) -> ControllerMotion:
-        """Execute a trajectory with those external ROS controllers that move its joints.
+        """Execute a trajectory with the external ROS controllers that move its joints.
 
         Args:
             names: controllers to use; empty means all controllers of the joints.
@@ -159,8 +159,8 @@ class Controllers:
         return ControllerMotion(outlets, running, FACTOR * trajectory.duration + GRACE)
 
     def _part(self, trajectory: JointTrajectory, joints: Sequence[str]) -> JointTrajectory:
-        """Return the part of a trajectory that one external controller executes, with all joints of this
-        controller.
+        """Return the part of a trajectory that one external controller executes.
+        It contains all joints of this controller.
 
         Joints of the controller that the trajectory does not move keep their positions.
         """
@@ -174,8 +174,7 @@ class Controllers:
         return gripper.joint_name in {j for joints in self.joints.values() for j in joints}
 
     def grip(self, gripper: Gripper, width: float, force: float) -> Callable[[], Outcome | None]:
-        """Send a command for a gripper to an external ROS controller and return a function that polls the
-        result.
+        """Send a gripper command to an external ROS controller and return a function that polls the result.
 
         The function returns None until the command has ended.
 
@@ -224,8 +223,8 @@ class Controllers:
 
 
 def off_goal(state: JointState, trajectory: JointTrajectory) -> tuple[float, bool]:
-    """Return the largest distance [rad or m] of a joint from the end of a trajectory, and whether the joints
-    are at rest.
+    """Return how far [rad or m] the joints are from the end of a trajectory (the largest error),
+    and whether they are at rest.
     """
     state = state.reindexed(trajectory.joint_names)
     error = float(np.max(np.abs(state.positions - trajectory.positions[-1])))
@@ -233,7 +232,7 @@ def off_goal(state: JointState, trajectory: JointTrajectory) -> tuple[float, boo
 
 
 class ReportedMotion(ABC):
-    """Handle to a motion of a robot that reports only the outcome of the motion and not its progress."""
+    """Handle to the motion of a robot that does not report progress, but only the outcome."""
 
     _outcome: Outcome | None = None
 
@@ -253,7 +252,7 @@ class ReportedMotion(ABC):
 
     @abstractmethod
     def _poll(self) -> Outcome | None:
-        """Return the outcome of the robot's motion, or None while the robot moves."""
+        """Return the outcome of the robot's motion, or None if the robot is still moving."""
 
 
 class ControllerMotion(ReportedMotion):
@@ -289,8 +288,8 @@ class ControllerMotion(ReportedMotion):
                 self._outlets[name].cancel(self._running[name])
 
     def _poll(self) -> Outcome | None:
-        """Return the outcome of the external controllers: the first failure, PREEMPTED after `cancel`, or
-        success. While they move, return None.
+        """Return the outcome of a motion of external controllers: the first failure, PREEMPTED after
+        `cancel`, or success. Return None during the motion.
         """
         for name in self._left:
             if (result := self._outlets[name].ended(self._running[name])) is not None:
@@ -349,8 +348,8 @@ class _Action:
 
 
 class _Topic:
-    """External ROS controller that executes motions through a trajectory topic. The joint states show when a
-    motion has ended.
+    """External ROS controller that executes motions through a trajectory topic. The end of a motion is
+    detected from the joint states.
     """
 
     def __init__(self, bus: Bus, controller: Controller, joints: Callable[[], JointState]):
@@ -409,7 +408,7 @@ def _absent(controller: Controller, what: str) -> InputError:
 
 
 def _why(sent: SentGoal) -> str:
-    """Return the error code and the text with which an external controller reported that a goal failed."""
+    """Return the error code and the text that an external controller has reported for a failed goal."""
     code = getattr(sent.result, "error_code", 0)
     text = getattr(sent.result, "error_string", "") or sent.text
     words = [CODES.get(code, "") if isinstance(code, int) else "", text]

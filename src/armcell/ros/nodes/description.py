@@ -17,8 +17,8 @@ NAME = "/robot_description"
 
 
 def describe(bus: Bus, model: RobotModel) -> Descriptions:
-    """Set the parameters robot_description and robot_description_semantic, and publish the URDF and the SRDF
-    as latched topics.
+    """Set the parameters robot_description and robot_description_semantic.
+    Also publish the URDF and the SRDF on latched topics.
 
     An existing URDF parameter is kept. Unity and ROS 2 have no parameter server, so their programs read the
     topics.

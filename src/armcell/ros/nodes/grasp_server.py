@@ -42,7 +42,7 @@ class GraspServerSettings:
 
 
 class GraspServer:
-    """Node that grasps and lifts an object when a client requests it by a service or a topic.
+    """Node that grasps and lifts an object when a client calls its service or publishes on its topic.
 
     Service /grasp (std_srvs/Trigger) grasps the only movable object. Topic /grasp_object (std_msgs/String)
     names the object to grasp. Topic /grasp_status (std_msgs/String, latched) reports the progress and the
@@ -74,7 +74,7 @@ class GraspServer:
         self.grasp(message.data)
 
     def grasp(self, name: str = "") -> tuple[bool, str]:
-        """Grasp an object for a client of the grasp server and lift it.
+        """Grasp and lift an object for a client of the grasp server.
 
         Args:
             name: name of the object; empty means the only movable object.

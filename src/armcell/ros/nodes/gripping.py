@@ -40,7 +40,8 @@ REST_TIME = 0.1  # [s] that an arm must rest before automatic closing
 def gripping(
     driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event, patience: float = 1.0
 ) -> ExecutionSteps:
-    """Move a gripper on a command from ROS until it reaches the target width or an object stops it.
+    """Execute a gripper command from ROS.
+    The motion ends when the gripper reaches the target width or an object stops it.
 
     A cancelled motion stops the fingers where they are, as ros_control's gripper_action_controller does;
     fingers that hold an object keep their force.
@@ -115,8 +116,8 @@ def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[Gripper, float]]:
-    """Return the gripper commands that a trajectory contains if it moves only fingers: each gripper with its
-    final width [m].
+    """Return the gripper commands in a trajectory that moves only fingers:
+    each gripper with its final width [m].
 
     Returns an empty list for any other trajectory.
     """
@@ -147,7 +148,8 @@ class GripperMotions:
         """True if a client has commanded a gripper to close."""
 
     def drive(self, gripper: Gripper, width: float, force: float) -> Work:
-        """Start to open or close a gripper on the bus. A force of 0 means the maximum force of the gripper.
+        """Start opening or closing a gripper on the bus.
+        A force of 0 selects the maximum force of the gripper.
 
         Args:
             gripper: the gripper.
@@ -170,8 +172,8 @@ class GripperMotions:
     def closing(
         self, driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event
     ) -> ExecutionSteps:
-        """Close or open a gripper on the bus. Contacts of the fingers are declared as expected before the
-        gripper closes.
+        """Open or close a gripper on the bus.
+        Before it closes, contacts of the fingers with nearby objects are declared as expected.
 
         The simulation and the motion gate then accept these contacts.
         """
@@ -181,15 +183,15 @@ class GripperMotions:
         return gripping(driver, gripper, width, force, cancel, self._patience)
 
     def _expect_contact(self, gripper: Gripper) -> None:
-        """Declare contacts between the fingers of a gripper and the objects near its tcp as expected."""
+        """Declare that contacts between the fingers of a gripper and
+        the objects near its tcp are expected.
+        """
         for item in around_tcp(self._live.scene(), gripper, NEAR):
             self._live.ctx.expect_contact(item.name, gripper.finger_links)
             self._expected[gripper.name].add(item.name)
 
     def moved(self, joints: Iterable[str]) -> None:
-        """Revoke the declaration of expected finger contacts for objects from which the arm has moved
-        away.
-        """
+        """Revoke the declaration of expected finger contacts for objects that the arm has moved away from."""
         driver = self._live.driver
         for gripper in self._live.model.grippers.values():
             expected = self._expected[gripper.name]

@@ -162,7 +162,7 @@ class MoveGroupNode:
         )  # fmt: skip
 
     def settled(self, group: str, cancel: threading.Event | None = None) -> None:
-        """Wait until the motions of the planning group that a move_group request names have ended.
+        """Wait until the planning group that a move_group request names has ended all of its motions.
 
         A plan that starts from a moving state would be invalid when it is executed.
         """
@@ -180,7 +180,7 @@ class MoveGroupNode:
             works[0].wait(0.05)
 
     def start_scene(self, request: Any, cancel: threading.Event | None = None) -> PlanningScene:
-        """Return the measured scene in which a request to move_group starts.
+        """Return the measured scene, which a request to move_group uses as its start.
 
         If the request gives no start state, wait until the group has come to rest.
         """
@@ -343,7 +343,7 @@ class MoveGroupNode:
         return self.new("QueryPlannerInterfacesResponse", described)
 
     def _parameters_of(self, request: Any) -> dict[str, Any]:
-        """Return the planner parameters for a move_group request. Group parameters take precedence."""
+        """Return the planner parameters for a move_group request. Group-specific values take precedence."""
         key = (request.pipeline_id, request.planner_id)
         return {
             **self._parameters.get((*key, ""), {}),
@@ -488,7 +488,7 @@ def waited(work: Work, cancel: threading.Event) -> Outcome:
 
 
 def done(outcome: Outcome, result: Any) -> Done:
-    """Return the final state of a move_group goal: SUCCEEDED, PREEMPTED or, otherwise, ABORTED."""
+    """Return the final state of a move_group goal: SUCCEEDED, PREEMPTED or ABORTED (any other failure)."""
     state = State.SUCCEEDED if outcome.ok else State.ABORTED
     if outcome.code is ErrorCode.PREEMPTED:
         state = State.PREEMPTED
@@ -496,7 +496,7 @@ def done(outcome: Outcome, result: Any) -> Done:
 
 
 def _started(scene: PlanningScene, message: Any) -> PlanningScene:
-    """Return the scene at the start of a move_group request, after applying the request's RobotState."""
+    """Return the start scene of a move_group request, which includes the request's RobotState."""
     state = robot_state_from_message(message, scene)
     if state is not None:
         scene = replace(scene, positions=scene.state.updated(state).positions)

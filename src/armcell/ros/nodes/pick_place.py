@@ -103,8 +103,8 @@ class PickPlaceNode:
         return _BusPick(self, goal, gripper, self._grasps(scene, asked, gripper), result).run()
 
     def _gripper(self, group: str, end_effector: str) -> Gripper:
-        """Return the gripper to which a pickup or place goal refers by the name of an end effector or of an
-        arm's group.
+        """Return the gripper for a pickup or place goal,
+        which names either an end effector or the group of an arm.
 
         Raises:
             UnknownNameError: the end effector or group does not exist.
@@ -123,7 +123,7 @@ class PickPlaceNode:
         return model.gripper(arm_group=group or None)
 
     def _grasps(self, scene: PlanningScene, asked: Any, gripper: Gripper) -> list[ExplicitGrasp]:
-        """Return the grasps in a pickup goal, best first. If it contains none, they are computed.
+        """Return the grasps in a pickup goal, best first. If the goal contains no grasps, they are computed.
 
         Raises:
             InputError: the grasp poses refer to another link than the group's tip.
@@ -339,7 +339,7 @@ class PickPlaceNode:
 
 
 class _BusPick(Pick):
-    """Pick task for a /pickup goal, which plans in the scene of the cell and moves the cell over the bus.
+    """Pick task for a /pickup goal. It plans in the scene of the cell and moves the cell over the bus.
 
     Args:
         node: searches, performs steps and reports.
@@ -402,8 +402,8 @@ class _BusPick(Pick):
 
 
 def _tip(scene: PlanningScene, gripper: Gripper) -> str:
-    """Return the link to which the poses in pickup and place goals refer: the tip of the group or, without a
-    tip, the tcp.
+    """Return the link that the poses in pickup and place goals describe:
+    the tip of the group or, without a tip, the tcp.
     """
     return scene.model.group(gripper.arm_group).tip_link or gripper.tcp_link
 
@@ -413,8 +413,8 @@ def _pose(scene: PlanningScene, stamped: Any) -> SE3:
 
 
 def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, item: CollisionObject) -> None:
-    """Reject the grasp poses in a pickup goal if they evidently refer to another link than the tip of the
-    group.
+    """Reject the grasp poses in a pickup goal if they evidently
+    describe a link other than the tip of the group.
 
     MoveIt's grasp poses refer to the parent link of the end effector, which in many packages is also the tip
     of the group. Poses are rejected if no grasp puts the tcp into the object as a pose of the tip, but at
@@ -429,8 +429,8 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
     low, high = item.bounds()
 
     def fit(link: str) -> int:
-        """Count the grasps in a pickup goal that place the tcp in the object, assuming that they are poses of
-        `link`.
+        """Count the grasps in a pickup goal that put the tcp inside the object,
+        assuming that the goal contains poses of `link`.
         """
         points = [(T @ scene.transform(link, gripper.tcp_link)).translation for T in Ts]
         return sum(bool(np.all(p >= low - NEAR) and np.all(p <= high + NEAR)) for p in points)

@@ -144,7 +144,9 @@ class RemoteDriver(Driver):
 
     # --- subscriptions ---
     def _complain(self, text: str) -> None:
-        """Log a fault in the messages to the remote driver, once per kind because messages arrive often."""
+        """Log a fault in the messages to the remote driver.
+        Each kind of fault is logged only once, because messages arrive often.
+        """
         if self._complaints.is_new(re.sub(r"[-+.0-9]+", "", text)):
             logger.warning("%s", text)
 
@@ -207,8 +209,8 @@ class RemoteDriver(Driver):
         return take
 
     def _aim(self, gripper: str, width: float) -> None:
-        """Remember the width [m] to which a remote gripper is commanded. It holds no object until it has had
-        time to move.
+        """Store the width [m] that a remote gripper was commanded to reach.
+        It cannot hold an object until it has had time to move.
         """
         with self.lock:
             if abs(width - self._targets.get(gripper, np.inf)) > CLOSED:
@@ -220,12 +222,14 @@ class RemoteDriver(Driver):
     # --- state ---
     @property
     def is_seen(self) -> bool:
-        """Return whether the remote driver has received joint states of its robot."""
+        """Return whether the remote driver has received any joint states from its robot."""
         return self._joints is not None
 
     @property
     def silence(self) -> float:
-        """Return how long ago the remote driver received joint states [s, wall clock]; 0 before the first."""
+        """Return the time [s, wall clock] since the remote driver last
+        received joint states; 0 if it has received none.
+        """
         with self.lock:
             return time.monotonic() - self._at if self._joints is not None else 0.0
 
@@ -242,8 +246,8 @@ class RemoteDriver(Driver):
         )
 
     def wait_for_state(self) -> None:
-        """Wait until the remote driver receives joint states and then object poses. Objects whose pose does
-        not arrive stay where the cell defines them.
+        """Wait until the remote driver has received joint states and object poses. Objects whose poses do not
+        arrive stay where the cell defines them.
         """
         self._wait(STATE_TIMEOUT, lambda: self._joints is not None)
         if self._joints is not None and self._unseen:
@@ -270,7 +274,7 @@ class RemoteDriver(Driver):
         self._controllers.find(joints, names)
 
     def joint_state(self) -> JointState:
-        """Return the joint states that the remote driver has received last from the bus.
+        """Return the latest joint states that the remote driver has received from the bus.
 
         Raises:
             InputError: no joint states have arrived, or the last joint states are too old; the error states
@@ -298,7 +302,7 @@ class RemoteDriver(Driver):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Refuse to command a single setpoint, because the robot of a remote driver plays whole trajectories.
+        """Reject a single setpoint, because the robot of a remote driver executes only whole trajectories.
 
         Raises:
             UnknownNameError: the model has no such joint.
@@ -328,7 +332,8 @@ class RemoteDriver(Driver):
         self.hold(())
 
     def hold(self, joint_names: tuple[str, ...]) -> None:
-        """Stop joints of the remote driver's robot with an empty trajectory. Without names, all joints stop.
+        """Stop joints of the remote driver's robot by sending an empty trajectory.
+        Without names, all joints stop.
 
         Goals that were sent to controllers are canceled by their own motions.
         """
@@ -367,7 +372,7 @@ class RemoteDriver(Driver):
         return held
 
     def _grips_object(self, name: str, state: JointState, before: bool) -> bool:
-        """Return whether the fingers of a remote gripper have come to rest wider open than commanded.
+        """Return whether the fingers of a remote gripper are at rest but are wider open than commanded.
 
         Without a command, closer fingers than at first mean that the simulator closed them itself.
         """
@@ -388,8 +393,8 @@ class RemoteDriver(Driver):
 
 
 class _Played(ReportedMotion):
-    """Trajectory that a remote simulator plays. Its end is known from /trajectory_status or the joint
-    states.
+    """Trajectory that a remote simulator executes.
+    Its end is detected from /trajectory_status or the joint states.
     """
 
     def __init__(self, driver: RemoteDriver, trajectory: JointTrajectory):

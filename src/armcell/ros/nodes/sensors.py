@@ -127,8 +127,8 @@ class SensorNode:
             publisher.publish(cloud_message(self._bus.schema, message.header, left[None].astype(np.float32)))
 
     def _points(self, sensor: Sensor3d, message: Any) -> np.ndarray | None:
-        """Return the points (n, 3) [m] in a point cloud or depth image of a 3D sensor, in the frame of the
-        message.
+        """Return the points (n, 3) [m] in a 3D sensor's point cloud or depth image,
+        in the frame of the message.
 
         Raises:
             InputError: the camera info for a depth image has not arrived yet.
@@ -149,8 +149,7 @@ class SensorNode:
 
     # --- robot state and pose of the sensor ---
     def _scene_at(self, stamp: float) -> PlanningScene:
-        """Return the scene with the joint positions that the robot had at the time `stamp` [s] of a sensor
-        message.
+        """Return the scene with the joint positions at the time `stamp` [s] of a sensor message.
 
         A stamp of zero selects the newest joint positions.
 
@@ -168,7 +167,7 @@ class SensorNode:
         return scene.with_positions(scene.state.updated(state).positions)
 
     def _pose(self, scene: PlanningScene, frame: str) -> SE3:
-        """Return the pose T_world_frame of the frame in which a 3D sensor measures.
+        """Return the pose T_world_frame of the frame in which a 3D sensor reports its measurements.
 
         Raises:
             InputError: no transforms connect the frame with a frame of the scene.

@@ -45,7 +45,7 @@ def _serve_planner(
 
 
 class ServedCell:
-    """Live cell with all its ROS nodes (states, grippers, move_group), which are served until `close`.
+    """Live cell that is served with all its ROS nodes (states, grippers, move_group) until `close`.
 
     The service /resume (std_srvs/Trigger) makes the cell ready after a stop, or responds with the action that
     the operator must take first (`LiveCell.resume`). It runs in the caller's thread, because reconnecting to
@@ -179,8 +179,7 @@ class ServedCell:
 
 
 class ServedPlanner(ServedCell):
-    """Planner and grasp server that are served for a cell whose simulator or robot is another program on the
-    bus.
+    """Planner and grasp server for a cell whose simulator or robot runs in another program on the bus.
 
     The driver of the cell is a `RemoteDriver`.
     """
@@ -200,8 +199,8 @@ class ServedPlanner(ServedCell):
         return self.driver.has_closed
 
     def rest(self) -> None:
-        """Stop the motions of the remote cell for which the planner is served, and wait until they have
-        ended.
+        """Stop the motions of a remote cell and wait until they have ended.
+        The cell's simulator or robot runs in another program.
         """
         works = self.cell.works()
         self.cell.stop()

@@ -20,7 +20,7 @@ RATE = 30.0  # [Hz]
 
 
 def check_rate(driver: Driver, rate: float) -> None:
-    """Check that the driver measures at least as often as a node publishes joint states.
+    """Check that the driver measures at least as often as the node publishes joint states.
 
     Args:
         driver: the driver.
@@ -38,7 +38,8 @@ def check_rate(driver: Driver, rate: float) -> None:
 
 
 class StatePublisher:
-    """Publisher of a cell's joint states, transforms and object poses, at a fixed rate of the driver's clock.
+    """Publisher of a cell's joint states, transforms and object poses,
+    at a fixed rate in the time of the driver's clock.
 
     It sets the bus's clock to the driver's clock. Topics:
 
@@ -145,7 +146,7 @@ class StatePublisher:
 
 
 class _Mimics:
-    """Mimic joints that are added to published joint states, such as the second finger of a gripper."""
+    """Mimic joints, such as the second finger of a gripper, which are added to published joint states."""
 
     def __init__(self, model: RobotModel):
         self._follows: dict[str, tuple[str, float, float]] = {}  # source joint, multiplier, offset
@@ -159,7 +160,8 @@ class _Mimics:
                 self._follows[name] = (source.name, factor, offset)
 
     def added(self, state: JointState) -> JointState:
-        """Add the mimic joints to joint states before publication, with positions that follow other joints.
+        """Add the mimic joints to joint states before publication.
+        The position of a mimic joint follows from another joint.
 
         The efforts of mimic joints are unknown and set to zero.
         """
@@ -178,8 +180,8 @@ class _Mimics:
 
 
 def _arms(model: RobotModel) -> dict[str, tuple[str, ...]]:
-    """Return the joints of each arm and its grippers, for joint state topics per arm. With only one arm, the
-    result is empty.
+    """Return the joints of each arm, including its grippers, for a joint state topic per arm.
+    With only one arm, the result is empty.
     """
     found: dict[str, tuple[str, ...]] = {}
     for gripper in model.grippers.values():

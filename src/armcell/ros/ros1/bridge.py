@@ -52,7 +52,7 @@ class BusBridge:
             self._thread.join(5.0)
 
     def wait_settled(self, timeout: float) -> bool:
-        """Wait until the ROS 1 master knows all topics and services of the bus that the bridge offers.
+        """Wait until the ROS 1 master knows all topics and services that the bridge offers from the bus.
 
         Args:
             timeout: limit [s].
@@ -140,8 +140,8 @@ class BusBridge:
         return call
 
     def topics(self) -> list[TopicInfo]:
-        """Return the topics of the bus that the bridge should offer in ROS 1. Its own publishers and
-        subscribers do not count.
+        """Return the topics of the bus that the bridge should offer in ROS 1.
+        Topics that only the bridge itself uses are not included.
         """
         return self._bus.topics(besides=self)
 
@@ -167,8 +167,8 @@ class _ToBus:
 def _change(
     have: dict[str, str], want: dict[str, str], leave: Callable[[str], None], join: Callable[[str, str], None]
 ) -> None:
-    """Advertise and withdraw topics or services of the bridge in ROS 1 until the offered names match the
-    wanted names.
+    """Advertise or withdraw topics or services of the bridge in ROS 1
+    until ROS 1 has exactly the wanted names.
 
     Args:
         have: dict from offered name to type; changed in place.

@@ -37,7 +37,7 @@ class GraphParameters(Parameters):
         self._telling = threading.Lock()
 
     def tell_all(self) -> None:
-        """Send all parameters that the bus has kept locally to the parameter server of the ROS 1 master.
+        """Send all parameters that the bus has stored so far to the parameter server of the ROS 1 master.
 
         Raises:
             RpcError: the master does not answer.
@@ -93,8 +93,8 @@ class GraphParameters(Parameters):
 
 
 def _plain(value: Any) -> Any:
-    """Convert a parameter for the ROS 1 master: numpy values and tuples become types that XML-RPC
-    supports.
+    """Convert the value of a parameter for the ROS 1 master:
+    numpy values and tuples become types that XML-RPC supports.
     """
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()

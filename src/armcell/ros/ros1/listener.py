@@ -59,7 +59,7 @@ class Listener:
         self.address = self._socket.getsockname()[:2]
 
     def start(self) -> None:
-        """Start to accept connections on the listening TCP socket of a ROS 1 node.
+        """Start accepting connections on the listening TCP socket of a ROS 1 node.
 
         Raises:
             InputError: the address cannot be listened on.
@@ -71,7 +71,7 @@ class Listener:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop listening for ROS 1 peers and end every connection that was accepted."""
+        """Stop listening for ROS 1 peers and close all accepted connections."""
         self._closing = True
         if self._socket is None:
             return

@@ -30,8 +30,8 @@ NAME = "/master"
 
 @dataclass
 class _Registrations:
-    """Registry in which the built-in ROS 1 master lists the nodes of each topic, service or parameter, in
-    order of registration.
+    """Registry of the built-in ROS 1 master.
+    It lists the nodes of each topic, service or parameter in the order of their registration.
     """
 
     nodes: dict[str, list[str]] = field(default_factory=dict)
@@ -59,8 +59,8 @@ class _Registrations:
 
 
 class Ros1Master:
-    """Built-in ROS master, which serves at the port of `settings.master` from `start` (or `with`) to
-    `close`.
+    """Built-in ROS master, which listens on the port given by
+    `settings.master` from `start` (or `with`) to `close`.
     """
 
     def __init__(self, settings: Ros1Settings):
@@ -87,7 +87,7 @@ class Ros1Master:
         self.uri = f"http://{self.settings.host}:{self._server.port}/"
 
     def start(self) -> None:
-        """Start to serve the API of the built-in ROS 1 master.
+        """Start serving the API of the built-in ROS 1 master.
 
         Raises:
             InputError: the port is taken.
@@ -154,7 +154,9 @@ class Ros1Master:
 
     # --- nodes ---
     def _meet(self, node: str, api: str) -> None:
-        """Record the address of a node at the ROS 1 master. An older node of the same name is shut down."""
+        """Record the address of a node at the ROS 1 master.
+        If an older node has the same name, that node is shut down.
+        """
         before = self._apis.get(node)
         if before == api:
             return
@@ -330,7 +332,7 @@ class Ros1Master:
 
 
 def _copied(value: Any) -> Any:
-    """Copy nested dicts of parameters, which the ROS 1 master changes in place.
+    """Copy the nested dicts of parameters, because the ROS 1 master modifies its parameters in place.
 
     Only copies may leave the master's lock.
     """
@@ -338,8 +340,8 @@ def _copied(value: Any) -> Any:
 
 
 class _Tellers:
-    """Threads that notify ROS 1 nodes of changes at the master. Each node receives its notifications in
-    order.
+    """Threads that notify ROS 1 nodes of changes at the master.
+    Each node receives its notifications in the order of the changes.
 
     A node that does not answer delays no other node.
     """

@@ -136,7 +136,8 @@ class Ros1Node:
         return self._rpc.endpoint("ROS 1 node"), self._tcpros.endpoint("ROS 1 topics and services")
 
     def wait_registered(self, timeout: float | None = None) -> bool:
-        """Wait until the master knows all registrations of the ROS 1 node. Return False on timeout.
+        """Wait until the node is registered at the ROS 1 master with all its topics and services.
+        Return False on timeout.
 
         Args:
             timeout: limit [s]; None waits without limit.

@@ -13,8 +13,8 @@ def _parts(key: str) -> list[str]:
 
 
 class ParameterTree:
-    """Tree of ROS 1 parameters under their full names. It is not thread-safe; the lock of the ROS master
-    protects it.
+    """Tree of ROS 1 parameters by their full names.
+    It is not thread-safe; the ROS master protects it with a lock.
     """
 
     def __init__(self) -> None:
@@ -110,8 +110,8 @@ class ParameterTree:
 
 
 def subscriber_update(subscribed: str, changed: str, value: Any) -> tuple[str, Any] | None:
-    """Return the key and the value that a node receives if it has subscribed to a ROS 1 parameter and the
-    parameter tree changes.
+    """Return the key and the value that a node must be sent when a ROS
+    1 parameter to which it has subscribed changes.
 
     Args:
         subscribed: full name that the node subscribed to.

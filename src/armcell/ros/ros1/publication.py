@@ -69,8 +69,8 @@ class Publication:
             return list(self._links)
 
     def refusal(self, header: Fields) -> str | None:
-        """Return the reason why a published topic refuses a ROS 1 subscriber, in the wording of roscpp and
-        rospy, or None if it does not.
+        """Return the reason for which a published topic refuses a ROS 1 subscriber, or None.
+        The wording is that of roscpp and rospy.
         """
         md5, kind = header["md5sum"], header.get("type", self.type)
         if md5 in (ANY, self.md5):
@@ -83,8 +83,8 @@ class Publication:
         )
 
     def accept(self, sock: socket.socket, header: Fields, peer: str) -> None:
-        """Start to send the messages of a published topic to a ROS 1 subscriber, whose header `refusal` must
-        have accepted.
+        """Start sending the messages of a published topic to a ROS 1 subscriber.
+        The caller must have checked its header with `refusal`.
         """
         fields = {
             "callerid": self._caller, "topic": self.topic, "type": self.type, "md5sum": self.md5,
@@ -120,8 +120,8 @@ class Publication:
             self._reactor.flush(link)
 
     def _frame(self, message: Any) -> bytes:
-        """Encode a ROS 1 message with its length prefix, only once for all subscribers of the published
-        topic.
+        """Encode a ROS 1 message with its length prefix.
+        This happens only once for all subscribers of the published topic.
 
         If the message starts with a std_msgs/Header, its `seq` counts up.
         """
@@ -153,8 +153,8 @@ class Publication:
 
 
 class SubscriberLink:
-    """Connection of a published topic to one ROS 1 subscriber. If its send queue is full, the oldest message
-    is dropped.
+    """Connection from a published topic to one ROS 1 subscriber.
+    If its send queue is full, the oldest message is dropped.
     """
 
     _numbers = itertools.count(1)
@@ -177,7 +177,7 @@ class SubscriberLink:
 
     @property
     def waiting(self) -> bool:
-        """Return whether unsent bytes for a ROS 1 subscriber of the published topic remain."""
+        """Return whether bytes for a ROS 1 subscriber of the published topic are still unsent."""
         with self._lock:
             return bool(self._rest or self._waiting)
 

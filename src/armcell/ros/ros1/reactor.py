@@ -20,7 +20,9 @@ Task = Callable[[], None]
 
 
 class Channel(Protocol):
-    """Non-blocking socket of a ROS 1 node, with handlers for the events that the node's reactor reports."""
+    """Non-blocking socket of a ROS 1 node, with handlers for the
+    events that the event loop (reactor) reports.
+    """
 
     sock: socket.socket
 
@@ -81,7 +83,7 @@ class Reactor:
         self._soon(lambda: self._end(channel, reason))
 
     def flush(self, channel: Channel) -> None:
-        """Let the reactor call `writable` of a channel as soon as the socket of the channel can send."""
+        """Let the reactor call `writable` of a channel as soon as the channel's socket can send data."""
         self._soon(lambda: self._watch(channel, True))
 
     def later(self, delay: float, task: Task) -> None:

@@ -73,8 +73,8 @@ class Registrar:
             self._changed.notify_all()
 
     def publishers_are(self, topic: str, uris: list[str]) -> None:
-        """Handle a publisherUpdate call, with which the ROS 1 master reports the current publishers of a
-        topic to the registrar.
+        """Handle a publisherUpdate call.
+        With this call, the ROS 1 master reports the current publishers of a topic.
         """
         with self._telling:
             if topic == self._asking:
@@ -188,8 +188,8 @@ class Registrar:
         return ask(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
 
     def _check(self) -> None:
-        """Ask the ROS 1 master whether it still knows the node of the registrar. A master that was restarted
-        does not know the node.
+        """Ask the ROS 1 master whether it still knows this node.
+        A master that was restarted has lost all registrations.
         """
         try:
             known = ask(self.master, "lookupNode", self._caller, self._caller, timeout=self._timeout)

@@ -17,7 +17,7 @@ NUMBERS = {"debug": 1, "info": 2, "warn": 4, "error": 8, "fatal": 16}  # rosgrap
 
 
 def level_name(level: int) -> str:
-    """Return the name that ROS gives to a log level of Python, for /rosout and rqt_logger_level."""
+    """Return the ROS name of a Python log level, for /rosout and rqt_logger_level."""
     return next((name for name, value in reversed(LEVELS.items()) if level >= value), "debug")
 
 

@@ -33,7 +33,7 @@ Answer = tuple[int, str, Any]
 
 
 class RpcError(ArmcellError):
-    """Error of a ROS 1 XML-RPC call that got no answer, or whose answer reports a failure.
+    """Error of a ROS 1 XML-RPC call: there is no answer, or the answer reports a failure.
 
     Attributes:
         code: the answered status code; None if no answer arrived.
@@ -101,8 +101,8 @@ def call(uri: str, method: str, *arguments: Any, timeout: float = 5.0) -> Any:
 
 
 def parsed(data: bytes) -> tuple[tuple[Any, ...], str | None]:
-    """Parse an XML-RPC document of ROS 1 and return its values. If it is a call, return the method name as
-    well.
+    """Parse an XML-RPC document of ROS 1 and return its values.
+    For a call, return the name of the method as well.
 
     Raises:
         ValueError: the data is not valid XML-RPC.
@@ -148,8 +148,8 @@ def text(name: str) -> Check:
 
 
 def graph_name(name: str) -> Check:
-    """Return a check for an XML-RPC argument that is a ROS graph name. The check resolves the name in the
-    namespace of the caller.
+    """Create a check that an XML-RPC argument is a ROS graph name.
+    The check resolves the name in the namespace of the caller.
 
     The argument names a topic, service or parameter.
     """
@@ -187,7 +187,7 @@ def several(name: str, each: Check) -> Check:
 
 @dataclass(frozen=True)
 class Method:
-    """Method of a ROS 1 XML-RPC API, with checks for its arguments.
+    """Method of a ROS 1 XML-RPC API, including the checks of its arguments.
 
     Args:
         run: called with the caller's name and the validated arguments.
@@ -223,7 +223,7 @@ class Method:
 
 
 class RpcServer:
-    """XML-RPC server for methods of ROS 1, active from `start` to `close`."""
+    """XML-RPC server for the methods of a ROS 1 API, active from `start` to `close`."""
 
     def __init__(self, host: str, port: int, methods: Mapping[str, Method], name: str):
         self._methods = methods
@@ -243,7 +243,7 @@ class RpcServer:
         self._listener.reserve()
 
     def start(self) -> None:
-        """Start to serve XML-RPC calls of ROS 1 programs.
+        """Start serving XML-RPC calls from ROS 1 programs.
 
         Raises:
             InputError: the address cannot be listened on.

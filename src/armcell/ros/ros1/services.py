@@ -30,7 +30,7 @@ Answerer = Callable[[Any], Any]
 
 
 class ServedService:
-    """Service that a ROS 1 node offers to others over TCPROS.
+    """Service that a ROS 1 node offers to other nodes over TCPROS.
 
     Args:
         answer: called with the request message, returns the response message; raises ServiceError to report
@@ -44,8 +44,8 @@ class ServedService:
         self.calls = 0
 
     def refusal(self, header: Fields) -> str | None:
-        """Return the reason why a ROS 1 service refuses a client, in the wording of roscpp and rospy, or None
-        if it does not.
+        """Return the reason for which a ROS 1 service refuses a client, or None.
+        The wording is that of roscpp and rospy.
         """
         md5 = header["md5sum"]
         if md5 in (ANY, self.md5):
@@ -115,7 +115,7 @@ class Caller:
         return Connection(self, sock, name, type_name, self._schema, self._most, header)
 
     def probe(self, name: str, uri: str) -> str:
-        """Return the type of a ROS 1 service, which its connection header contains.
+        """Connect to a ROS 1 service and return its type, which the connection header contains.
 
         Raises:
             ServiceError: the service cannot be reached, or its header contains no type.

@@ -25,7 +25,7 @@ _NODE = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
 
 @dataclass(frozen=True)
 class Ros1Settings:
-    """Settings of a ROS 1 node: its name and addresses. `from_environment` fills in values that are empty."""
+    """Settings of a ROS 1 node: its name and addresses. `from_environment` fills in missing values."""
 
     name: str = "armcell"  # node name without namespace
     namespace: str = "/"
@@ -153,7 +153,9 @@ def is_this_machine(host: str) -> bool:
 
 
 def own_address() -> str:
-    """Return the address of this machine on its default route, under which a ROS 1 node is reachable."""
+    """Return the address under which other machines reach a ROS 1 node:
+    the address of this machine on its default route.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # documentation address (RFC 5737); UDP sends nothing here

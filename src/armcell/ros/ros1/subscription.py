@@ -25,7 +25,7 @@ FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] first and longest delay between attemp
 
 
 class Sink(Protocol):
-    """Receiver for the messages that one publisher sends to a ROS 1 subscription."""
+    """Receiver of the messages from one publisher to which a ROS 1 node has subscribed."""
 
     def take(self, body: bytes) -> None:
         """Handle one serialized message that a publisher has sent to the ROS 1 subscription.
@@ -70,8 +70,8 @@ class Subscription:
             return list(self._links.values())
 
     def update(self, uris: list[str]) -> None:
-        """Connect a ROS 1 subscription to publishers that are new in the list, and disconnect it from those
-        no longer listed.
+        """Update a ROS 1 subscription from a list of publishers: connect to new publishers and disconnect
+        from publishers no longer listed.
         """
         with self._lock:
             if self._closed:

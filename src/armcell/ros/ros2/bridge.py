@@ -43,7 +43,7 @@ ACTION_TOPICS = {
 
 @dataclass(frozen=True)
 class Ros2Settings:
-    """Settings with which the bridge between the bus and a ROS 2 domain starts."""
+    """Settings of the bridge between the bus and a ROS 2 domain."""
 
     reach: Reach = field(default_factory=from_environment)
     node: str = "/armcell"  # node name in `ros2 node list`
@@ -70,7 +70,7 @@ class Ros2Status:
 
 
 class Ros2Bridge:
-    """Bridge between a bus and a ROS 2 domain, from `start` (or `with`) to `close`.
+    """Bridge between the bus and a ROS 2 domain, active from `start` (or `with`) to `close`.
 
     Raises (start):
         MissingExtraError: cyclonedds is not installed.
@@ -113,7 +113,7 @@ class Ros2Bridge:
         return self
 
     def close(self) -> None:
-        """Close the bridge, which leaves the ROS 2 domain and the bus. A second call has no effect."""
+        """Close the bridge and leave the ROS 2 domain and the bus. Further calls have no effect."""
         context = self._context
         if context is None or self._stop.is_set():
             return
@@ -163,11 +163,15 @@ class Ros2Bridge:
         )
 
     def topics(self) -> dict[str, str]:
-        """Return the topics that the bridge sees at other ROS 2 nodes, as a dict from name to type."""
+        """Return the topics of other ROS 2 nodes that the bridge has discovered,
+        as a dict from name to type.
+        """
         return self._joined().graph.topics()
 
     def services(self) -> dict[str, str]:
-        """Return the services that the bridge sees at other ROS 2 nodes, as a dict from name to type."""
+        """Return the services of other ROS 2 nodes that the bridge has discovered,
+        as a dict from name to type.
+        """
         return self._joined().graph.services()
 
     def nodes(self) -> list[str]:
@@ -175,7 +179,7 @@ class Ros2Bridge:
         return self._joined().graph.nodes()
 
     def wait_for_node(self, name: str, timeout: float) -> bool:
-        """Wait until the bridge sees another node in the ROS 2 domain. Return False on timeout.
+        """Wait until the bridge discovers another node in the ROS 2 domain. Return False on timeout.
 
         Args:
             name: full name of the node.
@@ -195,8 +199,8 @@ class Ros2Bridge:
 
     # --- services in the domain ---
     def _find(self, name: str) -> Handler | None:
-        """Return a handler with which the bridge calls a service in the ROS 2 domain, or None if no node
-        serves it.
+        """Return a function with which the bridge calls a service in the ROS 2 domain,
+        or None if no node serves it.
         """
         context = self._joined()
         type_name = context.graph.services().get(name)
@@ -260,8 +264,8 @@ class Ros2Bridge:
         context.announcer.tell()
 
     def _try(self, name: str, table: dict[str, Any], make: Any, type_name: str, *more: Any) -> None:
-        """Start to forward a topic between the bus and ROS 2. If this fails, the reason is reported only
-        once.
+        """Start forwarding a topic between the bus and ROS 2.
+        If this fails, the reason is reported only once.
         """
         if (name, type_name) in self._refused:
             return
@@ -324,8 +328,8 @@ class Ros2Bridge:
 
 
 def _is_of_action(info: TopicInfo, acting: Mapping[str, str]) -> bool:
-    """Return whether a topic of the bus belongs to an action. A ROS 1 action consists of five topics, which
-    ROS 2 does not use.
+    """Return whether a topic of the bus belongs to an action. On the bus, as in ROS 1, an action has five
+    topics, which ROS 2 does not use.
 
     The bridge does not forward these topics, because ROS 2 transports actions differently.
     """

@@ -53,7 +53,8 @@ class Ros2Codec:
 
     # --- types ---
     def message(self, name: str) -> type[Message]:
-        """Return the Python class whose messages the ROS 2 codec encodes and decodes for a message type.
+        """Return the Python class of the messages that the ROS 2
+        codec encodes and decodes for a message type.
 
         Raises:
             UnknownNameError: the type does not exist.
@@ -64,8 +65,8 @@ class Ros2Codec:
         return self.message(name)(*values, **fields)
 
     def wire_class(self, name: str) -> type[Message]:
-        """Return the message class that the ROS 2 codec serializes. It has exactly the fields that ROS 2
-        defines.
+        """Return the class of the messages that the ROS 2 codec serializes.
+        It has exactly the fields that ROS 2 defines.
         """
         if name not in self._wire:
             if name not in self.definitions:
@@ -81,15 +82,15 @@ class Ros2Codec:
         return name in self.schema.definitions and self.schema.whole(name) != self.schema.definition(name)
 
     def prepare(self, name: str) -> None:
-        """Generate the serialization functions of the ROS 2 codec for a message type now instead of at its
-        first use.
+        """Generate the serialization functions of the ROS 2 codec for a
+        message type in advance, before their first use.
 
         Generation takes up to 0.1 s.
         """
         self._store.get_msgdef(rosbags_name(name))
 
     def type_hash(self, name: str, kind: str = "msg") -> str | None:
-        """Return the REP 2016 type hash of a message, service or action in ROS 2, as computed by the codec.
+        """Return the REP 2016 type hash of a ROS 2 message, service or action, as the codec computes it.
 
         Returns:
             The hash, or None for distributions without type hashes.
@@ -148,8 +149,8 @@ def _is_empty(codec: Ros2Codec, name: str) -> bool:
 
 
 def _pairs(codec: Ros2Codec, name: str) -> list[tuple[str, str | None]]:
-    """Pair each field of a ROS 2 message with the attribute from which the codec copies it, or with None if
-    the bus message lacks it.
+    """List the fields of a ROS 2 message, each with the attribute of the bus message from which the codec
+    copies it, or with None if there is no such attribute.
 
     Names match regardless of case: CameraInfo's `d` in ROS 2 is `D` on the bus.
     """
@@ -201,7 +202,8 @@ class _Translation:
 
 
 class _Makers(dict):
-    """Message constructors of the ROS 2 codec by the type names of rosbags. Each one is built on first use.
+    """Constructors of messages for the ROS 2 codec, by the type names of rosbags.
+    Each constructor is built on first use.
 
     The deserializer calls a constructor with the values that it has read.
     """
@@ -231,5 +233,5 @@ def _maker(codec: Ros2Codec, name: str) -> Any:
 
 @cache
 def ros2_codec(schema: Schema, distro: str) -> Ros2Codec:
-    """Return the codec for a schema and a ROS 2 distribution, from a cache."""
+    """Return the codec for a schema and a ROS 2 distribution. Codecs are cached."""
     return Ros2Codec(schema, distro)

@@ -24,8 +24,8 @@ MAX_COMPLAINTS = 200  # different kinds of errors that are logged
 
 
 class Context:
-    """Objects that the parts of a ROS 2 bridge share: the bus, the DDS participant and the worker threads.
-    They are closed with the bridge.
+    """Objects that all parts of a ROS 2 bridge share: the bus, the DDS participant and the worker threads.
+    The bridge closes them.
 
     Raises:
         MissingExtraError: cyclonedds is not installed.

@@ -41,7 +41,7 @@ OFFERED_INCOMPATIBLE, REQUESTED_INCOMPATIBLE = (
 
 
 class DdsError(ArmcellError):
-    """Error that the Cyclone DDS library has reported."""
+    """Error reported by the Cyclone DDS library."""
 
 
 class _Sample(ct.Structure):
@@ -83,7 +83,7 @@ def _prototypes() -> dict[str, tuple[Any, tuple[Any, ...]]]:
 
 @cache
 def library() -> SimpleNamespace:
-    """Return the C functions of Cyclone DDS and of its Python package, as far as armcell uses them.
+    """Load the C functions that armcell uses from Cyclone DDS and its Python package.
 
     Raises:
         MissingExtraError: cyclonedds is not installed.
@@ -103,7 +103,8 @@ def library() -> SimpleNamespace:
 
 
 def check(result: int, what: str) -> int:
-    """Return a result of the Cyclone DDS library if it is valid. Raise an exception if it is an error code.
+    """Check a return value of the Cyclone DDS library.
+    Raise an exception if the value is an error code; otherwise return it.
 
     Raises:
         DdsError: the result is an error code.
@@ -114,7 +115,7 @@ def check(result: int, what: str) -> int:
 
 
 class Sample(NamedTuple):
-    """DDS sample that was received, in serialized form."""
+    """Received DDS sample in serialized form."""
 
     data: bytes
     writer: int  # instance handle of the publication
@@ -154,7 +155,7 @@ _DOMAINS = _Domains()
 
 
 class Participant:
-    """Participant in a DDS domain, with one thread that reads the data for all its readers.
+    """Participant in a DDS domain. A single thread reads the data for all its readers.
 
     Attributes:
         endpoints: sockets that joining the domain opened; empty if the system does not report them, and for
@@ -226,7 +227,7 @@ class Participant:
         user_data: bytes = b"",
         ignore_own: bool = True,
     ) -> Reader:
-        """Create a reader of Cyclone DDS for a topic.
+        """Create a Cyclone DDS reader for a topic.
 
         Args:
             on_sample: called with each sample, in order of arrival, in the participant's reading thread.
@@ -260,7 +261,7 @@ class Participant:
         return Reader(self, DdsName("", "", ""), handle, self._watch(handle, take))
 
     def _type_hash(self, name: DdsName) -> bytes:
-        """Return the user data with which a DDS endpoint announces the REP 2016 hash of its topic's type.
+        """Return the user data with which a DDS endpoint announces the type hash (REP 2016) of its topic.
 
         rmw warns about every endpoint without a type hash.
         """
@@ -293,7 +294,7 @@ class Participant:
 
     # --- reading ---
     def _watch(self, reader: int, take: Callable[[], None]) -> int:
-        """Call `take` whenever a DDS reader has data. The result is an id for `forget`."""
+        """Call `take` whenever a DDS reader has data. Return an id, which `forget` requires."""
         condition = check(self._dds.dds_create_readcondition(reader, ANY_STATE), "condition")
         with self._lock:
             number = next(self._numbers)
@@ -361,7 +362,7 @@ class _Endpoint:
 
 
 class Writer(_Endpoint):
-    """Writer of Cyclone DDS for serialized samples."""
+    """Cyclone DDS writer for serialized samples."""
 
     def write(self, data: bytes | bytearray | memoryview) -> bool:
         """Write a serialized DDS sample. Return False if the queue of the writer is full.
@@ -386,7 +387,9 @@ class Writer(_Endpoint):
         return self._matched(self._dds.dds_get_matched_subscriptions)
 
     def reader_qos(self, handle: int) -> Any:
-        """Return the QoS of a DDS reader that is matched to this writer, or None if the reader has left."""
+        """Return the QoS of a DDS reader that is matched to this writer,
+        or None if the reader no longer exists.
+        """
         builtin = self._dds.builtin
         found = self._dds.c.ddspy_get_matched_subscription_data(
             self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos
@@ -395,7 +398,7 @@ class Writer(_Endpoint):
 
 
 class Reader(_Endpoint):
-    """Reader of Cyclone DDS that delivers samples to a callback until `close`."""
+    """Cyclone DDS reader that passes samples to a callback until `close`."""
 
     def __init__(self, participant: Participant, name: DdsName, handle: int, number: int):
         super().__init__(participant, name, handle)
@@ -406,7 +409,9 @@ class Reader(_Endpoint):
         return self._matched(self._dds.dds_get_matched_publications)
 
     def writer_qos(self, handle: int) -> Any:
-        """Return the QoS of a DDS writer that is matched to this reader, or None if the writer has left."""
+        """Return the QoS of a DDS writer that is matched to this reader,
+        or None if the writer no longer exists.
+        """
         builtin = self._dds.builtin
         found = self._dds.c.ddspy_get_matched_publication_data(
             self.handle, handle, builtin.endpoint_constructor, builtin.cqos_to_qos

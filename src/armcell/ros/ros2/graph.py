@@ -20,7 +20,7 @@ MAX_ENDPOINTS = 20_000  # limits the memory that a flood of endpoints can use
 
 @dataclass(frozen=True)
 class Endpoint:
-    """DDS writer or reader that belongs to another participant in the ROS 2 graph."""
+    """DDS writer or reader of another participant in the ROS 2 graph."""
 
     topic: str
     type: str
@@ -31,8 +31,8 @@ class Endpoint:
 
 
 class Graph:
-    """Thread-safe record of the other participants in a DDS domain (the ROS 2 graph). `version` counts its
-    changes.
+    """Thread-safe record of the other participants in a ROS 2 graph (a DDS domain).
+    The attribute `version` counts the changes.
     """
 
     def __init__(self, participant: Participant, codec: Ros2Codec):
@@ -50,14 +50,14 @@ class Graph:
 
     # --- queries ---
     def endpoints(self, dds_topic: str, writes: bool) -> list[Endpoint]:
-        """Return the writers or the readers that other participants in the ROS 2 graph have for a DDS
-        topic.
+        """Return the writers or the readers of a DDS topic that belong
+        to other participants in the ROS 2 graph.
         """
         with self._lock:
             return [e for e in self._endpoints.values() if e.topic == dds_topic and e.writes == writes]
 
     def topics(self) -> dict[str, str]:
-        """Return the topics that other participants in the ROS 2 graph have, as a dict from name to type.
+        """Return the topics of other participants in the ROS 2 graph, as a dict from name to type.
 
         If endpoints of a topic have different types, the first endpoint counts.
         """

@@ -17,8 +17,8 @@ from armcell.ros.ros2.names import DdsName, dds_type
 
 
 class Types:
-    """Thread-safe cache of the IDL types that `cyclonedds` needs for messages. Each type is built on first
-    use.
+    """Thread-safe cache of the IDL types with which `cyclonedds` describes messages.
+    Each type is built on first use.
     """
 
     def __init__(self, codec: Ros2Codec):
@@ -28,7 +28,7 @@ class Types:
         self._topics: dict[tuple[str, str], Any] = {}
 
     def of(self, name: DdsName) -> Any:
-        """Return the IDL type that `cyclonedds` needs for the message of a topic.
+        """Return the IDL type with which `cyclonedds` describes the message of a topic.
 
         Raises:
             InputError: DDS has no type for one of the fields.

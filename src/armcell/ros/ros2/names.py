@@ -16,7 +16,7 @@ _TYPE = re.compile(r"^(\w+)::(msg|srv|action)::dds_::(\w+)_$")
 
 
 class DdsName(NamedTuple):
-    """Name and type name under which a ROS 2 topic is known in DDS."""
+    """Names of a ROS 2 topic and of its message type, as DDS uses them."""
 
     topic: str
     type: str  # type name on DDS
@@ -49,7 +49,7 @@ def ros_type(name: str) -> str | None:
 
 
 def topic(name: str, type_name: str, kind: str = "msg") -> DdsName:
-    """Return the name of a ROS 2 topic in DDS.
+    """Return the DDS name of a ROS 2 topic.
 
     Args:
         name: full name of the topic with its leading slash.
@@ -86,7 +86,7 @@ DISCOVERY = DdsName(
 
 
 def action_name(name: str, type_name: str) -> str:
-    """Return the name under which ROS 2 knows an action of the bus.
+    """Return the ROS 2 name of an action on the bus.
 
     ROS 1's MoveIt action `move_group` is `move_action` in MoveIt 2; other names do not change. Source:
     move_group/capability_names.h.
@@ -97,7 +97,7 @@ def action_name(name: str, type_name: str) -> str:
 
 
 def ros_topic(dds_topic: str) -> str | None:
-    """Convert the name of a DDS topic, such as `rt/chatter`, to the ROS topic `/chatter`.
+    """Convert the name of a DDS topic, such as `rt/chatter`, to the name of the ROS topic, `/chatter`.
 
     Returns:
         The ROS topic, or None if the DDS topic is not a ROS topic.
@@ -106,7 +106,8 @@ def ros_topic(dds_topic: str) -> str | None:
 
 
 def ros_service(dds_topic: str) -> str | None:
-    """Convert the name of a DDS topic, such as `rq/add_two_intsRequest`, to the ROS service `/add_two_ints`.
+    """Convert the name of a DDS topic, such as `rq/add_two_intsRequest`,
+    to the name of the ROS service, `/add_two_ints`.
 
     Returns:
         The service name, or None if the DDS topic is not a ROS request topic.

@@ -26,8 +26,8 @@ USE_SIM_TIME = "use_sim_time"
 
 
 def kind_of(value: Any) -> int:
-    """Return the ParameterType (rcl_interfaces) of a value, or NOT_SET if ROS 2 has no type for such a
-    parameter.
+    """Return the ParameterType (rcl_interfaces) of a value,
+    or NOT_SET if ROS 2 parameters cannot have such a value.
     """
     if isinstance(value, (bytes, bytearray)):
         return 5
@@ -44,8 +44,8 @@ def kind_of(value: Any) -> int:
 
 
 class ParameterServices:
-    """Server of the six parameter services that every ROS 2 node has. It gives access to the parameters of
-    the bus.
+    """Server of the six parameter services that every ROS 2 node has.
+    They give access to the parameters of the bus.
     """
 
     def __init__(self, context: Context, node: str):
@@ -144,7 +144,9 @@ class ParameterServices:
         return self._new("rcl_interfaces/SetParametersResult", not reason, reason)
 
     def _check(self, parameter: Any) -> str:
-        """Return the reason why a ROS 2 client cannot set a parameter. The text is empty if it can."""
+        """Return the reason for which a ROS 2 client cannot set a parameter.
+        The text is empty if the client can set it.
+        """
         if parameter.name == USE_SIM_TIME:
             return "use_sim_time follows the clock of the cell"
         if parameter.value.type not in (NOT_SET, *FIELDS):
@@ -153,7 +155,7 @@ class ParameterServices:
 
 
 def _below(name: str, prefixes: list[str], depth: int) -> bool:
-    """Return whether a parameter is below one of the prefixes in a ListParameters request of ROS 2.
+    """Return whether a ListParameters request of ROS 2 selects a parameter by one of its prefixes.
 
     Args:
         depth: largest number of levels below the prefix; 0 means any.

@@ -48,7 +48,9 @@ def _has_network() -> bool:
 
 @dataclass(frozen=True)
 class Reach:
-    """Number of a ROS 2 domain, and the range within which discovery finds other nodes."""
+    """Number of a ROS 2 domain, and the range (e.g. only this
+    machine) within which discovery finds other nodes.
+    """
 
     domain: int = 0
     range: str = "LOCALHOST"

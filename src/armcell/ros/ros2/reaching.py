@@ -38,7 +38,7 @@ class ActionReaching:
 
     @property
     def is_there(self) -> bool:
-        """Return whether the server of the action has been discovered in the ROS 2 domain."""
+        """Return whether the server of an action has been discovered in the ROS 2 domain."""
         return self._send.is_there and self._get.is_there
 
     @property

@@ -31,7 +31,7 @@ MAX_KNOWN = 1000  # clients whose readiness is cached
 
 
 class Asked(NamedTuple):
-    """Identity of a ROS 2 service call that was received. The reply must contain it.
+    """Identity of a received ROS 2 service call. The reply must contain it.
 
     `client` and `seq` come from the request's header; `writer` is the local handle of the client's writer.
     """
@@ -127,8 +127,8 @@ class Server:
                 self._context.complain(f"reply {self.name}", f"service {self.name}: {error}")
 
     def _is_there(self, writer: int) -> bool:
-        """Return whether the client of a ROS 2 service exists. Its reader must be discovered within
-        `WAIT_FOR_CLIENT`.
+        """Return whether the client of a ROS 2 service still exists.
+        Its reader must be discovered within `WAIT_FOR_CLIENT`.
         """
         give_up = time.monotonic() + WAIT_FOR_CLIENT
         while writer not in self._ready and not self._context.closed:
@@ -211,7 +211,8 @@ class Client:
         return answer
 
     def ask(self, request: Any) -> Waiting:
-        """Send a request to a ROS 2 service without waiting. The returned `Waiting` receives the response.
+        """Send a request to a ROS 2 service without waiting.
+        Return a `Waiting` object, which receives the response.
 
         Raises:
             InputError: a field of the request does not fit its type.
@@ -261,7 +262,7 @@ class Waiting:
         self._there.set()
 
     def wait(self, timeout: float) -> Any:
-        """Wait for the response of a ROS 2 service and return it. The result is None on timeout.
+        """Wait for the response of a ROS 2 service and return it, or return None on timeout.
 
         The method may be called repeatedly.
 

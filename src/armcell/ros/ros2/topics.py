@@ -37,7 +37,7 @@ class Outgoing:
         self.follow()
 
     def follow(self) -> None:
-        """Subscribe to the topic on the bus only while ROS 2 needs the messages that the bridge publishes.
+        """Subscribe to the topic on the bus, but only while ROS 2 nodes need its messages.
 
         Messages that are expensive to produce (images, point clouds, TF) are needed only while the domain has
         a reader for them.
@@ -55,8 +55,8 @@ class Outgoing:
         self._context.drop(self._writer)
 
     def _put(self, message: Any) -> None:
-        """Send a message of the bus to the ROS 2 domain without blocking. If the writer's queue is full, the
-        message is dropped.
+        """Send a message from the bus to the ROS 2 domain without blocking.
+        If the writer's queue is full, the message is dropped.
 
         The method runs in the publisher's thread.
         """
@@ -132,8 +132,8 @@ class Incoming:
                 context.complain(f"decode {self.topic}", f"{self.topic}: {error}")
 
     def look(self) -> None:
-        """Adapt the bridge's subscription of a ROS 2 topic to the QoS of the publishers. Incompatible
-        publishers are reported.
+        """Adapt the QoS with which the bridge subscribes to a ROS 2 topic to the publishers of the topic.
+        Report incompatible publishers.
         """
         context = self._context
         others = context.graph.endpoints(self._name.topic, writes=True)

@@ -32,8 +32,8 @@ ACTION_SERVICES = ("_SendGoal", "_GetResult")
 
 
 class TypeNames:
-    """Full names that the type hashes of ROS 2 use: `pkg/msg/Name`, `pkg/srv/Name_Request`,
-    `pkg/action/Name_Goal`.
+    """Full type names for computing the type hashes of ROS 2:
+    `pkg/msg/Name`, `pkg/srv/Name_Request`, `pkg/action/Name_Goal`.
     """
 
     def __init__(self, services: Iterable[str], actions: Iterable[str]):
@@ -46,8 +46,8 @@ class TypeNames:
                 self._parts[action + part] = f"{_full(action, 'action')}_{part.removeprefix('_')}"
 
     def full(self, name: str) -> str:
-        """Return the full name that a type hash of ROS 2 uses for `pkg/Name`, or for a part of a service or
-        action.
+        """Convert `pkg/Name`, or a part of a service or action,
+        to the full type name that a type hash of ROS 2 contains.
         """
         return self._parts.get(name) or _full(name, "msg")
 
@@ -98,8 +98,8 @@ class TypeHashes:
         return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
 
     def _describe(self, name: str, described: dict[str, list[dict[str, Any]]]) -> str:
-        """Add the descriptions of a message and of its nested messages to the input of a type hash, and
-        return its full name.
+        """Add the descriptions of a message and its nested messages to the input of a type hash.
+        Return the full name of the message.
         """
         full = self.names.full(name)
         if full not in described:

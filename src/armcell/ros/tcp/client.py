@@ -30,7 +30,9 @@ LOGS = {"__log": logging.INFO, "__warn": logging.WARNING, "__error": logging.ERR
 
 @dataclass(frozen=True)
 class Bridge:
-    """Topics and services that a ROS-TCP client connects with other programs, as dicts from name to type."""
+    """Topics and services that a ROS-TCP client forwards between the bus and other programs,
+    as dicts from name to type.
+    """
 
     publish: dict[str, str] = field(default_factory=dict)  # topics from the bus to the endpoint
     subscribe: dict[str, str] = field(default_factory=dict)  # topics from the endpoint to the bus
@@ -164,7 +166,9 @@ class RosTcpClient:
 
 
 class _Connection(Peer):
-    """Single connection of the ROS-TCP client to an endpoint. Each reconnection creates a new object."""
+    """One connection of the ROS-TCP client to an endpoint.
+    Each time the client reconnects, it creates a new object.
+    """
 
     def __init__(self, bus: Bus, name: str, protocol: str, service_timeout: float):
         super().__init__(
@@ -199,8 +203,8 @@ class _Connection(Peer):
             self.offer(topic, type_name)
 
     def tell_error(self, text: str) -> None:
-        """Discard an error text of the ROS-TCP client, because ROS-TCP endpoints do not accept error
-        messages.
+        """Discard an error text of the ROS-TCP client instead of sending it,
+        because ROS-TCP endpoints do not accept error messages.
 
         The reference endpoint would close the connection.
         """

@@ -21,7 +21,7 @@ _U32 = struct.Struct("<I")
 
 
 class FrameError(ArmcellError):
-    """Error in the frames of a ROS-TCP stream.
+    """Error for a ROS-TCP stream with invalid frames.
 
     The connection must be closed, because the boundaries of later frames are unknown.
     """
@@ -47,7 +47,7 @@ class Frame(NamedTuple):
 
 
 def head(destination: str, length: int, terminate: bool = False) -> bytes:
-    """Return the bytes that precede the body of a ROS-TCP frame.
+    """Return the header bytes of a ROS-TCP frame, which precede its body.
 
     Args:
         length: length of the body [bytes].
@@ -67,7 +67,7 @@ def command(name: str, params: dict[str, Any], terminate: bool = False) -> bytes
 
 
 class CommandError(ArmcellError):
-    """Error in the JSON of a ROS-TCP command frame."""
+    """Error for invalid JSON in a ROS-TCP command frame."""
 
 
 def parameters(body: bytes) -> dict[str, Any]:

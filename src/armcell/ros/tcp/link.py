@@ -21,8 +21,8 @@ UNSENT_BYTES = 128 << 10  # limit of unsent bytes in the kernel; further message
 
 
 class Link:
-    """Connection to a ROS-TCP peer: a socket and the two threads that read and write, from `start` to
-    `close`.
+    """Connection to a ROS-TCP peer, from `start` to `close`.
+    It consists of a socket, a thread that reads and a thread that writes.
 
     Args:
         on_frame: called with each frame in the reading thread.
@@ -107,7 +107,8 @@ class Link:
         self._leave()
 
     def _say_goodbye(self, reason: str) -> None:
-        """Keep the socket open for a moment, so that the ROS-TCP peer can read why the connection ends.
+        """Keep the socket open for a moment, so that the ROS-TCP peer can
+        read the reason for the end of the connection.
 
         Closing a socket with unread bytes would reset the connection and lose the text.
         """
@@ -198,7 +199,7 @@ class Link:
         self.bytes_out += size
 
     def _end(self, reason: str) -> None:
-        """End the ROS-TCP connection, only once, and wake both of its threads.
+        """End the ROS-TCP connection and wake both of its threads. Further calls have no effect.
 
         The last thread to leave closes the socket, so that its file descriptor is not reused too early.
         """
@@ -209,7 +210,7 @@ class Link:
             self._over.set()
 
     def _shut(self) -> None:
-        """Shut down the socket of a ROS-TCP connection, which wakes both threads from blocking calls."""
+        """Shut down the socket of a ROS-TCP connection, so that blocking calls of both threads return."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
@@ -222,8 +223,8 @@ class Link:
 
 
 def _tune(sock: socket.socket) -> None:
-    """Set the socket options of a ROS-TCP connection for low latency, detection of dead peers and a small
-    backlog in the kernel.
+    """Set the socket options of a ROS-TCP connection, which reduce latency,
+    detect dead peers and limit the data buffered in the kernel.
     """
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -236,8 +237,8 @@ def _tune(sock: socket.socket) -> None:
 
 
 def _acknowledge_quickly(sock: socket.socket) -> None:
-    """Acknowledge received data at once, for ROS-TCP peers that use Nagle's algorithm and wait for the
-    acknowledgment.
+    """Acknowledge received data at once.
+    ROS-TCP peers that use Nagle's algorithm wait for the acknowledgment before they send more.
 
     Unity's connector writes small pieces with Nagle's algorithm on, so each piece waits for our
     acknowledgment. The kernel resets the option, so it must be set again after each receive. A service

@@ -79,7 +79,7 @@ class Peer:
             self.tell_error(text)
 
     def on_fault(self, reason: str) -> None:
-        """Handle malformed bytes from a ROS-TCP peer, after which the connection must be closed."""
+        """Report malformed bytes from a ROS-TCP peer. The connection must be closed afterwards."""
         self.complain("frame", f"closed: {reason}")
 
     def tell_error(self, text: str) -> None:
@@ -288,8 +288,8 @@ class Peer:
         self._respond(number, name, body)
 
     def _service_type(self, name: str) -> str | None:
-        """Return the type of a service: the one that the ROS-TCP peer has registered, otherwise the one on
-        the bus.
+        """Return the type of a service, as registered by the ROS-TCP peer or,
+        otherwise, as known on the bus.
         """
         with contextlib.suppress(InputError):
             return self.service_types.get(name) or self.bus.services().get(resolve(name))
@@ -331,7 +331,7 @@ class Peer:
 
 
 class _Answer:
-    """Answer of a ROS-TCP peer to a service call, which `wait` returns as soon as it arrives."""
+    """Answer of a ROS-TCP peer to a service call. The method `wait` returns as soon as the answer arrives."""
 
     def __init__(self) -> None:
         self._there = threading.Event()
@@ -347,7 +347,7 @@ class _Answer:
 
 
 def need(params: Params, name: str, kind: type) -> Any:
-    """Return a required parameter from a command of the ROS-TCP peer. Other keys are ignored.
+    """Return a required parameter of a command from the ROS-TCP peer. Other parameters are ignored.
 
     Raises:
         CommandError: the parameter is missing or has another type.

@@ -202,8 +202,8 @@ class RosTcpServer:
 
 
 class _Session(Peer):
-    """Connection of the ROS-TCP server with one client such as Unity, with the client's registrations and
-    commands.
+    """Connection between the ROS-TCP server and one client such as Unity.
+    It handles the client's registrations and commands.
     """
 
     def __init__(self, server: RosTcpServer, sock: socket.socket, address: str):

@@ -50,7 +50,7 @@ def package_source() -> Path:
 def export_unity(
     cell: Cell, folder: Path, seed: int | None = None, types: Schema | None = None
 ) -> UnityExport:
-    """Write a Unity package and the assets of a cell below a folder, e.g. into a Unity project.
+    """Write a Unity package and the assets of a cell into a folder, e.g. a Unity project.
 
     The folders are `Packages/com.armcell.unity` and `Assets/Armcell/<cell>`. The export replaces the files of
     an earlier export and leaves other files unchanged.

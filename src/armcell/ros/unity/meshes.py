@@ -32,8 +32,8 @@ def write_stl(mesh: Mesh, file: Path) -> None:
 
 
 def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
-    """Return a hull of at most `points` corners of a mesh, because Unity limits colliders to this number, and
-    the hull's error.
+    """Return a hull with at most `points` corners of a mesh, and its error.
+    Unity limits the number of corners of a collider.
 
     The error is the largest distance [m] of an unused corner outside the planes of the hull's faces. The hull
     grows by the corner that is farthest outside, so it is inside the convex hull of the mesh.
@@ -57,8 +57,8 @@ def small_hull(mesh: Mesh, points: int = MAX_HULL_POINTS) -> tuple[Mesh, float]:
 
 
 def _spread(corners: Array) -> list[int]:
-    """Return the indices of at least four mesh corners that span a volume, with which the hull for Unity
-    begins.
+    """Return the indices of at least four mesh corners that span a volume.
+    The hull for Unity starts from these corners.
 
     The corners are the extremes along ten directions, and further corners if these are coplanar.
     """

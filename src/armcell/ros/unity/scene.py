@@ -31,7 +31,8 @@ FINGER_STIFFNESS, FINGER_DAMPING = 5000.0, 200.0  # [N/m, N s/m]
 
 
 def scene_json(cell: Cell, seed: int | None, folder: Path, urdf: str) -> tuple[dict[str, Any], list[str]]:
-    """Return the scene of a cell as JSON data for Unity, and the names of the objects that it omits.
+    """Return the scene of a cell as JSON data for Unity,
+    together with the names of objects that were left out.
 
     Point clouds and octrees are omitted.
 

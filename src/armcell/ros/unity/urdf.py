@@ -25,8 +25,7 @@ SMALL_INERTIA = 1e-7  # [kg m^2]
 
 
 def write_urdf(model: RobotModel, folder: Path, name: str = "robot.urdf") -> Path:
-    """Write the flattened URDF of a robot for Unity into a folder, and its meshes into the subfolder
-    `meshes/`.
+    """Write the flattened URDF of a robot for Unity to a folder, with the meshes in the subfolder `meshes/`.
 
     Returns:
         Path of the URDF.
@@ -51,8 +50,8 @@ def file_name(name: str) -> str:
 
 
 def principal(inertial: Inertial | None) -> tuple[float, SE3, np.ndarray]:
-    """Return the mass [kg], the principal frame and the principal moments of a link for the URDF that Unity
-    imports.
+    """Return the mass [kg], the principal frame and the principal moments
+    of inertia of a link for the URDF that Unity imports.
 
     The frame T_link_principal has its origin at the center of mass. The moments (3,) are in [kg m^2]. Missing
     masses and moments become small positive values.

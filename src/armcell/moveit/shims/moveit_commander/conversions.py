@@ -12,12 +12,12 @@ from armcell.ros.codec import ros1
 
 
 def msg_to_string(msg: Any) -> bytes:
-    """Convert a message to bytes in ROS 1's format, like moveit_commander.conversions."""
+    """Convert a message to bytes in the ROS 1 format, like moveit_commander.conversions."""
     return bytes(ros1().encode(msg))
 
 
 def msg_from_string(msg: Any, data: bytes) -> None:
-    """Convert bytes in ROS 1's format to a message, like moveit_commander.conversions."""
+    """Convert bytes in the ROS 1 format to a message, like moveit_commander.conversions."""
     found = classes().local(ros1().decode(msg._type, data))
     for name in msg._fields:
         setattr(msg, name, getattr(found, name))
@@ -29,8 +29,8 @@ def pose_to_list(pose_msg: Any) -> list[float]:
 
 
 def list_to_pose(pose_list: Any) -> Any:
-    """Convert a list to a Pose, like moveit_commander: x, y, z and either a quaternion (7 numbers) or roll,
-    pitch and yaw (6 numbers).
+    """Convert a list to a Pose, like moveit_commander. The list contains x, y, z and either a quaternion (7
+    numbers) or roll, pitch and yaw (6 numbers).
     """
     values = [float(v) for v in pose_list]
     if len(values) == 6:

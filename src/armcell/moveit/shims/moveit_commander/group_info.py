@@ -25,8 +25,8 @@ PICK, PLACE = "moveit_msgs/Pickup", "moveit_msgs/Place"
 
 
 def kind_of(value: Any) -> str:
-    """Return the type name of a message without its package, for a moveit_commander group. Other values give
-    an empty text.
+    """Return the type name of a message without its package, for a moveit_commander group.
+    For other values, the text is empty.
     """
     return getattr(value, "_type", "").split("/")[-1]
 
@@ -82,8 +82,8 @@ class GroupInfo:
         return self._name
 
     def stop(self) -> None:
-        """Stop all motions, also those of other groups. moveit_commander does this because MoveIt's execution
-        event stops every motion.
+        """Stop all motions, including those of other groups. moveit_commander does the same,
+        because MoveIt's stop event ends every motion.
         """
         bus = self._session.bus
         with bus.advertise("/trajectory_execution_event", "std_msgs/String") as publisher:
@@ -101,7 +101,7 @@ class GroupInfo:
         ]  # fmt: skip
 
     def _variables(self) -> list[str]:
-        """Return the names of the joints that move in a moveit_commander group, including mimic joints."""
+        """Return the names of the movable joints in a moveit_commander group, including mimic joints."""
         mine = set(self._group.joint_names)
         return [
             j.name for j in self._session.model.joints.values()
@@ -142,7 +142,7 @@ class GroupInfo:
         return self._every_value({})
 
     def _every_value(self, positions: dict[str, float]) -> list[float]:
-        """Return the values of the joints that move in a moveit_commander group, including mimic joints.
+        """Return the values of the movable joints in a moveit_commander group, including mimic joints.
 
         Args:
             positions: joint name -> position; joints that it does not contain keep their current positions.
@@ -188,7 +188,7 @@ class GroupInfo:
         self._start = None
 
     def set_start_state(self, msg: Any) -> None:
-        """Set the robot state from which a moveit_commander group plans, from a RobotState message.
+        """Set the start state for planning with a moveit_commander group, given as a RobotState message.
 
         Joints that the message does not name keep their current positions.
         """

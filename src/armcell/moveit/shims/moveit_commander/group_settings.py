@@ -11,8 +11,8 @@ from armcell.moveit.shims.moveit_commander.group_targets import GroupTargets
 
 
 class GroupSettings(GroupTargets):
-    """Methods of a moveit_commander group that set how it plans: tolerances, planner, speed and
-    constraints.
+    """Methods of a moveit_commander group for its planning settings: tolerances,
+    planner, speed and constraints.
     """
 
     # --- tolerances ---
@@ -50,8 +50,8 @@ class GroupSettings(GroupTargets):
         self._replanning = bool(value)
 
     def get_known_constraints(self) -> list[str]:
-        """Return the constraint names in the database of a moveit_commander group. The list is empty, because
-        armcell has no such database.
+        """Return the names of the stored constraints of a moveit_commander group. The list is empty, because
+        armcell has no constraint database.
         """
         return []
 

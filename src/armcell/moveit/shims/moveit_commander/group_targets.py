@@ -131,7 +131,7 @@ class GroupTargets(GroupInfo):
         return scene.frame_pose(frame_of(stamped.header)) @ pose_from_message(stamped.pose)
 
     def _stamped(self, pose: Any) -> Any:
-        """Convert a target of moveit_commander (Pose, PoseStamped or list) to a new PoseStamped.
+        """Convert a moveit_commander target (Pose, PoseStamped or list) to a new PoseStamped.
 
         The copy is independent of the caller's object, which the script may change later.
         """
@@ -171,8 +171,8 @@ class GroupTargets(GroupInfo):
         self._target(link, POSITION, [self._stamped([*map(float, xyz), *self._last(link)[3:]])])
 
     def _last(self, link: str) -> list[float]:
-        """Return the last pose target of a link in moveit_commander, or the current pose of the link if it
-        has no target.
+        """Return the last pose target of a link in moveit_commander.
+        If there is no target, return the current pose of the link.
         """
         if self._poses.get(link):
             return pose_to_list(self._poses[link][0].pose)
@@ -186,7 +186,7 @@ class GroupTargets(GroupInfo):
             raise MoveItCommanderException("Unable to set target pose") from None
 
     def set_pose_targets(self, poses: Any, end_effector_link: str = "") -> None:
-        """Set several pose targets in moveit_commander. The planner may choose any one of them."""
+        """Set several alternative pose targets in moveit_commander. The planner chooses one of them."""
         self._link(end_effector_link, "set the pose for")
         try:
             self._target(end_effector_link, POSE, [self._stamped(p) for p in poses])
@@ -194,8 +194,8 @@ class GroupTargets(GroupInfo):
             raise MoveItCommanderException("Unable to set target poses") from None
 
     def shift_pose_target(self, axis: int, value: float, end_effector_link: str = "") -> None:
-        """Set the pose target in moveit_commander to the current pose, shifted along one axis or rotated
-        about it.
+        """Set the pose target in moveit_commander to the current pose,
+        moved along an axis or rotated about an axis.
 
         Args:
             axis: 0 to 2 shift along x, y, z; 3 to 5 change roll, pitch, yaw.

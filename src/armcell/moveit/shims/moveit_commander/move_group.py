@@ -99,8 +99,8 @@ class MoveGroupCommander(GroupSettings):
         return bool(code == SUCCESS)
 
     def _hint_at_target(self, code: int) -> None:
-        """Log a hint for users of MoveGroupCommander if a pose is unreachable because of the tool's direction
-        or the tip link.
+        """Log a hint for users of MoveGroupCommander if a pose is unreachable
+        because the tool direction or the tip link is wrong.
         """
         if code not in UNREACHED or self._active != POSE:
             return
@@ -114,8 +114,8 @@ class MoveGroupCommander(GroupSettings):
                 self._session.hint(f"target {why.split(':')[0]}", why)
 
     def _hint_at_grip(self, gripper: Gripper) -> None:
-        """Log a hint for users of MoveGroupCommander that explains why a gripper that has just closed holds
-        no object.
+        """Log a hint that explains to users of MoveGroupCommander why a
+        gripper that has just closed holds no object.
         """
         scene, cell = measured_scene(), self._session.served.cell
         closed = gripper.width(scene.state[gripper.joint_name]) < 0.5 * gripper.max_width
@@ -163,7 +163,7 @@ class MoveGroupCommander(GroupSettings):
         self, waypoints: Any, eef_step: float, avoid_collisions: Any = None, path_constraints: Any = None,
         *more: Any, jump_threshold: float | None = None,
     ) -> tuple[Any, float]:  # fmt: skip
-        """Plan straight lines of the end effector through waypoints, like
+        """Plan a path for the end effector that is straight between waypoints, like
         MoveGroupCommander.compute_cartesian_path.
 
         Args:
@@ -245,8 +245,8 @@ class MoveGroupCommander(GroupSettings):
         return bool(finished(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
-        """Return why a plan of the MoveGroupCommander does not lead to its goal. For a complete plan, the
-        text is empty.
+        """Return the reason for which a plan of the MoveGroupCommander does not reach its goal.
+        The text is empty if it does.
         """
         fraction = next((f for p, f in self._partial if p is plan), 1.0)
         if fraction <= 0:
@@ -262,8 +262,8 @@ class MoveGroupCommander(GroupSettings):
 
     # --- objects ---
     def attach_object(self, object_name: str, link_name: str = "", touch_links: Any = ()) -> bool:
-        """Attach an object to a link, like MoveGroupCommander.attach_object, and return True if the request
-        was sent.
+        """Attach an object to a link, like MoveGroupCommander.attach_object.
+        Return True if the request was sent.
 
         Without a link name, the link is the end effector's, or the first of the group.
         """
@@ -277,15 +277,15 @@ class MoveGroupCommander(GroupSettings):
         return True
 
     def _grippers(self) -> list[Gripper]:
-        """Return the grippers of the MoveGroupCommander's group: those that it carries, or the group itself
-        if it is a gripper.
+        """Return the grippers that the MoveGroupCommander's group carries.
+        If the group is itself a gripper, return that gripper.
         """
         every = self._session.model.grippers.values()
         return [g for g in every if self._name in (g.arm_group, g.group)]
 
     def detach_object(self, name: str = "") -> bool:
-        """Detach objects from the robot, like MoveGroupCommander.detach_object. True means only that the
-        request was sent.
+        """Detach objects from the robot, like MoveGroupCommander.detach_object.
+        The result True only means that the request was sent.
 
         Args:
             name: an object, or a link whose objects are detached; without a name, all objects of the group.
@@ -318,8 +318,8 @@ class MoveGroupCommander(GroupSettings):
             )
 
     def pick(self, object_name: str, grasp: Any = (), plan_only: bool = False) -> int:
-        """Pick an object, like MoveGroupCommander.pick, and return the value of the MoveItErrorCodes in the
-        result.
+        """Pick an object, like MoveGroupCommander.pick.
+        Return the numeric value of the MoveItErrorCodes in the result.
 
         Without grasps, armcell generates them. In given grasps it fills in a missing approach, lift or force.
         """
@@ -331,8 +331,8 @@ class MoveGroupCommander(GroupSettings):
         return self._picked_or_placed("pickup", goal, plan_only)
 
     def place(self, object_name: str, location: Any = None, plan_only: bool = False) -> bool:
-        """Place a held object, like MoveGroupCommander.place. The method returns True on success, whereas
-        `pick` returns an error code.
+        """Place a held object, like MoveGroupCommander.place.
+        Return True on success; `pick`, in contrast, returns an error code.
 
         Args:
             location: pose of the placed object (Pose, PoseStamped or PlaceLocation), or a list of them; None
@@ -380,8 +380,8 @@ class MoveGroupCommander(GroupSettings):
         self, ref_state_in: Any, traj_in: Any, velocity_scaling_factor: float = 1.0,
         acceleration_scaling_factor: float = 1.0, algorithm: str = TIMING[0],
     ) -> Any:  # fmt: skip
-        """Compute new times for the path of a trajectory, as fast as the scaled limits allow, like
-        MoveGroupCommander.retime_trajectory.
+        """Compute new times for the points of a trajectory, like MoveGroupCommander.retime_trajectory. The
+        motion is as fast as the scaled limits allow.
 
         All algorithm names of MoveIt are accepted and give the same result.
         """
@@ -402,8 +402,8 @@ class MoveGroupCommander(GroupSettings):
         return self._session.messages.local(message)
 
     def get_jacobian_matrix(self, joint_values: Any, reference_point: Any = None) -> Any:
-        """Return the (6, n) Jacobian in the base frame, like MoveGroupCommander. The three linear rows
-        precede the angular ones.
+        """Return the (6, n) Jacobian in the base frame, like MoveGroupCommander.
+        The three linear rows come before the angular rows.
 
         Args:
             joint_values: positions of the group's joints [rad or m].

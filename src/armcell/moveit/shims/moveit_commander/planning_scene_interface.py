@@ -149,8 +149,8 @@ class PlanningSceneInterface:
         maxz: float,
         with_type: bool = False,
     ) -> list[str]:
-        """Return the names of the objects whose origin is inside a box in the planning frame, like
-        PlanningSceneInterface.
+        """Return the names of the objects whose origin is inside a given box in the planning frame,
+        like PlanningSceneInterface.
         """
         low, high = (minx, miny, minz), (maxx, maxy, maxz)
         found = []
@@ -224,8 +224,8 @@ class PlanningSceneInterface:
 
     @staticmethod
     def make_mesh(name: str, pose: Any, filename: str, scale: Any = (1, 1, 1)) -> Any:
-        """Return a CollisionObject with the scaled mesh from a file (STL, DAE, ...), as
-        PlanningSceneInterface creates it.
+        """Load a mesh file (STL, DAE, ...), scale the mesh, and return it as a CollisionObject,
+        like PlanningSceneInterface.
         """
         session = current_session()
         try:

@@ -21,8 +21,8 @@ HINT = "describe a depth camera under `cameras:` of the cell file"
 
 
 class PlanningSceneMonitor:
-    """Monitor that starts and stops updates of the planning scene from the cell's cameras, like MoveIt's
-    PlanningSceneMonitor.
+    """Monitor that updates the planning scene from the cell's cameras, like MoveIt's PlanningSceneMonitor.
+    Updates can be started and stopped.
     """
 
     def __init__(self, robot_description: str = "robot_description", name: str = ""):
@@ -70,11 +70,11 @@ class PlanningSceneMonitor:
         self._watches.clear()
 
     def startSceneMonitor(self, scene_topic: str = "") -> None:
-        """Do nothing: MoveIt's PlanningSceneMonitor has this method, but armcell's move_group always applies
-        scene diffs.
+        """Do nothing. The method exists in MoveIt's PlanningSceneMonitor,
+        but armcell's move_group always applies scene diffs.
         """
 
     def startStateMonitor(self, joint_states_topic: str = "", attached_objects_topic: str = "") -> None:
-        """Do nothing: MoveIt's PlanningSceneMonitor has this method, but armcell's move_group always tracks
-        the joint states.
+        """Do nothing. The method exists in MoveIt's PlanningSceneMonitor,
+        but armcell's move_group always tracks the joint states.
         """

@@ -49,7 +49,9 @@ class RobotCommander:
             return values[self._name] if self.variable_count() else []
 
         def move(self, position: Any, wait: bool = True) -> bool:
-            """Move only this joint of the RobotCommander, with the planning group that owns the joint."""
+            """Move only this joint of the robot, like a joint of RobotCommander.
+            The planning group that owns the joint plans the motion.
+            """
             group = self._robot.get_default_owner_group(self._name)
             if group is None:
                 raise MoveItCommanderException(
@@ -154,7 +156,9 @@ class RobotCommander:
         return self._groups[name]
 
     def get_default_owner_group(self, joint_name: str) -> str | None:
-        """Return the name of the smallest planning group that moves a joint, or None, like RobotCommander."""
+        """Return the name of the smallest planning group that moves a given joint,
+        or None, like RobotCommander.
+        """
         groups = [g for g in current_session().model.groups.values() if joint_name in g.joint_names]
         return min(groups, key=lambda g: len(g.joint_names)).name if groups else None
 
