@@ -31,8 +31,8 @@ def dual(
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
-    """Benchmark the planning of dual-arm motions.
-    Two UR10 form one group of 12 joints, and each gripper holds a box.
+    """Benchmark dual-arm motion planning.
+    Two UR10 arms form one planning group of 12 joints, and each gripper holds a box.
 
     Starts and goals are random postures with at least 5 mm clearance.
 
@@ -80,8 +80,8 @@ def _tasks(count: int, seed: int, apart: float) -> Iterator[bench_plans.PlanTask
 
 
 def dual_scene():
-    """Return the scene of the dual-arm benchmark: two UR10 on pedestals and two boxes,
-    one for each gripper, on a table.
+    """Return the scene of the dual-arm benchmark: two UR10 arms on pedestals,
+    and a table with one box for each gripper.
     """
     from armcell.model import load_robot
     from armcell.model.compose import Part, compose

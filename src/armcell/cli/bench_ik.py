@@ -92,8 +92,8 @@ def _solver(robot: str, group: str | None, tip: str | None, numeric: bool) -> IK
 
 
 def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
-    """Return the robot model for the IK benchmark with a new group of all joints that move a link,
-    and the name of that group.
+    """Add a planning group with all joints that move a given link, for the IK benchmark. Return the new robot
+    model and the name of the group.
     """
     from armcell.model import Group
 
@@ -108,7 +108,9 @@ def _with_chain(model: RobotModel, tip: str) -> tuple[RobotModel, str]:
 
 
 def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray], Any]:
-    """Return the compiled part of an IK solver for the IK benchmark, as a function of T_root_tip (4, 4)."""
+    """Return a function that runs only the compiled part of an IK solver
+    on a pose T_root_tip (4, 4), for the IK benchmark.
+    """
     from armcell.kinematics.ik.chain import goal_in_base
     from armcell.kinematics.ik.search import any_solution
     from armcell.kinematics.ik.ur import BRANCHES, ur_branches

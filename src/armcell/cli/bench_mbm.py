@@ -28,7 +28,8 @@ def mbm(
     paths: Path | None = typer.Option(None, metavar="FILE.json.gz", help="Write the final waypoints."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the times as JSON."),
 ) -> int:
-    """Benchmark planning on problems of MotionBenchMaker: the time to search, shorten and prove a path.
+    """Benchmark planning on MotionBenchMaker problems: the time to search for a path,
+    to shorten it and to prove it collision-free.
 
     Times are CPU time of one thread in microseconds. The native planner proves
     every edge while it shortens the path: its certify_us is 0, and its simplify_us includes the proof. A

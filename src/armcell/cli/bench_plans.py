@@ -92,8 +92,8 @@ def run(
 
 
 def touching(checker: KernelChecker, start: Array, goals: Array) -> str:
-    """Describe the contacts at the start of a planning benchmark's task, or at a goal if no goal is free.
-    Otherwise the text is empty.
+    """Describe the collisions that make a planning benchmark's task unsolvable: at the start, or at a goal if
+    no goal is collision-free. The text is empty if the task has no such collisions.
     """
 
     def contacts(q: Array) -> str:
@@ -205,8 +205,8 @@ def _row(task: PlanTask, answer: NativeResult | None = None) -> Row:
 
 
 def path_length(waypoints) -> float:
-    """Return the length [rad] of a path in a planning benchmark,
-    which is the sum of the edge norms in joint space.
+    """Return the joint-space length [rad] of a path in a planning benchmark,
+    which is the sum of the lengths of its edges.
     """
     return float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
 

@@ -64,7 +64,7 @@ def campaign(
     runs: Path = typer.Option(Path("runs"), metavar="FOLDER", help="Where the campaign's folder goes."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the summary as JSON."),
 ) -> int:
-    """Run a campaign: a cell's task many times in physics with varied values.
+    """Run a campaign, which repeats a cell's task many times in the physics simulation with varied values.
     The report shows successes and failures.
 
     Every finished trial is saved at once (trials.jsonl): after Ctrl-C or a crash, continue with --resume.

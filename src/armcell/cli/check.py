@@ -17,8 +17,8 @@ def check(
     cell: str = typer.Argument(..., help="Built-in cell, folder with cell.yaml, or YAML file."),
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the findings as JSON."),
 ) -> int:
-    """Check a cell without running it.
-    The checks cover its files, limits, start state and objects, and whether the arm reaches them.
+    """Check a cell without running it. The checks cover its files, limits, start state and objects, and test
+    whether the arm can reach the objects.
 
     Exit status 0 if all checks pass, 1 with the hints if not.
     """
@@ -35,7 +35,7 @@ def check(
 
 
 def findings(name: str) -> Iterator[Finding]:
-    """Yield what `armcell check` finds in a cell: its files, limits, start state, objects and task."""
+    """Yield the results of `armcell check` for a cell's files, limits, start state, objects and task."""
     from armcell.cell import load
 
     cell = load(name)  # raises an InputError with file, element and hint

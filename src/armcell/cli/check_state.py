@@ -21,7 +21,7 @@ def check_state(
     json_file: Path | None = goals.JSON,
 ) -> int:
     """Check a robot state.
-    Show its contacts, the nearest distance, and how far each joint is from its limits.
+    Show its contacts, its smallest clearance, and how far each joint is from its limits.
 
     Without --to or --joints, the state is the cell's start.
 

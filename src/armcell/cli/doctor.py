@@ -38,7 +38,8 @@ def doctor(
     ),
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Check the installation and what a cell needs. Each fault is printed with a hint on how to remove it.
+    """Check the armcell installation and the requirements of a cell.
+    Each fault is printed with a hint on how to fix it.
 
     Example: armcell doctor panda_pick --connect 192.168.1.20:10000
 
@@ -227,8 +228,8 @@ def transforms(model: Any) -> Iterator[Line]:
 
 
 def strength(loaded: Any) -> Iterator[Line]:
-    """Check, for `armcell doctor`, that the drives can hold the robot at its start,
-    given their effort limits and gains.
+    """Check, for `armcell doctor`, that the effort limits and gains of the joint drives are sufficient to
+    hold the robot in its start state.
     """
     import numpy as np
 

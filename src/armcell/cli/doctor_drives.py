@@ -19,7 +19,7 @@ FINER = (0.005, 0.002, 0.001, 0.0005)  # [s] physics time steps to try if the ce
 
 
 def drives(loaded: Any) -> Iterator[Line]:
-    """Check, for `armcell doctor`, how well the drives let the arm joints follow a small step in physics.
+    """Check, for `armcell doctor`, how well the arm joints follow a small step in the physics simulation.
 
     The check uses the cell's time step and gains. If the joints do not follow, finer time steps show whether
     the time step or the gains are the cause.
@@ -42,8 +42,8 @@ def drives(loaded: Any) -> Iterator[Line]:
 
 
 def _followed(scene: Any, physics: Any) -> tuple[str, bool]:
-    """Describe, for `armcell doctor`, the step response of the joint that follows worst,
-    and say whether it is acceptable.
+    """Describe, for `armcell doctor`, the step response of the joint that follows a step least accurately,
+    and return whether it is acceptable.
     """
     from armcell.sim.step_response import step_responses
 

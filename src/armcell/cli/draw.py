@@ -12,7 +12,7 @@ SEED = typer.Option(
 
 
 def drawn(seed: int | None, mode: str) -> int | None:
-    """Return the seed from which a command draws random values: the given seed, or else 0.
-    In mode real the default is None.
+    """Return the random seed of a command: the given seed, or else a default.
+    The default is 0, or None in mode real.
     """
     return 0 if seed is None and mode != "real" else seed

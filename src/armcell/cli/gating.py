@@ -50,8 +50,8 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
 
 
 def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Return {"gate": entry} for the record of a run in mode real whose motions no campaign has tested,
-    for example because clients request them.
+    """Check that a reason is given for a run in mode real with motions that no campaign has tested, such as
+    motions that clients request. Return {"gate": entry} for the record of the run.
 
     Such motions have no gate record, so a reason is required. In other modes, return an empty dict.
 

@@ -106,7 +106,7 @@ def joint_state(model: Any, group: str, text: str, degrees: bool) -> JointState:
 
 
 def one_of(given: dict[str, Any]) -> str:
-    """Return the one goal option that a command line contains. The goal options exclude each other.
+    """Return the one goal option that a command line contains. The goal options are mutually exclusive.
 
     Raises:
         typer.BadParameter: no option or several options were given.
@@ -159,7 +159,7 @@ def request_of(
 
 
 def checked_json(json_file: Path | None) -> None:
-    """Check that the JSON file of a command with a goal can be written,
+    """Check that the JSON output file of a command with goal options can be written,
     before the command starts its work.
     """
     from armcell.cli.console import check_writable
@@ -188,8 +188,8 @@ def in_degrees(model: Any, names: tuple[str, ...], q: np.ndarray) -> str:
 def state_of(
     model: Any, group: str, scene: Any, to: str | None, joints: str | None, joints_deg: str | None
 ) -> JointState:
-    """Return the state that the goal options of a command line name or give as positions,
-    or else the state of the scene.
+    """Return the state that the goal options of a command line specify by a name or by joint positions.
+    Without such options, return the state of the scene.
     """
     given = {"--to": to, "--joints": joints, "--joints-deg": joints_deg}
     if not any(value is not None for value in given.values()):

@@ -83,7 +83,8 @@ def fk(
     seed: int | None = goals.SEED,
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Print the poses of links [m, deg] at the start, at a named state, or at given joint positions.
+    """Print link poses [m, deg], computed by forward kinematics for the start state,
+    a named state or given joint positions.
 
     Example: armcell fk panda_pick --joints-deg '0 -45 0 -135 0 90 45' --link panda_hand_tcp
     """

@@ -48,7 +48,7 @@ class Naming:
 
     def renamed(self, bus: Any, node: str, cell: Any) -> Any:
         """Return the bus with remapped ROS names.
-        Remappings of the command line take priority over those of the cell file.
+        Remappings from the command line take priority over those from the cell file.
 
         Raises:
             InputError: a name is invalid, or two names become equal.
@@ -84,8 +84,8 @@ def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None,
 
 
 def unused(bus: Any) -> str:
-    """Return a warning about remappings of ROS names that the cell does not have.
-    The text is empty if there are none.
+    """Return a warning about remappings of ROS names that do not exist in the cell.
+    The text is empty if all names exist.
     """
     if bus.names is None:
         return ""

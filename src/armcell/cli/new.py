@@ -51,7 +51,8 @@ def new(
 
 
 def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
-    """Write the first starter cell whose task succeeds without physics. Return whether the task is a pick.
+    """Write starter cells until the task of one succeeds without physics, and keep that cell.
+    Return whether its task is a pick.
 
     Args:
         path: how the cell names the robot.
@@ -69,7 +70,9 @@ def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
 
 
 def _passes(folder: Path) -> bool:
-    """Return whether the checks of a cell pass and its task succeeds with arms that follow perfectly."""
+    """Return whether a cell passes all checks and its task succeeds with fake arms,
+    which follow every command exactly.
+    """
     from armcell.cell import load, run_task
     from armcell.cli.check import findings
 

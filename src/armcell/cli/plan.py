@@ -30,7 +30,8 @@ def plan(
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
-    """Plan a motion of a cell's arm and print its numbers. If planning fails, print the reason and remedies.
+    """Plan a motion for a cell's arm and print its key figures, such as duration and length. If planning
+    fails, print the reason and remedies.
 
     Example: armcell plan panda_pick --pose 0.5 0.2 0.3 --planner ompl/RRTConnect
 
@@ -74,7 +75,7 @@ def plan(
 
 
 def numbers(result: Any) -> dict[str, Any]:
-    """Return the numbers in a result of `armcell plan` as data for JSON."""
+    """Return the key figures of a planned motion as data for JSON, for `armcell plan`."""
     trajectory, path = result.trajectory, result.path
     return {
         "ok": result.ok,

@@ -26,8 +26,8 @@ RUNS = typer.Option(None, metavar="FOLDER", help="Record there. [default: runs]"
 
 
 def records_folder(record: bool | None, mode: str, runs: Path | None) -> Path | None:
-    """Return the folder that receives the run folders, from the options for recording.
-    Return None for no record.
+    """Return the folder in which the recording options tell a command to create its run folders.
+    Return None if the run is not recorded.
     """
     wanted = (mode == "real" or runs is not None) if record is None else record
     return (runs or Path("runs")) if wanted else None
@@ -51,8 +51,8 @@ class Kept:
 def begin_record(
     cell: Any, scene: Any, seed: int | None, mode: str, kept: Kept, values: dict[str, Any], **more: Any
 ) -> Any:
-    """Return a recorder for the run of a command, with a new run folder (use it in a `with` block),
-    or None without recording.
+    """Return a recorder that writes a command's run to a new folder, for use in a `with` block.
+    Return None if the run is not recorded.
 
     Args:
         more: further data about the run for the record.
@@ -66,7 +66,7 @@ def begin_record(
 
 
 def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
-    """Add the observers that take pictures of a connected cell, as the options for recording request."""
+    """Add observers that take pictures of a connected cell, if the recording options request pictures."""
     from armcell.cell.pictures import Pictures
 
     if recorder is not None and mode == "sim" and cell.cameras:
@@ -76,7 +76,9 @@ def watch(live: Any, cell: Any, mode: str, recorder: Any, kept: Kept) -> None:
 
 
 def in_words(error: BaseException | None) -> str:
-    """Describe the exception that made a run fail, for its record. The text is empty without an exception."""
+    """Describe, for the record of a run, the exception that made the run fail.
+    The text is empty if there was no exception.
+    """
     if error is None or isinstance(error, ArmcellError):
         return "" if error is None else str(error)
     return f"{type(error).__name__}: {error}"
@@ -115,7 +117,7 @@ class LedRun:
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
-        """Add observers that take pictures, and a note about the gate, to the record of a run.
+        """Begin the record of a run: add the observers that take pictures, and a note about the gate record.
 
         Call this method before the `with` block of the live cell.
         """

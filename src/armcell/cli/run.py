@@ -107,7 +107,7 @@ def run(
         help="Put a simulated camera's pictures into the record, 5 per second by default; may be repeated.",
     ),
 ) -> int:
-    """Run the task of a cell in physics, or run a rospy or moveit_commander script in a cell.
+    """Run the task of a cell in the physics simulation, or run a rospy or moveit_commander script in a cell.
 
     Prints the stage table and writes runs/<time>-<cell>/ with an HTML report, the numbers (result.json) and
     a record for Foxglove (run.mcap). Exit status 0 if the task succeeded, 1 if not.

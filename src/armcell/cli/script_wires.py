@@ -106,8 +106,8 @@ class ScriptWires:
         return found
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:
-        """Open the connections of a script's cell to other programs.
-        With --plan-only, wait for the joint states of the other end.
+        """Open the connections of a script's cell to other programs. With --plan-only, also wait until the
+        other program sends joint states.
         """
         from armcell.ros.nodes import ServedPlanner
 

@@ -257,8 +257,8 @@ def sim(
     client: RosTcpClient | None = None
 
     def joined(inside: Any) -> None:
-        """Connect `armcell sim` to the endpoint, once the cell
-        publishes and its topics are therefore known.
+        """Connect `armcell sim` to the ROS-TCP endpoint. This happens after the cell has started to publish,
+        when all its topics are known.
         """
         nonlocal client
         kept = ("/clock", "/joint_states", "/tf", STATUS)

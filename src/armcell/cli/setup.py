@@ -72,7 +72,7 @@ def setup(
     allow_host: list[str] = ALLOW_HOST,
 ) -> int:
     """Set up a robot: create a cell and a MoveIt package from a URDF, with groups, gripper, poses and the
-    pairs of links that need no collision check.
+    list of link pairs that need no collision check.
 
     Exit status 0 if the folder was written.
     """
@@ -106,7 +106,9 @@ def setup(
 
 
 def _first_cell(folder: Path) -> None:
-    """Replace the cell of `armcell setup` by one with a table and a cube that the gripper reaches."""
+    """Replace the cell that `armcell setup` has created with one that
+    has a table and a cube within reach of the gripper.
+    """
     from armcell.cli.new import write_starter
     from armcell.model.loader import load_robot
 

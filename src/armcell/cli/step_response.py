@@ -41,7 +41,8 @@ def step_response(
     plot: Path | None = typer.Option(None, metavar="FILE.png", help="Draw a panel per joint."),
     json_file: Path | None = goals.JSON,
 ) -> int:
-    """Measure the step response of each arm joint in physics. Gains, error and sag under gravity are printed.
+    """Measure the step response of each arm joint in the physics simulation.
+    Print the gains, the error and the sag under gravity.
 
     Exit status 0 if every joint settles within 2 % and none sags by more than 1 mrad (1 mm), 1 if not.
     """

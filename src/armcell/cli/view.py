@@ -70,8 +70,8 @@ def view(
         recording = stack.enter_context(ExitStack())
 
         def connect(now: Any, observers: Sequence[Observer]) -> Any:
-            """Return a live cell for `armcell view` with a record of its own.
-            Each edited scene needs a new cell.
+            """Return a new live cell, with its own record, for `armcell view`.
+            Every time the user edits the scene, a new cell is needed.
             """
             recording.close()
             run = LedRun(loaded, now, seed, mode, kept, {}, "the user of the page", command, gate=gate)

@@ -17,7 +17,7 @@ FRAME = 1 / 30  # [s]
 def show(
     scene: Any, trajectory: JointTrajectory | None, explanation: Explanation | None, at: PageAt, title: str
 ) -> None:
-    """Show a trajectory once in real time, or an explanation, as the option `--view` requests.
+    """Show a trajectory (once, in real time) or an explanation in the browser, for the option `--view`.
     Then wait for Enter.
     """
     from armcell.viewer import CellViewer, show_explanation

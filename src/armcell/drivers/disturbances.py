@@ -26,7 +26,8 @@ class Push:
 
 @dataclass(frozen=True)
 class Move:
-    """Disturbance of a simulated cell: an object is displaced during a run, and only cameras can observe it.
+    """Disturbance of a simulated cell that displaces an object during a run.
+    Only cameras can observe the displacement.
 
     Attributes:
         object: name of a fixed or movable object.

@@ -87,7 +87,7 @@ class DisturbedSim(SteppedSim):
         self.command(names, state.reindexed(names).positions, np.zeros(len(names)))
 
     def _act(self) -> None:
-        """Send the disturbed simulation those joint commands whose delay has passed."""
+        """Send the disturbed simulation all joint commands whose delay has elapsed."""
         while self._late and self._late[0][0] <= self._steps:
             _, names, q, v = self._late.popleft()
             self.world.set_arm_target(names, q, v)
@@ -125,7 +125,7 @@ class DisturbedSim(SteppedSim):
                 forces[self.world.built.body[push.on], :3] += push.force
 
     def _move(self) -> None:
-        """Displace the objects of the disturbed simulation whose time for a displacement has come."""
+        """Displace all objects of the disturbed simulation whose displacements are due."""
         while self._moved < len(self._moves) and self._moves[self._moved][0] <= self._steps:
             move = self._moves[self._moved][1]
             T = self.world.object_pose(move.object)

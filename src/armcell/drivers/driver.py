@@ -58,7 +58,9 @@ class ContactRecord:
 
 @dataclass(frozen=True)
 class WeldRecord:
-    """Record of a driver that an object is attached to a gripper by a constraint other than friction."""
+    """Record of a weld: a driver attached an object to a gripper by a
+    constraint instead of holding it by friction.
+    """
 
     object: str
     gripper: str
@@ -135,7 +137,7 @@ class Driver(ABC):
     def command(
         self, joint_names: tuple[str, ...], positions: ArrayLike, velocities: ArrayLike
     ) -> JointState:
-        """Command target positions and velocities [rad, rad/s] of joints to a robot driver, and return the
+        """Send target positions and velocities [rad, rad/s] for joints to a robot driver. Return the
         setpoints that were actually sent.
         """
 
@@ -183,7 +185,9 @@ class Driver(ABC):
     # --- grippers and objects ---
     @abstractmethod
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
-        """Move a driver's gripper to a width [m] with limited force [N] per finger. A width of 0 grasps."""
+        """Move a driver's gripper to a width [m] with limited force [N] per finger.
+        Use a width of 0 to grasp an object.
+        """
 
     @abstractmethod
     def gripper(self, gripper: str) -> GripperReading: ...
@@ -201,8 +205,8 @@ class Driver(ABC):
         return self.object_poses()
 
     def welds(self) -> list[WeldRecord]:
-        """Return the objects that a constraint other than friction
-        has attached to a gripper of the driver.
+        """Return the objects that a driver has welded to a gripper, that is,
+        attached by a constraint instead of friction.
         """
         return []
 
@@ -214,17 +218,19 @@ class Driver(ABC):
         return []
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Declare to a driver that contacts of a body with other
-        bodies are part of the task, or no longer are.
+        """Declare to a driver that contact between a body and other bodies is part of the task,
+        or revoke that declaration.
         """
         return None
 
     def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
-        """Let the driver report from now on every contact of a held object with anything but its supports."""
+        """Start watching a held object: from now on, the driver reports every contact of the object,
+        except with its supports.
+        """
         return None
 
     def unwatch_object(self, name: str) -> None:
-        """End the driver's reports on contacts of an object that was watched."""
+        """Stop watching an object, so that the driver no longer reports the contacts of the object."""
         return None
 
     def unwanted_contacts(self) -> list[ContactRecord]:

@@ -119,8 +119,8 @@ class FakeDriver(Driver):
         return None
 
     def _blocked_width(self, gripper: str) -> float:
-        """Return the size [m] of the object between a fake gripper's fingers,
-        measured along the closing axis, or 0.
+        """Return the size [m] of the object between a fake gripper's fingers, measured along the closing
+        axis, or 0 if there is no object.
         """
         item = self._held[gripper][0] if gripper in self._held else self._between(gripper)
         if item is None:

@@ -39,8 +39,8 @@ class Following(Protocol):
 
 
 class SentClock:
-    """History of the setpoints streamed while following a trajectory.
-    It maps the time when each was sent to the time on the trajectory.
+    """History of the setpoints that were streamed to follow a trajectory. It maps the time at which a
+    setpoint was due to its time on the trajectory.
     """
 
     KEPT = 200  # points
@@ -49,8 +49,8 @@ class SentClock:
         self._points: deque[tuple[float, float, NDArray[np.float64] | None]] = deque(maxlen=self.KEPT)
 
     def sent(self, when: float, clock: float, off: NDArray[np.float64] | None = None) -> None:
-        """Record a setpoint that was streamed to follow a trajectory,
-        with the time when it is due and its time on the trajectory.
+        """Record a setpoint that was streamed to follow a trajectory: the time at which it is due,
+        and its time on the trajectory.
 
         Args:
             when: monotonic time [s] at which the point is due.
@@ -60,8 +60,8 @@ class SentClock:
         self._points.append((when, clock, off))
 
     def at(self, when: float) -> tuple[float, NDArray[np.float64] | None]:
-        """Return the trajectory time [s], and the offset (n,) from the trajectory, of the streamed setpoint
-        that is due at a monotonic time [s].
+        """Look up the streamed setpoint that is due at a monotonic time [s]. Return its time on the
+        trajectory [s] and its offset (n,) from the trajectory.
 
         Before the first and after the last recorded point, the nearest one applies.
         """

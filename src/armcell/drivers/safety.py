@@ -68,7 +68,7 @@ class Supervised(Protocol):
 
     def halt(self) -> None:
         """Stop a supervised arm for safety, discard its goals and hold the measured pose.
-        This must not block.
+        The call must not block.
         """
         ...
 

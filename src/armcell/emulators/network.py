@@ -180,8 +180,8 @@ class Network:
         self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
         service: str,
     ) -> int:  # fmt: skip
-        """Reserve a network port of an emulated controller and return
-        its number. `open` starts to serve the port.
+        """Reserve a network port of an emulated controller and return its number.
+        Connections are accepted once `open` is called.
 
         Args:
             begin: called with each new connection.
@@ -216,8 +216,8 @@ class Network:
         return self.endpoints[-1].port
 
     def datagrams(self, host: str, service: str) -> Datagrams:
-        """Open a UDP socket in the network of an emulated controller.
-        Messages to the user call it by the name `service`.
+        """Open a UDP socket in the network of an emulated controller. `service`
+        is the name of the socket in messages to the user.
         """
         self._datagrams.append(Datagrams(host, self))
         self.endpoints.append(Endpoint.of(self._datagrams[-1].socket, service))

@@ -30,8 +30,8 @@ class Controller(Protocol):
 
     @property
     def in_use(self) -> bool:
-        """Return whether a client uses an emulated controller in the rack,
-        or has only been disconnected by an injected fault.
+        """Return whether a client uses an emulated controller in the rack. A client that an injected fault
+        has disconnected still counts.
         """
         ...
 
@@ -54,7 +54,7 @@ class Controller(Protocol):
 
 def selector() -> selectors.BaseSelector:
     """Return an I/O selector for a rack of emulated controllers that
-    respects timeouts of less than a millisecond.
+    supports timeouts of less than a millisecond.
 
     epoll would round timeouts up to whole milliseconds.
     """

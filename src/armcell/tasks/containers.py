@@ -91,8 +91,8 @@ def _need_some(name: str, stages: tuple[Stage, ...]) -> None:
 
 
 def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Return the names that a container provides whichever of its alternative stages runs,
-    and all interface problems of these stages.
+    """Return the names that all alternative stages of a container provide,
+    and the interface problems of these stages.
     """
     results = [single(stage, have, scene) for stage in stages]
     return InterfaceCheck(

@@ -23,7 +23,7 @@ from armcell.tasks.stage_statistics import reason_in_short
 
 
 class World:
-    """World of a task's context: the planning scene without measurements, which threads share.
+    """World of a task's context: the planning scene without measurements. Several threads share it.
 
     Attributes:
         scene: may be read at any time. It is replaced while `editing` is held, never mutated.
@@ -41,8 +41,8 @@ class World:
 def without_measured(
     base: PlanningScene, now: PlanningScene, after: PlanningScene, held: Iterable[str]
 ) -> PlanningScene:
-    """Return the changed scene of a task's context,
-    in which measured values are reset to those of the base scene.
+    """Return a changed scene for a task's context,
+    in which all measured values are reset to those of the base scene.
 
     Args:
         base: the scene before the change.
@@ -140,8 +140,8 @@ class TaskContext:
         return self.whole_scene()
 
     def belief(self, name: str) -> str:
-        """Return as text where a task's context assumes an object to be and,
-        on real arms, how to correct this pose.
+        """Describe where a task's context assumes an object to be.
+        For real arms, the text also explains how to correct this pose.
         """
         x, y, z = self.scene().object(name).T_world_object.translation
         text = f"the scene has {name} at {x:.3f} {y:.3f} {z:.3f}"
@@ -229,8 +229,8 @@ class TaskContext:
                 self.world.telling.release()
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
-        """Allow contacts of a body with others in a task's context,
-        both in physics and in the motion gate, or forbid them.
+        """Allow or forbid contact between a body and others in a task's context, both in the physics
+        simulation and in the motion gate.
         """
         others = tuple(others)
         pairs = {frozenset((body, other)) for other in others}
@@ -266,7 +266,7 @@ class TaskContext:
     # --- coordination with the other arm ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:
         """Return the trajectory of a motion if the task's context allows it to start,
-        else the reason why it must not.
+        or else the reason for the refusal.
 
         A single arm may always start.
 
@@ -382,8 +382,8 @@ class TaskContext:
 
 @dataclass
 class Rejections:
-    """Reasons for rejected candidates in a task's context: counts by stage and reason,
-    and the first texts in full.
+    """Reasons why candidates were rejected, for a task's context: counts by stage and reason,
+    and the first reasons in full.
     """
 
     counts: dict[tuple[str, str], int] = field(default_factory=dict)

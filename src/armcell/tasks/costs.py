@@ -69,8 +69,8 @@ def clearance(solution: PartialSolution) -> float:
 
 @costs.register("planning_time")
 def planning_time(solution: PartialSolution) -> float:
-    """Return the total wall-clock time [s] for which the motions of a
-    task's solution were planned, as a cost term.
+    """Return the total wall-clock time [s] spent on planning the
+    motions of a task's solution, as a cost term.
     """
     return sum(motion.planning_time for motion in motions(solution))
 

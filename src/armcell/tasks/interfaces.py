@@ -102,8 +102,8 @@ def single(
 
 
 def _unknown(stage: Stage, scene: PlanningScene | None) -> Iterator[str]:
-    """Yield a message for each name in the fields of a stage that the scene does not contain,
-    as part of the interface check.
+    """Check the interface of a stage: yield a message for each name
+    in its fields that does not exist in the scene.
     """
     if scene is None:
         return

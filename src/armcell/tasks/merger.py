@@ -124,8 +124,8 @@ class Merger:
 def _choices(
     solution: PartialSolution, planning: Planning, stages: Sequence[Stage]
 ) -> Iterator[tuple[PartialSolution, ...]]:
-    """Yield every combination of one proposal per stage of a merger,
-    all of which start from the same solution.
+    """Yield every combination of proposals of a merger's stages, one per stage.
+    All proposals start from the same solution.
     """
     if not stages:
         yield ()

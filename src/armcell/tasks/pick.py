@@ -99,7 +99,9 @@ class Pick(ABC):
         """Perform a planned attempt of a pick, and verify that the hand holds the object."""
 
     def keeps_object(self) -> bool:
-        """Return whether a pick has the object in the hand and keeps it if a scene change stops the lift."""
+        """Return whether a pick ends with the object in the hand, and without a new attempt,
+        if a scene change stops the lift.
+        """
         return False
 
     def recover(self, outcome: Outcome) -> None:
@@ -246,7 +248,7 @@ def pick_stages(
 
 
 def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
-    """Return a fast test that lets a pick reject grasps from which no placement is possible.
+    """Return a fast test with which a pick rejects grasps that do not allow any placement of the object.
 
     The test does not consider the arm.
     """
@@ -257,7 +259,7 @@ def _grasp_filter(ahead: Sequence[Stage]) -> GraspFilter | None:
 
 
 def _grasped(item: str, gripper: Gripper, solution: PartialSolution) -> PartialSolution:
-    """Return the solution of a pick in which the chosen grasp has attached the object to the hand."""
+    """Return the solution of a pick in which the object is attached to the hand at the chosen grasp."""
     scene = solution.data["after_approach"].with_attached(item, gripper.tcp_link, gripper.hand_links)
     return solution.then(scene=scene)
 
@@ -298,7 +300,7 @@ def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> St
 
 
 def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) -> bool:
-    """Return whether an open hand may surround the object that it failed to pick."""
+    """Return whether an open hand may still surround the object after a failed pick."""
     tcp, T = scene.frame_pose(gripper.tcp_link), scene.object(item).T_world_object
     return bool(np.linalg.norm(tcp.translation - T.translation) <= s.approach_distance)
 

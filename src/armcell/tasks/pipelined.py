@@ -24,7 +24,9 @@ from armcell.tasks.task import Task, TaskPlan, emit_rejections
 
 @dataclass(frozen=True, eq=False)
 class PipelinedTask:
-    """Pipelined task: a named list of stages, which is created from the scene in which they will start."""
+    """Pipelined task: its name, and a function that creates the task's
+    stages from the scene in which they will start.
+    """
 
     name: str
     stages: Callable[[TaskContext, PlanningScene], Sequence[Stage]]
@@ -33,8 +35,8 @@ class PipelinedTask:
 @dataclass(frozen=True)
 @checked()
 class PipelineSettings:
-    """Tolerances for a pipelined task: how far the scene may differ from the prediction while a plan that was
-    made in advance remains valid.
+    """Tolerances for a pipelined task: how far the scene may differ from the
+    predicted one before a plan made in advance becomes invalid.
     """
 
     joints: float = 0.02  # [rad or m] between predicted and measured joint position
@@ -147,8 +149,8 @@ class _BackgroundPlan:
 def scene_difference(
     expected: PlanningScene, now: PlanningScene, settings: PipelineSettings = PipelineSettings()
 ) -> str:
-    """Describe how a scene differs from the one predicted for a pipelined task.
-    The text is empty within the tolerances.
+    """Describe how a scene differs from the one predicted for a pipelined task. The text is empty if all
+    differences are within the tolerances.
     """
     s, model = settings, now.model
     fingers = {gripper.joint_name for gripper in model.grippers.values()}

@@ -132,8 +132,8 @@ def as_it_may_be(
 
 
 def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
-    """Return the best grasps that differ clearly from each other, to prove them in physics.
-    If there are too few, add the next best ones.
+    """Select the best grasps that differ clearly from each other, to prove them in the physics simulation. If
+    there are too few, add the next best grasps.
     """
     chosen: list[Grasp] = []
     rest: list[Grasp] = []
@@ -145,8 +145,8 @@ def varied(grasps: Sequence[Grasp], count: int) -> list[Grasp]:
 
 
 def _alike(a: Grasp, b: Grasp) -> bool:
-    """Return whether two grasps are so similar that only one needs a proof in physics.
-    A half turn of the hand does not count.
+    """Return whether two grasps are so similar that only one must be proven in the physics simulation. Grasps
+    that differ by half a turn of the hand are similar.
     """
     if np.linalg.norm(a.T_object_tcp.translation - b.T_object_tcp.translation) > SAME_PLACE:
         return False

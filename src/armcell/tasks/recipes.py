@@ -34,7 +34,7 @@ Vector = tuple[float, float, float]
 
 
 def let_go(ctx: TaskContext, item: str) -> Outcome:
-    """Recipe that opens the hand which holds an object, and retreats straight back.
+    """Recipe that lets go of a held object: it opens the hand and retreats straight back.
 
     Raises:
         InputError: the object is not held.

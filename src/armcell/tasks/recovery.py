@@ -129,7 +129,9 @@ def _once(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None,
     up: Vector | None, look: Look | None, s: RecoverySettings, trouble: Trouble,
 ) -> Outcome:  # fmt: skip
-    """Attempt once, as a part of recovery, to transfer an object, with intermediate placements if needed."""
+    """Attempt once to transfer an object, with intermediate placements if needed.
+    Recovery repeats such attempts.
+    """
     for left in reversed(range(AGAIN * s.intermediate_placements + 1)):
         if item not in ctx.holding and look is not None:
             seen = look()
@@ -158,8 +160,8 @@ def _once(
 
 
 def _one_would_do(outcome: Outcome) -> bool:
-    """Return whether the failed transfer found a grasp that leads to the goal,
-    so that recovery lacks only a motion to that grasp.
+    """Return whether the failed transfer found a grasp that leads to the goal.
+    If so, recovery needs only a motion to that grasp.
     """
     return any(row["stage"] == AHEAD and row["passed"] for row in outcome.evidence.get("stages", ()))
 

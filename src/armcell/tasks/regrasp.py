@@ -97,7 +97,7 @@ def _breadth_first(
     goals: tuple[RestingPose, ...], planning: Planning, most: int, seen: set[int],
 ) -> Iterator[tuple[RegraspStep, ...]]:  # fmt: skip
     """Yield regrasp sequences by a breadth-first search.
-    Those through a resting side from which a grasp reaches the goal come first.
+    Resting sides of the object from which a grasp reaches the goal come first.
 
     Adds the ids of reachable poses to `seen`.
     """
@@ -159,7 +159,7 @@ def _touched(scene: PlanningScene, item: str, pose: RestingPose) -> str:
 
 
 def _sides(scene: PlanningScene, goal: PlacementGoal) -> dict[Vector, list[RestingPose]]:
-    """Return the free resting poses of a regrasped object by upward direction, nearest first."""
+    """Return the collision-free resting poses of a regrasped object by upward direction, nearest first."""
     name = goal.object
     item = scene.object(name)
     now = item.T_world_object.translation
@@ -201,7 +201,7 @@ def _rounded(up: Vector) -> Vector:
 
 
 class _Hands:
-    """Cache for regrasp planning of the grasps that are feasible at each resting pose of an object."""
+    """Cache for regrasp planning that stores which grasps are feasible at each resting pose of an object."""
 
     def __init__(self, scene: PlanningScene, name: str, gripper: Gripper, planning: Planning):
         self.rejections: dict[Vector, Rejections] = {}  # rejections by the upward direction
@@ -301,8 +301,8 @@ class _Hands:
         self.rejections.setdefault(side, Rejections()).add("", candidate, reason)
 
     def why(self, side: Vector, most: int = 2) -> str:
-        """Return the most frequent reasons, with counts,
-        why grasps for regrasping fail while the object rests on a given side.
+        """Return the most frequent reasons why grasps for regrasping fail while
+        the object rests on a given side, with their counts.
 
         Also returns the first reason in full.
         """

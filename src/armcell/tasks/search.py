@@ -92,7 +92,7 @@ class Planning:
 
     @property
     def time_left(self) -> float:
-        """Return the rest of the budget [s] for planning a task by search, in CPU time of this thread.
+        """Return the time [s] left in the budget for planning a task by search, in CPU time of this thread.
 
         CPU time makes plans independent of the load of the machine.
         """
@@ -100,8 +100,8 @@ class Planning:
 
     @property
     def hopeless(self) -> bool:
-        """Return whether it is useless to continue the search for a task's plan: it is canceled or out of
-        time, or the start is in collision.
+        """Return whether to give up the search for a task's plan. This is the case if the search is canceled
+        or out of time, or if the start state is in collision.
         """
         return (
             self.cancel.is_set()
@@ -124,8 +124,8 @@ class Planning:
         )  # fmt: skip
 
     def join(self, fork: Planning, seconds: float) -> None:
-        """Merge the reports and the CPU time [s] of a forked planning
-        state into the state of the task search.
+        """Merge the reports and the CPU time [s] of a forked planning state
+        back into the planning state of the task search.
 
         Later reports of the fork go directly to this state.
         """
@@ -210,7 +210,7 @@ Branch = Callable[[Planning], Iterator[PartialSolution]]
 
 
 def in_order(branches: Iterable[Branch], planning: Planning) -> Iterator[PartialSolution]:
-    """Yield the solutions of one search branch after the other,
+    """Yield the solutions of the search branches, one branch after the other,
     until it is useless to continue planning the task.
 
     If `planning` has threads, they search the next branches in parallel.

@@ -62,7 +62,8 @@ def sort(
     by: str | Kind = "color",
     settings: SortSettings = SortSettings(),
 ) -> Outcome:
-    """Sort visible objects by kind onto their targets, until an image shows all of them there.
+    """Sort visible objects by kind onto their targets,
+    until an image shows that all of them are on their targets.
 
     The camera takes a new image after each object, so objects that slipped or were moved are found again.
 

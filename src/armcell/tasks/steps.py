@@ -239,7 +239,7 @@ class Watch:
 @dataclass(frozen=True, eq=False)
 class CheckGrasp:
     """Step of a task that checks, after the lift, that the object has
-    moved along and the hand still holds it.
+    moved with the hand and that the hand still holds it.
     """
 
     object: str

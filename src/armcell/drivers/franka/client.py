@@ -55,8 +55,8 @@ class FciClient:
             )  # fmt: skip
 
     def _open(self, port: int) -> int:
-        """Connect the Franka client, and return the protocol version that the robot accepts,
-        or else the one that it speaks.
+        """Connect the Franka client. Return the requested protocol version if the robot accepts it, or else
+        the version that the robot speaks.
         """
         self._identifier, self._received = 0, bytearray()
         self._robot: tuple[str, int] | None = None  # address from which the robot sends its states

@@ -24,8 +24,8 @@ def pack_json(kind: int, value: dict[str, Any]) -> bytes:
 
 
 def take(received: bytearray) -> tuple[int, bytes] | None:
-    """Remove the first complete frame from the buffer that holds a
-    Franka worker's stream, and return it, or None.
+    """Remove the first complete frame from a buffer with data of a Franka worker, and return it.
+    Return None if no frame is complete.
     """
     if len(received) < _HEAD.size:
         return None

@@ -56,8 +56,8 @@ class FrankaIdentity:
 
     @property
     def calibration(self) -> str:
-        """Return the checksum of the description that a Franka robot
-        sends as part of its identity, or an empty text.
+        """Return the checksum of the description that a Franka robot sends to identify itself. The text is
+        empty if there is no description.
         """
         if not self.description:
             return ""

@@ -28,7 +28,7 @@ CATCH_UP = 0.4  # largest deviation of that rate from 1
 
 
 class Rows:
-    """Trajectory for a Franka arm in setpoints of 1 ms, which are streamed at an adjustable pace.
+    """Trajectory for a Franka arm with one setpoint per millisecond, which is streamed at an adjustable pace.
 
     Args:
         rows: joint positions (n, 7) [rad].
@@ -107,7 +107,8 @@ class Points:
         self._points.append((due, q, v))
 
     def next(self, pace: float, now: float) -> Array:
-        """Advance the streamed Franka setpoints to a time [s, monotonic], and return the positions (7,) then.
+        """Advance the streamed Franka setpoints to a time [s, monotonic],
+        and return the positions (7,) at that time.
 
         After the last point, the arm decelerates from the point's speed. A point that comes later is joined
         without a jump.
@@ -143,7 +144,9 @@ class Points:
         return position + self._off(now)
 
     def _off(self, now: float) -> Array:
-        """Return the deviation (7,) of the streamed Franka setpoints at a time, while it decays."""
+        """Return the deviation (7,) of the streamed Franka setpoints from the plan at a given time.
+        The deviation decays to zero.
+        """
         off = None if self._away is None else self._away[1].at(now - self._away[0])
         return np.zeros(7) if off is None else off
 
@@ -152,8 +155,8 @@ class Points:
 
 
 def _coasts_from(points: list[Point], now: float) -> Point | None:
-    """Return the last streamed setpoint that a Franka arm has passed,
-    if no further setpoint follows it soon.
+    """Return the last streamed setpoint that a Franka arm has passed.
+    Return None if another setpoint follows soon.
     """
     passed = [point for point in points if point[0] <= now]
     coming = points[len(passed) :]
@@ -204,19 +207,21 @@ class Setpoints:
 
     @property
     def finished(self) -> bool:
-        """Return whether the source streamed to the Franka arm has ended and its setpoints are at rest."""
+        """Return whether the motion that is streamed to the Franka arm
+        has finished and its setpoints are at rest.
+        """
         return self._settled > WINDOW and self._away is None
 
     def start_error(self, q: Array) -> float:
-        """Return the distance [rad] between the start of a source
-        streamed to the Franka arm and the positions q (7,).
+        """Return the largest difference [rad] between the joint positions q (7,) and the start of the motion
+        that will be streamed to the Franka arm.
         """
         return float(np.abs(self.source.start - q).max())
 
     def next(
         self, ticks: int, wanted_pace: float, now: float, q_d: Array, dq_d: Array, ddq_d: Array
     ) -> Array:
-        """Return the setpoint (7,) [rad] to stream to the Franka arm in the millisecond after a state.
+        """Return the next setpoint (7,) [rad] to stream to the Franka arm after the robot has sent a state.
 
         Args:
             ticks: milliseconds since the last state; above 1 if states were lost.
@@ -243,8 +248,8 @@ class Setpoints:
         self._settled = self._settled + 1 if self.source.ended else 0
 
     def _rejoin(self, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
-        """Let the streamed Franka setpoints rejoin the plan:
-        the deviation from it decays with smooth acceleration.
+        """Bring the streamed Franka setpoints back to the plan:
+        their deviation decays with smooth acceleration.
         """
         p0, p1, p2 = self._plan
         off = q_d - p2

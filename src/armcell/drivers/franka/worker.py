@@ -164,8 +164,8 @@ class Worker:
             self._points.add(*point)
 
     def _start(self, state: RobotState, since: float, source: Rows | Points) -> None:
-        """Start the motion that has waited in the Franka worker since the
-        time `since` [s, monotonic], once the robot is idle.
+        """Start the waiting motion of the Franka worker once the robot is idle.
+        It has been waiting since the time `since` [s, monotonic].
         """
         if state.mode != RobotMode.IDLE or state.generator != GeneratorMode.IDLE:
             if time.monotonic() - since > START_TIME:

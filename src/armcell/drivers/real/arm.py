@@ -30,7 +30,7 @@ class RealGripper(Protocol):
 
     def drive(self, width: float, force: float) -> None:
         """Move the gripper of a real arm toward a width [m] with limited force [N] per finger.
-        A width of 0 grasps.
+        Use a width of 0 to grasp an object.
         """
         ...
 
@@ -78,7 +78,8 @@ class RealArm(ABC):
 
     @abstractmethod
     def connect_gripper(self, gripper: Gripper) -> RealGripper | None:
-        """Connect to the gripper that the settings of a real arm name. Return None if they name none.
+        """Connect to the gripper that the settings of a real arm specify.
+        Return None if they specify no gripper.
 
         Raises:
             InputError: the gripper does not answer.
@@ -93,8 +94,8 @@ class RealArm(ABC):
 
     @abstractmethod
     def beat(self) -> None:
-        """Send the robot of a real arm the keep-alive signal without which it stops.
-        This must not raise or block.
+        """Send the keep-alive signal to the robot of a real arm, which stops without this signal.
+        The call must not raise or block.
         """
 
     def start_round_trips(self) -> Callable[[], float]:
@@ -135,7 +136,7 @@ class RealArm(ABC):
 
     @abstractmethod
     def set_slider(self, fraction: float) -> None:
-        """Set the speed slider of a real arm, 0 to 1. This must not raise while the connection is lost."""
+        """Set the speed slider of a real arm, 0 to 1. The call must not raise if the connection is lost."""
 
     @property
     @abstractmethod
@@ -144,8 +145,8 @@ class RealArm(ABC):
 
     @abstractmethod
     def force(self) -> tuple[Array, Array, Array]:
-        """Return the force [N] and torque [Nm] at the tool of a real arm
-        and their reference point [m], in the base frame.
+        """Return the force [N] and torque [Nm] at the tool of a real arm,
+        and the point [m] to which they refer, all in the base frame.
 
         The base frame is the controller's.
         """
@@ -161,11 +162,11 @@ class RealArm(ABC):
 
     @abstractmethod
     def halt(self) -> None:
-        """Stop a real arm, discard all goals and hold the measured pose. This must not raise or block."""
+        """Stop a real arm, discard all goals and hold the measured pose. The call must not raise or block."""
 
     @abstractmethod
     def prepare_resume(self) -> None:
-        """Check, before a real arm resumes, that its robot is still the same one and may be driven.
+        """Check, before a real arm resumes, that the robot is still the same one and is allowed to move.
 
         Raises:
             InputError: the check failed; the message states the remedy.
@@ -189,7 +190,7 @@ class RealArm(ABC):
 
     @abstractmethod
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Stream a setpoint which a real arm should pass at a given time.
+        """Stream a setpoint to a real arm. The setpoint includes the time at which the arm should pass it.
 
         Setpoints with equal times keep several arms synchronized.
 

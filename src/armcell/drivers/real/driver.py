@@ -119,7 +119,7 @@ class RealDriver(Driver):
         return self
 
     def _begin_guard(self, guard: MotionGuard, supervisor: Supervisor) -> None:
-        """Give the twin guard the real driver's measurements of network round trips, and its event log."""
+        """Provide the twin guard with the real driver's event log and its measured network round trips."""
         guard.check_calibration(self.calibrations())
         guard.trips = {name: arm.start_round_trips() for name, arm in self.arms.items()}
         guard.note = supervisor.record
@@ -233,7 +233,8 @@ class RealDriver(Driver):
 
     @property
     def tick(self) -> float:
-        """Return the real driver's time [s] for the next command, to which each `advance` adds its duration.
+        """Return the real driver's time [s] for the next command.
+        Each call of `advance` adds its duration to this time.
 
         After a delay of more than `stream_lead`, it jumps to the current time.
         """
@@ -322,13 +323,13 @@ class RealDriver(Driver):
                 arm.cancel()
 
     def fault(self) -> Fault | None:
-        """Return the fault that stopped the real driver's arms if no resume has cleared it yet, or None."""
+        """Return the fault that stopped the real driver's arms, or None if no fault is latched."""
         self._look()
         return self._supervisor.tripped if self._supervisor is not None else None
 
     def arm_modes(self) -> dict[str, tuple[int, int]]:
-        """Return the robot and safety modes of the real driver's arms,
-        DISCONNECTED for an arm with a lost link.
+        """Return the robot and safety modes of the real driver's arms.
+        An arm that has lost its connection is reported as DISCONNECTED.
         """
         return {name: arm.modes for name, arm in self.arms.items()}
 
@@ -453,9 +454,7 @@ class RealDriver(Driver):
         return self.arms[group]
 
     def _carry(self, gripper: str, q: NDArray[np.float64]) -> None:
-        """Move an object that a real gripper holds along with the gripper,
-        among the object poses of the driver.
-        """
+        """Update the real driver's object poses: an object that a gripper holds moves with the gripper."""
         holds = self._grippers[gripper].read()[1]
         T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)
         if not holds:

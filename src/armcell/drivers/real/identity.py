@@ -22,8 +22,8 @@ class RobotIdentity(Protocol):
 
 @dataclass(frozen=True)
 class NetworkReport:
-    """Network quality of the connection to a real robot,
-    from one measurement made when its identity is checked. Times are in [s].
+    """Network quality of the connection to a real robot, measured once when the robot's identity is checked.
+    Times are in [s].
     """
 
     round_trip: float  # median

@@ -50,7 +50,7 @@ class RobotKind(ABC, Generic[A, I]):
         return dict(arms)
 
     def check_backend(self, backend: str) -> None:
-        """Check that the libraries are installed which the motion backend of a robot kind needs.
+        """Check that all libraries required by the motion backend of a robot kind are installed.
 
         Raises:
             InputError: a library is missing; the error names the extra to install.
@@ -126,13 +126,14 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def measured_positions(self, arm: A) -> Array:
-        """Return the joint positions (n,) [rad] of an arm,
-        which the robot kind measures without another connection.
+        """Return the measured joint positions (n,) [rad] of an arm.
+        Its robot kind reads them without opening another connection.
         """
 
     @abstractmethod
     def flange_position(self, found: I, q: Array) -> Array:
-        """Return the flange position (3,) [m] in the base link, computed from the robot kind's own geometry.
+        """Return the flange position (3,) [m] in the base link,
+        computed from the robot kind's own geometry instead of the robot model.
 
         Args:
             q: joint positions (n,) [rad].

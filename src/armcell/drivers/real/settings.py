@@ -32,7 +32,9 @@ class ArmSettings(Strict):
 
 
 class RealSettings(Strict):
-    """Settings of a cell's real arms, by planning group, and the limits that supervise them."""
+    """Settings of a cell's real arms, by planning group,
+    and the limits that the safety supervisor enforces.
+    """
 
     kind: str = DEFAULT_KIND  # robot kind of the arms that do not name their own
     arms: dict[str, ArmSettings] = Field(min_length=1)

@@ -103,7 +103,8 @@ class UrArm(RealArm):
         self.restart()
 
     def restart(self) -> None:
-        """Start or restart the robot program of the UR arm. If the link to its state is lost, reconnect.
+        """Start or restart the robot program of the UR arm.
+        If the connection that reports its state is lost, reconnect.
 
         Raises:
             InputError: the program did not start, and the arm stays stopped; the message states the remedy.
@@ -256,7 +257,8 @@ class UrArm(RealArm):
         return None
 
     def _link_is_broken(self) -> bool:
-        """Return whether the link to the UR arm's program has been broken for longer than a few states take.
+        """Return whether the link to the UR arm's robot program has been
+        broken for longer than a few states take to arrive.
 
         A stop also ends the program, and its broken link may be noticed before the state with the cause
         arrives.
@@ -295,7 +297,7 @@ class UrArm(RealArm):
         self._link.send(commands.CANCEL)
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Stream a setpoint with joint speeds which the UR arm should pass at a given time.
+        """Stream a setpoint (joint positions and speeds) to the UR arm, which should pass it at a given time.
 
         Send a new setpoint every period. Setpoints with the same time keep several arms synchronized.
 
@@ -343,12 +345,14 @@ class UrArm(RealArm):
 
     # --- force ---
     def zero_force(self) -> None:
-        """Zero the force of the UR arm: later readings are relative to the mean of the latest ones."""
+        """Zero the force measurement of the UR arm: the mean of the latest
+        readings is subtracted from all later readings.
+        """
         self._no_force = np.mean([s.actual_TCP_force for s in list(self._rtde.history)], axis=0)
 
     def force(self) -> tuple[Array, Array, Array]:
-        """Return the force [N] and torque [Nm] at the UR arm's tool and
-        their reference point [m], in the base frame.
+        """Return the force [N] and torque [Nm] at the UR arm's tool,
+        and the point [m] to which they refer, all in the base frame.
 
         A CB3 controller reports the wrench about the TCP and estimates it coarsely from motor currents; an
         e-Series reports it about the flange.
@@ -373,7 +377,8 @@ class UrArm(RealArm):
         self._halting = halting  # assigned after the start, because other threads join it
 
     def _make_sure(self) -> None:
-        """Stop the robot program of the UR arm over the dashboard as well.
+        """Stop the robot program of the UR arm over the dashboard too,
+        in case the program does not receive commands.
 
         A paused program receives no commands from its link.
         """
@@ -389,7 +394,7 @@ class UrArm(RealArm):
             self._link.close_links()
 
     def prepare_resume(self) -> None:
-        """Check, before the UR arm resumes, that it is still the same arm and may be driven.
+        """Check, before the UR arm resumes, that it is still the same arm and is allowed to move.
 
         Raises:
             InputError: the check failed; the message states the remedy.
@@ -415,7 +420,9 @@ class UrArm(RealArm):
         check_ready(self.name, found)
 
     def set_slider(self, fraction: float) -> None:
-        """Set the speed slider of the UR arm, 0 to 1. If the link is lost, the next resume sets it."""
+        """Set the speed slider of the UR arm, 0 to 1.
+        If the connection is lost, the next resume sets the slider.
+        """
         self._unsent_slider = value = float(np.clip(fraction, 0.0, 1.0))
         with contextlib.suppress(OSError):
             if self._rtde.error is None:

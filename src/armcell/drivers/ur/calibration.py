@@ -32,7 +32,7 @@ LARGEST = 0.05  # [m] largest correction of a joint origin: more indicates anoth
 
 
 def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinematics) -> RobotModel:
-    """Return the robot model in which the joint origins of a UR arm are those of its factory calibration.
+    """Return the robot model with the joint origins of a UR arm replaced by those of its factory calibration.
 
     Args:
         group: planning group of the arm's six joints.
@@ -116,8 +116,8 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
 
 
 def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float, float]:
-    """Return the rotation and offset of a link by UR calibration,
-    chosen so that the next joint is close to its nominal position.
+    """Return the rotation and offset of a link for UR calibration. They are chosen so that the next joint is
+    close to its nominal position.
 
     Args:
         own: K_i of the robot.

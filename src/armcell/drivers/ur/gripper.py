@@ -58,7 +58,7 @@ class SocketGripper:
 
     def _watch(self) -> None:
         """Poll the state of a UR arm's socket gripper.
-        After a lost connection, reconnect without moving the gripper.
+        If the connection is lost, reconnect without moving the gripper.
         """
         while self._open:
             try:

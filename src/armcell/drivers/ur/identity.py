@@ -72,7 +72,7 @@ def identify(host: str) -> Identity:
 
 
 def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
-    """Read the Denavit-Hartenberg parameters that identify a UR robot from its primary interface.
+    """Read a UR robot's Denavit-Hartenberg parameters from its primary interface. They identify the robot.
 
     Raises:
         InputError: the robot does not send its geometry.

@@ -40,8 +40,8 @@ class Pinger:
         self._thread.start()
 
     def trip(self) -> float:
-        """Return the shortest of the last round trips [s] that the pinger measured to a UR robot.
-        It is NaN at the start.
+        """Return the shortest of the last network round trips [s] that the pinger measured to a UR robot, or
+        NaN before the first measurement.
 
         A pending request counts with its current age.
         """

@@ -184,8 +184,8 @@ class ProgramLink:
         self._send(self._reverse, _COMMAND.pack(kind, *six, last))
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Send a setpoint (positions and speeds) to armcell's URScript program,
-        to be reached at a time [s] of the program.
+        """Send a setpoint to armcell's URScript program:
+        positions and speeds to be reached at a time [s] on the program's clock.
         """
         values = (round(float(x) * SCALE) for x in (*np.asarray(q), *np.asarray(v)))
         self._send(self._reverse, _SERVO.pack(SERVO, *values, round(at * STAMP)))

@@ -187,7 +187,7 @@ class RtdeClient:
 
     @property
     def age(self) -> float:
-        """Return the age [s] of the RTDE client's latest state at the time when it last checked for packets.
+        """Return how old [s] the latest state was when the RTDE client last checked for packets.
 
         The age uses the robot's time stamp: a packet that waited in a buffer is not new.
         """

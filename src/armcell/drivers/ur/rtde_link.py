@@ -139,7 +139,9 @@ class RtdeLink:
             self._forget()
 
     def send(self, kind: int, values: Sequence[float] = (), last: int = 0) -> None:
-        """Send a command to the `ur_rtde` subprocess. Outputs are the exception: RTDE sends them."""
+        """Send a command to the `ur_rtde` subprocess.
+        Commands that set outputs are sent over RTDE instead.
+        """
         plain = [float(v) for v in values]
         match kind:
             case program.KEEP_ALIVE:
@@ -154,7 +156,8 @@ class RtdeLink:
                 self._order("end")
 
     def servo(self, q: ArrayLike, v: ArrayLike, at: float) -> None:
-        """Send the `ur_rtde` subprocess a setpoint which the robot should pass at a monotonic time [s].
+        """Send a setpoint to the `ur_rtde` subprocess.
+        The robot should pass it at the given monotonic time [s].
 
         All processes on this computer share the monotonic clock.
         """

@@ -13,8 +13,8 @@ FIRST_PORT = 50001
 
 
 class GripperSettings(Strict):
-    """Settings of the gripper on a UR arm, which uses the socket of a
-    URCap or digital output 0 of the tool.
+    """Settings of the gripper on a UR arm.
+    The gripper uses either the socket of a URCap or digital output 0 of the tool.
     """
 
     kind: Literal["socket", "tool_io"] = "socket"  # socket: Robotiq's protocol

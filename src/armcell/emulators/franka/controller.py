@@ -55,8 +55,8 @@ class ControllerSettings:
 
 
 def free_arm() -> PlanningScene:
-    """Return the scene for an emulated controller that has no cell:
-    a Franka arm with a hand at its home position, and no objects.
+    """Return the scene for an emulated Franka controller without a cell. It contains an arm with a hand at
+    its home position, but no objects.
     """
     model = load_robot("panda")
     home = {**model.named_states["arm"]["home"], **model.named_states["hand"]["open"]}
@@ -104,8 +104,8 @@ class FrankaController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether a client uses the emulated Franka controller,
-        or has only been disconnected by an injected fault.
+        """Return whether a client uses the emulated Franka controller.
+        A client that an injected fault has disconnected still counts.
         """
         return self.commands.connected or self.network.faults.refusing or self.network.faults.frozen
 

@@ -200,8 +200,8 @@ class JointVelocity:
 
 
 class Interpolation:
-    """Motion generator of the emulated Franka arm for joint positions that arrive slowly,
-    between which the robot interpolates.
+    """Motion generator of the emulated Franka arm for joint positions that arrive at a low rate.
+    The robot interpolates between them.
 
     This is Franka's asynchronous control.
     """
@@ -320,8 +320,8 @@ class Cartesian:
         return angle
 
     def _resolve(self, T: Array, elbow: float | None) -> Array:
-        """Return joint positions (7,) near the reference of a Franka motion
-        generator at which the end effector has the pose T.
+        """Return joint positions (7,) at which the end effector has the pose T,
+        close to the reference of a Franka motion generator.
 
         The solution takes Newton steps; without an elbow angle, the joint motion has the least norm. Raises
         Reflex at a singularity.
@@ -348,8 +348,8 @@ class Cartesian:
 
 
 class Follow:
-    """Generator of the emulated Franka arm for motions under torque control,
-    whose reference follows the measured arm.
+    """Motion generator of the emulated Franka arm under torque control.
+    Its reference follows the measured motion of the arm.
     """
 
     cartesian = False
@@ -373,8 +373,8 @@ class Motion:
 
     @property
     def by_torque(self) -> bool:
-        """Return whether torques of a client move the emulated Franka arm,
-        instead of a motion generator's reference.
+        """Return whether the client moves the emulated Franka arm by torques,
+        and not by the reference of a motion generator.
         """
         return self.request.controller is MoveController.EXTERNAL
 
@@ -387,8 +387,8 @@ def elbow_of(q: Array) -> Array:
 
 
 def _moved(T: Array, twist: Array) -> Array:
-    """Return the pose (4, 4) that a Franka motion generator reaches if
-    it moves a pose by a twist (6,) for one period.
+    """Return the pose (4, 4) that a Franka motion generator reaches
+    from a given pose with a twist (6,) in one period.
     """
     moved = T.copy()
     moved[:3, 3] += twist[:3] * PERIOD

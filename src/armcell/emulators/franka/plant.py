@@ -17,7 +17,7 @@ FILTER = 30.0  # [Hz] cutoff of the external torques' low-pass filter
 
 
 class FrankaPlant:
-    """Plant of an emulated Franka arm: the arm in a physics world, which joint torques drive at 1 kHz.
+    """Plant of an emulated Franka arm: the arm in a physics world, driven by joint torques at 1 kHz.
 
     Args:
         world: a world with `arm_control: "torque"` whose time step divides 1 ms.
@@ -82,8 +82,8 @@ class FrankaPlant:
         return self._filtered
 
     def inertial_torque(self, acceleration: Array) -> Array:
-        """Return the joint torques (7,) [Nm] that accelerate arm and hand
-        of the Franka plant by given values [rad/s^2].
+        """Return the joint torques (7,) [Nm] that give the arm and hand of the
+        Franka plant the desired accelerations [rad/s^2].
         """
         model, data = self.world.mj_model, self.world._data
         wanted, torque = np.zeros(model.nv), np.zeros(model.nv)
@@ -111,8 +111,8 @@ class FrankaPlant:
         return np.diag(full)[self._dofs].copy()
 
     def _weight(self) -> Array:
-        """Return the torques (7,) [Nm] with which the Franka plant
-        carries a payload that its controller does not know.
+        """Return the joint torques (7,) [Nm] with which the Franka plant
+        carries a payload that is unknown to its controller.
         """
         if not self._payload:
             return np.zeros(JOINTS)
@@ -179,7 +179,7 @@ class FrankaPlant:
     # --- faults ---
     def displace(self, q: ArrayLike) -> None:
         """Move the joints of the Franka plant to positions (7,) [rad] at once,
-        as a person who guides the arm would.
+        as if a person had guided the arm there.
         """
         positions = np.array(self.world.joint_state().positions)
         positions[self.world.robot.columns(self.names)] = q
@@ -196,6 +196,6 @@ class FrankaPlant:
 
     def offset(self, joint: int, angle: float) -> None:
         """Add an error [rad] to the measured position of a joint of the Franka plant,
-        as a wrong zero of the encoder would.
+        like an encoder with a wrong zero position.
         """
         self._offset[joint] = angle

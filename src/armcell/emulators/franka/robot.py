@@ -94,7 +94,7 @@ class Robot:
         self.frames = Frames(self.plant.kinematics, self.F_T_EE)
 
     def measure(self) -> None:
-        """Update the measured state of the emulated Franka robot from physics."""
+        """Update the measured state of the emulated Franka robot from the physics simulation."""
         self.q, self.dq = (x.copy() for x in self.plant.read())
         self.O_T_EE_d = self.frames.pose(self.reference.q)
         self.O_T_EE, J = self.frames.pose_and_jacobian(self.q)
@@ -339,7 +339,8 @@ class Robot:
         self._finish(status)
 
     def recover(self, answer: Callable[[RecoveryStatus], None]) -> None:
-        """Clear errors of the emulated Franka robot at the client's request, unless a person must do it.
+        """Clear errors of the emulated Franka robot at the client's request,
+        except those that only a person can clear.
 
         The recovery takes `RECOVERY` ms.
         """

@@ -12,7 +12,7 @@ from armcell.emulators.franka.robot import Robot
 
 
 class StateWriter:
-    """Writer of an emulated Franka robot's state, which fills the same message buffer in every cycle."""
+    """Writer for the state of an emulated Franka robot. It reuses one message buffer in every cycle."""
 
     def __init__(self, robot: Robot, version: int = 10):
         self._robot, self._message = robot, StateMessage(version)

@@ -35,8 +35,8 @@ Functions = dict[str, Callable[..., Any]]
 
 
 def motion_functions(robot: Robot) -> Functions:
-    """Return those built-in functions of URScript that take time,
-    as generators which yield once per control step.
+    """Return the built-in URScript functions that take time.
+    They are generators that yield once per control step.
     """
     s = robot.setpoint
 
@@ -61,8 +61,8 @@ def motion_functions(robot: Robot) -> Functions:
         yield
 
     def _along(make: Callable[[Setpoint], MoveJ | MoveL], goal: Any, radius: float) -> Wait:
-        """Run a built-in motion of an emulated UR arm to a pose (4, 4),
-        blended with a previous motion that is near its goal.
+        """Run a built-in motion of an emulated UR arm to a pose (4, 4).
+        If the previous motion is near its goal, blend the two motions.
 
         Blend radii [m] are limited to half the path length, so that two blends do not overlap.
         """
@@ -108,7 +108,8 @@ def motion_functions(robot: Robot) -> Functions:
         yield from movel(pose, max(a, 0.01) * FULL_TOOL_ACCELERATION, max(v, 0.01) * FULL_TOOL_SPEED, t, r)
 
     def _for(seconds: float) -> Wait:
-        """Built-in URScript wait, for a duration [s] of program time, which the speed slider slows.
+        """Built-in URScript function that waits for a duration [s] of program time,
+        which the speed slider slows down.
 
         If a wait takes too long, the next wait is shortened.
         """
@@ -165,7 +166,7 @@ FULL_TOOL_ACCELERATION, FULL_TOOL_SPEED = 5.0, 1.5  # [m/s^2], [m/s] of optimove
 
 
 def value_functions(robot: Robot) -> Functions:
-    """Return those built-in functions of URScript that return a value immediately, by name."""
+    """Return the built-in URScript functions that return a value immediately, by name."""
     return _state_functions(robot) | io_functions(robot) | force_functions(robot) | math_functions()
 
 

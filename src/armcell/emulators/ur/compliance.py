@@ -44,8 +44,8 @@ class Compliance:
     _speed: Array = field(default_factory=lambda: np.zeros(6))
 
     def keep_speed(self, before: Compliance) -> None:
-        """Take over the speed of a previous force mode,
-        so that the compliance does not jump when its parameters change.
+        """Keep the speed of the previous force mode, so that the compliant
+        motion does not jump when its parameters change.
         """
         self._speed = before._speed
 
@@ -97,8 +97,8 @@ def force_mode(
 
 
 def _turned(frame: Array, direction: Array, axis: int) -> Array:
-    """Return the frame of a compliance, rotated as little as possible
-    so that one axis points along a direction.
+    """Return the frame of a compliance after the smallest rotation
+    that makes one axis point in a given direction.
 
     A zero direction leaves the frame unchanged.
     """

@@ -102,8 +102,8 @@ class UrController:
 
     @property
     def in_use(self) -> bool:
-        """Return whether an RTDE client uses the emulated UR controller,
-        or has only been disconnected by an injected fault.
+        """Return whether an RTDE client uses the emulated UR controller.
+        A client that an injected fault has disconnected still counts.
         """
         return self._rtde.clients > 0 or self.network.faults.refusing or self.network.faults.frozen
 

@@ -45,8 +45,8 @@ class Setpoint:
         return other
 
     def towards(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
-        """Return the joint target of an emulated UR arm's motion after
-        one step toward a velocity, within the limits.
+        """Return the joint target after one step of an emulated UR arm's motion that accelerates toward a
+        given velocity within the limits.
 
         Args:
             v_wanted: joint velocities (6,) [rad/s].
@@ -87,8 +87,8 @@ class StopL(StopJ):
 
 
 class _Along:
-    """Motion of an emulated UR arm along a path with a trapezoidal speed profile.
-    A moving arm first comes to rest.
+    """Motion of an emulated UR arm along a path with a trapezoidal speed profile. If the arm is already
+    moving, it first comes to rest.
 
     Attributes:
         near: True once the tool is within the blend radius of the goal; the next motion may take over.
@@ -178,8 +178,8 @@ class MoveL(_Along):
         self._last = s.q
 
     def end(self, s: Setpoint) -> Array:
-        """Return the joint positions (6,) [rad] at the goal of a movel
-        motion that are nearest to the last ones.
+        """Return the joint positions (6,) [rad] at the goal of a movel motion. Of all solutions, the one
+        nearest to the last joint positions is chosen.
         """
         q = inverse(s.dh, self._goal.matrix, self._last, s.tcp, iterations=100)
         if q is None:
@@ -290,8 +290,8 @@ class Blended:
 
 
 class TrackL:
-    """Motion of an emulated UR arm's tool to a pose at constant speed,
-    without slowing down before it (movep, servoc).
+    """Motion in which the tool of an emulated UR arm moves to a pose at
+    constant speed and does not slow down near it (movep, servoc).
 
     Attributes:
         near: True within the blend radius of the pose, where the next motion may take over.

@@ -55,7 +55,7 @@ class Plant(Protocol):
 
     def displace(self, q: ArrayLike) -> None:
         """Move the joints of the UR plant to other positions at once,
-        as a person who moves the arm by hand would.
+        as if a person had moved the arm by hand.
         """
         ...
 

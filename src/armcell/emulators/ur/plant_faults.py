@@ -15,7 +15,9 @@ WORDS = "armcell fault payload <kg> | offset <0-5> <rad> | block <0-5> | arm non
 
 
 class FaultyPlant:
-    """Plant that injects faults into another emulated UR plant. Without a fault, it forwards every call."""
+    """Plant that wraps another emulated UR plant to inject faults.
+    Without a fault, it forwards every call.
+    """
 
     def __init__(self, plant: Plant):
         self._plant = plant

@@ -13,8 +13,7 @@ from armcell.emulators.ur.urscript import Machine, ScriptError
 
 
 def run_command(robot: Robot, text: str) -> bool:
-    """Execute a text command that a client has sent to the emulated UR
-    robot and that is not URScript, such as `stop program`.
+    """Execute a client's text command to the emulated UR robot that is not URScript, such as `stop program`.
 
     Returns:
         False if the text is not a command.

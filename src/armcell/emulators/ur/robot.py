@@ -142,8 +142,8 @@ class Robot:
         self._let_go(motion)
 
     def _choose_motion(self) -> float:
-        """Replace the motion of the emulated UR robot by a stop if necessary.
-        Return how much time [s] the motion gets in this step.
+        """Replace the motion of the emulated UR robot with a stop if necessary. Return the time [s] by which
+        the motion advances in this step.
         """
         dt, s = self.period * self.scaling, self.setpoint
         if self.safety not in MAY_MOVE:
@@ -165,7 +165,7 @@ class Robot:
 
     def _let_go(self, motion: Motion | None) -> None:
         """End a motion of the emulated UR robot, such as servoj or speedj,
-        that the program no longer renews.
+        after the program has stopped renewing its command.
         """
         if self.runtime in (RuntimeState.PLAYING, RuntimeState.PAUSING) or self.machine is None:
             self._unused_for = 0 if self._motion_used else self._unused_for + 1
@@ -278,7 +278,7 @@ class Robot:
         return True
 
     def announce(self, notice: Notice) -> None:
-        """Write a notice to the log, and send it to everyone who listens to the emulated UR robot."""
+        """Write a notice to the log, and send it to all listeners of the emulated UR robot."""
         log.info("%s: %s", self.serial, notice)
         if not isinstance(notice, ProgramState | SafetyChange):
             self.messages.append(str(notice))
@@ -359,7 +359,9 @@ class Robot:
         self._later.append((self.time + seconds, change))
 
     def displace(self, q: ArrayLike) -> None:
-        """Move the emulated UR robot to other joint positions at once, as a person who moves it would."""
+        """Move the emulated UR robot to other joint positions at once,
+        as if a person had moved it by hand.
+        """
         self.plant.displace(q)
         self.setpoint.q, self.setpoint.v = np.array(q, dtype=float), np.zeros(6)
         self.motion = None
@@ -463,8 +465,8 @@ class Robot:
         return self.remote or not self.model.e_series
 
     def control_line(self) -> int:
-        """Return the line number of the program statement that moves
-        the emulated UR robot, or 0 if none does.
+        """Return the number of the program line that currently moves the emulated UR robot,
+        or 0 if no line moves it.
         """
         return self.machine.line if self.machine is not None and self.motion is not None else 0
 

@@ -106,8 +106,8 @@ class ScriptServer:
                 return robot_messages.safety_mode(now, int(mode))
 
     def send_state(self) -> None:
-        """Send states of the emulated UR robot to the script server's clients:
-        primary and secondary at 10 Hz, real-time in each step.
+        """Send states of the emulated UR robot to the script server's clients: every step to real-time
+        clients, and at 10 Hz to primary and secondary clients.
 
         A client that does not read its data, such as ur_rtde's script client, is skipped while it is behind.
         """

@@ -121,8 +121,8 @@ def socket_functions(
                 return ""
 
     def socket_read_ascii_float(number: int, name: str = "socket_0", timeout: float = 2.0) -> Wait:
-        """Return the count and the values of numbers received as text,
-        such as `(1.5, 2, 3)`, from a URScript socket.
+        """Receive numbers as text, such as `(1.5, 2, 3)`, from a URScript socket.
+        Return their count and their values.
         """
         text = yield from socket_read_string(name, "(", ")", False, timeout)
         try:

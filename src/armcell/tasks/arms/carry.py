@@ -23,7 +23,7 @@ SLIP_EVERY = 10  # cycles between two measurements of the slip
 
 @dataclass
 class CarryRecord:
-    """Largest deviations, over all control cycles since the grasp, of an object that two arms carry."""
+    """Largest deviations of an object that two arms carry, over all control cycles since the grasp."""
 
     off_m: float = 0.0
     turn_rad: float = 0.0

@@ -66,8 +66,8 @@ class MotionCoordinator:
 
     # --- motions ---
     def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
-        """Wait until the coordinator allows an arm's motion, or a detour to the same goal,
-        to start, and return the allowed motion.
+        """Wait until the coordinator allows an arm to start its motion, or a detour to the same goal.
+        Return the allowed motion.
         """
         me, straight = ctx.group, motion.planner == "cartesian"
         began = ctx.driver.now
@@ -116,8 +116,8 @@ class MotionCoordinator:
         return found
 
     def _free(self, ctx, arms: Arms, scene: PlanningScene, wanted, other: RunningMotion, now: float) -> bool:
-        """Return whether the coordinator may start a motion of one arm
-        while the other arm moves or rests beside it.
+        """Return whether the coordinator may start a motion of one arm while the other arm is nearby,
+        either moving or at rest.
 
         Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
         pause and move during this check, so they are certified for any timing.
@@ -131,8 +131,8 @@ class MotionCoordinator:
         ).free  # fmt: skip
 
     def _clearance_now(self, arms: Arms, scene: PlanningScene, wanted: JointTrajectory) -> float:
-        """Return the clearance that the coordinator requires between the arms, or slightly less than the
-        present distance if the arms are already closer than that.
+        """Return the clearance that the coordinator requires between the arms. If the arms are already
+        closer, return slightly less than their present distance.
         """
         q = scene.state.reindexed(arms.joint_names).positions
         if arms.find_too_close(q[None], None, self.clearance) < 0:
@@ -159,7 +159,7 @@ class MotionCoordinator:
         return found if self._free(ctx, arms, scene, found, running, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
-        """Execute a motion that the coordinator itself has planned, with which an arm yields or returns."""
+        """Execute a motion that the coordinator itself has planned so that an arm yields or returns."""
         self.running[ctx.group] = RunningMotion(trajectory, ctx.driver.now)
         ctx.announce(trajectory, name, planner=ctx.settings.planner_id, evidence={"seed": ctx.seed})
         motion = ctx.gate.motion(trajectory, cancel=ctx.cancel)
@@ -198,7 +198,7 @@ class MotionCoordinator:
             self.asked.add(other)
 
     def yield_to_other(self, ctx: ArmContext) -> None:
-        """Let the coordinator move an arm to its home state, if possible, so that it yields to the other arm.
+        """Make an arm yield to the other arm: the coordinator moves it to its home state, if possible.
 
         An arm that is already there does not move.
         """
@@ -269,8 +269,8 @@ class MotionCoordinator:
             self._heading.pop(ctx.group, None)
 
     def rendezvous(self, ctx: ArmContext, name: str) -> None:
-        """Wait in the program of a coordinated arm until the other arm
-        reaches the same rendezvous or its program ends.
+        """Pause the program of a coordinated arm until the other arm reaches the same rendezvous,
+        or until the other program ends.
         """
         here = self._arrived.setdefault(name, set())
         here.add(ctx.group)

@@ -84,7 +84,7 @@ def _half_way(scene: PlanningScene, item: str, giver: Gripper, receiver: Gripper
 @stage_types.register("choose_meeting_pose")
 @dataclass(frozen=True, eq=False)
 class ChooseMeetingPose:
-    """Handover stage that proposes states of the giving arm with the object at a meeting pose."""
+    """Handover stage that proposes states in which the giving arm holds the object at a meeting pose."""
 
     object: str
     giver: Gripper

@@ -110,8 +110,8 @@ class HandPair:
         return dict(zip(self.groups, self.tree.link_poses(q, tuple(self.tips.values())), strict=True))
 
     def supports(self, scene: PlanningScene) -> tuple[str, ...]:
-        """Return the names of the bodies that support the object between a pair of hands, now or, once it is
-        held, at the time of the grasp.
+        """Return the names of the bodies that support the object of a hand pair. If the hands hold the
+        object, these are the supports at the time of the grasp.
         """
         return self.hold.supports if self.hold is not None else tuple(neighbors(scene, self.item))
 
@@ -186,7 +186,7 @@ class HandPair:
 
     def _touching(self) -> PlanningScene:
         """Return the measured scene in which both hands of a pair may touch the object.
-        If they hold it, it is attached.
+        If the hands hold the object, it is attached.
         """
         scene = self.ctx.scene()
         if self.hold is not None:

@@ -35,8 +35,8 @@ def orders(
     settings: TaskSettings = TaskSettings(),
     cycle_times: CycleTimes = CycleTimes(),
 ) -> dict[str, list[str]]:
-    """Estimate, for two arms, the order of objects with which both
-    arms finish their work and return earliest.
+    """Estimate the order in which two arms should take their objects,
+    so that both arms finish their work and return as early as possible.
 
     With up to four objects per arm, all orders are compared; otherwise a local search exchanges two objects
     or reverses an order. The given order wins ties.
@@ -101,7 +101,7 @@ def earliest(
 
 
 def _near(one: Order, two: Order) -> Iterable[tuple[Order, Order]]:
-    """Yield the next object orders of two arms that a local search should try.
+    """Yield the orders of objects for two arms that a local search should try next.
 
     These are all orders if there are few, else those that differ by one change.
     """
@@ -142,8 +142,8 @@ def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
 def detours(
     arms: tuple[Tour, Tour], tables: Sequence[Sequence[Span]], conflicts: ConflictCache
 ) -> list[float]:
-    """Return the time [s] that each arm loses by detours around the other arm at work,
-    if it takes the objects in a given order.
+    """Return how much time [s] each arm loses through detours around the other working arm,
+    for a given order of objects.
     """
     lost = [0.0, 0.0]
     for k in (0, 1):
@@ -178,8 +178,8 @@ class ConflictCache:
         self._known: dict[tuple[int, bytes], tuple[float, float] | None] = {}
 
     def share(self, arm: int, segment: TourSegment, other: TourSegment) -> tuple[float, float] | None:
-        """Return the section of an arm's motion (from, to, in 0..1) that is close to the other arm at work,
-        to compare object orders.
+        """Return the section (from, to, in 0..1) of an arm's motion that is close to the other arm while that
+        arm works. Object orders are compared by these sections.
 
         Args:
             arm: index of the moving arm, 0 or 1.

@@ -103,8 +103,8 @@ class TourEstimator:
         ), there
 
     def _motions(self, item: str, q: Array) -> tuple[float, Array, Array] | None:
-        """Estimate the motions of an arm's tour that fetch one object: the time [s] to reach it, and the
-        joint positions above the object and above its zone.
+        """Estimate how an arm fetches one object during its tour: the time [s] to reach it, and the joint
+        positions above the object and above its zone.
         """
         s, pose = self.settings, self.scene.object(item).T_world_object
         near = self._reaching.nearest_first(pose, self._grasps[item], q, s.free)

@@ -74,8 +74,8 @@ class PickWithTwoArms(Pick):
 
 @dataclass(frozen=True, eq=False)
 class GraspPair:
-    """Pair of grasps with which two arms hold both ends of an object,
-    and the simultaneous straight approaches to them.
+    """Pair of grasps with which two arms hold both ends of an object, and the straight approaches that both
+    arms make to them at the same time.
     """
 
     approaches: tuple[JointTrajectory, ...]  # by arm, of equal duration
@@ -86,8 +86,8 @@ class GraspPair:
 @stage_types.register("choose_grasp_pair")
 @dataclass(frozen=True, eq=False)
 class ChooseGraspPair:
-    """Stage of a two-arm pick that proposes grasps of the object's two
-    ends from which the arms can carry it along a route.
+    """Stage of a two-arm pick that proposes grasps at both ends of the object,
+    with which the arms can carry it along a route.
 
     Grasps with straight paths along the route come first, then grasps with detours around obstacles.
     """
@@ -129,8 +129,8 @@ class ChooseGraspPair:
         )  # fmt: skip
 
     def _along_route(self, scene: PlanningScene, pair: GraspPair, seconds: float) -> PlanResult:
-        """Plan the motion that carries the object of a two-arm pick along the route,
-        held with a given pair of grasps.
+        """Plan how two arms carry the picked object along a route,
+        while they hold it with a given pair of grasps.
         """
         hands = self.hands
         trial = hands.attached(scene.with_state(pair.at_grasp))

@@ -224,7 +224,7 @@ class _BinClearing:
 
 
 class _PickFromHeap(Pick):
-    """Pick of one unknown object from a heap in a bin that is cleared with a camera.
+    """Pick of one unknown object from the heap in a bin. A camera locates the objects.
 
     After a failure, `clear_bin` takes a new image.
     """

@@ -87,7 +87,7 @@ class CloseOnHeap:
 
 
 def _below_tcp(grasp: HeapGrasp, z: float) -> float:
-    """Return how far [m] a height in the heap (world z) is below the TCP at a grasp,
+    """Return the distance [m] from the TCP at a grasp down to a given height in the heap (world z),
     for the stages of bin clearing.
     """
     return float(grasp.T_object_tcp.translation[2]) - z
@@ -228,8 +228,8 @@ class Drop:
 
 
 def holds(reading: GripperReading, thinnest: float) -> bool:
-    """Return whether an object in the heap keeps a closing gripper open,
-    so that the stages of bin clearing count it as held.
+    """Return whether a gripper in bin clearing counts as holding an object:
+    its fingers press, but are not fully closed.
     """
     return reading.width > thinnest and reading.force_per_finger > 1.0
 

@@ -48,7 +48,7 @@ class MoveGripper:
 def finger_collision(
     scene: PlanningScene, grips: Sequence[Grip], trajectory: JointTrajectory | None = None
 ) -> str:
-    """Describe a contact that gripper fingers may cause on their motion to the given widths.
+    """Describe a contact that gripper fingers may cause while they move to the given widths.
     The text is empty if there is none.
 
     The check holds for any finger speed and during an arm motion.

@@ -86,7 +86,8 @@ class ChooseGrasp:
     def _proven(
         self, solution: PartialSolution, planning: Planning, item: CollisionObject, grasps: list[Grasp]
     ) -> tuple[list[Grasp], dict[str, Proof]]:
-        """Return the reachable grasps for a pick, each with its proof of success in physics, best first.
+        """Return the reachable grasps for a pick, each with its proof of
+        success in the physics simulation, best first.
 
         The order is by P(success) x reachability / time.
         """
@@ -226,8 +227,8 @@ class Close:
 
 
 def _turned(proof: Proof) -> Iterator[Grasp]:
-    """Yield a grasp after the object has turned between the finger pads
-    as in the simulated trials, in both directions.
+    """Yield two variants of a grasp: the object has turned between the finger pads, in either direction, as
+    far as in the simulated trials.
     """
     T = proof.grasp.T_object_tcp
     for angle in (-proof.turn, proof.turn):

@@ -67,8 +67,8 @@ class ChoosePlacement:
         return self.among or place_candidates(item, support, self.at, up=self.up)
 
     def why_not(self, scene: PlanningScene, most: int) -> Callable[[Grasp], str]:
-        """Return a test for placing an object that rejects grasps at
-        which the hand would intersect the support.
+        """Return a test that rejects grasps with which the hand would
+        intersect the support when it places the object.
 
         Args:
             scene: the scene before the grasp, with the object's present orientation.
@@ -137,7 +137,7 @@ def surface_of_place(support: CollisionObject, placement: Placement) -> Surface:
 
 def hand_in_support(hand: Hand, T_world_tcp: SE3, surface: Surface) -> float:
     """Return how deep [m] the lowest corner of the hand is below the surface on which it places an object.
-    The value is not positive if the hand is above.
+    The value is zero or negative if no corner is below.
     """
     low, high = hand.boxes[:, :3], hand.boxes[:, 3:]
     corners = np.concatenate([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])
@@ -222,8 +222,8 @@ class Open:
 @stage_types.register("expect_support")
 @dataclass(frozen=True, eq=False)
 class ExpectSupport:
-    """Stage before placing an object that checks that the hand holds it,
-    and allows contact with its support.
+    """Stage that prepares the placing of an object: it checks that the hand holds the object,
+    and allows contact with the support.
     """
 
     object: str

@@ -78,8 +78,8 @@ class ReachEstimator:
         return next(self.ik.solutions(T_world_tcp, reference, rng), None)
 
     def seconds(self, q: Array, to: Array, speed: Speed) -> float:
-        """Return the minimum time [s] in which the arm can reach a grasp straight in joint space, at given
-        fractions of its speed limits.
+        """Return the minimum time [s] in which a straight joint-space motion can bring the arm to a grasp, at
+        given fractions of its speed limits.
         """
         if not np.any(to != q):
             return 0.0

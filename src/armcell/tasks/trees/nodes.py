@@ -93,7 +93,7 @@ class Check(Behaviour):
 
 
 class _Turn:
-    """Recipe of a behavior tree node, in a thread that runs only during `step`.
+    """Recipe of a behavior tree node, which is executed in a thread that runs only during calls of `step`.
 
     It observes its cell to follow the driver's clock.
     """

@@ -57,7 +57,7 @@ def performing(ctx: TaskContext, name: str, stages: Callable[[TaskContext], Sequ
 
 
 def looking(name: str, look: Look) -> Check:
-    """Return a behavior tree node that looks with a camera, as a check between recipes.
+    """Return a behavior tree node that takes a camera image between recipes, to check the scene.
 
     Example: `looking("look", lambda: cell.look("above"))`.
     """

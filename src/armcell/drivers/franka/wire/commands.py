@@ -125,7 +125,9 @@ class MoveController(IntEnum):
 
 
 class MoveGenerator(IntEnum):
-    """Motion generator in Franka's Move command. The numbers in the state message are one higher."""
+    """Motion generator in Franka's Move command.
+    In the state message, the numbers of the generators are one higher.
+    """
 
     JOINT_POSITION = 0
     JOINT_VELOCITY = 1
@@ -217,7 +219,7 @@ class MoveRequest:
 
     def pack(self, protocol: Protocol = NEWEST) -> bytes:
         """Encode Franka's Move command.
-        The fields for interpolation are omitted if the protocol version does not have it.
+        The interpolation fields are omitted if the protocol version does not support interpolation.
         """
         values = (
             self.controller, self.generator, *self.path_deviation, *self.goal_deviation,

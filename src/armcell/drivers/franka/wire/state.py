@@ -105,7 +105,9 @@ class StateMessage:
         self.numbers[FIELDS[field]] = values
 
     def head(self, identifier: int, generator: int, controller: int, mode: int, success: float) -> None:
-        """Write those fields of Franka's robot state message that are not arrays."""
+        """Write the scalar fields of Franka's robot state message, that is,
+        all fields that are not arrays.
+        """
         layout = self._layout
         struct.pack_into("<Q", self._buffer, 0, identifier)
         _MODES.pack_into(self._buffer, layout.modes, generator, controller)
@@ -181,7 +183,9 @@ class RobotCommand:
     torque_finished: bool = False
 
     def pack(self, version: int = 10) -> bytes:
-        """Encode a motion command to a Franka robot. Version 5 has no field that ends only the torque."""
+        """Encode a motion command to a Franka robot. Version 5 of the protocol lacks the last field, which
+        marks the torque command as finished.
+        """
         values = (
             self.time, *self.q, *self.dq, *self.O_T_EE, *self.O_dP_EE, *self.elbow, self.valid_elbow,
             self.motion_finished, *self.torque, self.torque_finished,

@@ -161,8 +161,8 @@ def additional_package(teaching: bool) -> bytes:
 
 
 def internal_packages() -> list[bytes]:
-    """Return the packages of the primary interface for UR's internal use,
-    which clients skip by their size.
+    """Return the packages of UR's primary interface that are for UR's internal use.
+    Clients skip these packages.
     """
     return [package(CALIBRATION, bytes(48)), package(SAFETY, bytes(38))]
 

@@ -110,8 +110,8 @@ def parse(text: str) -> list[Node]:
 
 
 def depth_after(line: str, depth: int) -> int:
-    """Return the number of URScript blocks that are open for the
-    parser after one more line of a streamed text.
+    """Return the number of URScript blocks that are still open after the
+    parser has received one more line of a streamed text.
 
     Args:
         line: the new line.
