@@ -25,8 +25,8 @@ def clear_with(
     ctx: TaskContext, scene: PlanningScene, gripper: Gripper, bin: str, tray: str, table: str,
     eye: LiveCamera, eye_on_tray: LiveCamera, settings: ClearSettings = ClearSettings(),
 ) -> Outcome:  # fmt: skip
-    """Clear a bin into a tray with an arm of the cell. In physics, also count the objects in the tray, in the
-    bin and elsewhere.
+    """Clear a bin into a tray with an arm of the cell. In the physics simulation, also count the objects in
+    the tray, in the bin and elsewhere.
 
     The evidence has the true counts `cleared`, `left` and `beside`. In physics, the outcome is also a FAILURE
     if the cameras see no more objects but an object is not in the tray.
@@ -76,7 +76,9 @@ def _where(world: SimWorld, name: str) -> str:
 
 
 def _inside(world: SimWorld, scene: PlanningScene, container: str, things: list[str]) -> list[str]:
-    """Return the objects whose center is above the floor of a bin or tray, to count the objects cleared."""
+    """Return the objects whose center is above the floor of a container.
+    Used to count the objects in the bin and in the tray.
+    """
     frame, size_x, size_y = support_surface(scene.object(container))
     found = []
     for name in things:

@@ -158,8 +158,8 @@ class BringUp:
         return kind_of(arm).power_on(name, arm)
 
     def _geometry(self, name: str) -> str:
-        """Compare the flange position according to the robot's calibration with that of the cell's model, as
-        a step of the bring-up.
+        """Compare the flange position from the robot's calibration with that from the cell's model,
+        as a step of the bring-up.
 
         Both positions are computed for the same measured joint positions.
 

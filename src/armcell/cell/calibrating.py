@@ -14,7 +14,7 @@ from armcell.scene import PlanningScene
 
 
 def as_the_robots_are(scene: PlanningScene, real: dict) -> PlanningScene:
-    """Return a cell's scene, with the calibrated kinematics of the robots if the cell file requests them.
+    """Return a cell's scene. It uses the calibrated kinematics of the robots if the cell file requests them.
 
     Raises:
         InputError: a robot does not answer, is another robot than named in the cell file, or its kinematics
@@ -29,7 +29,7 @@ def as_the_robots_are(scene: PlanningScene, real: dict) -> PlanningScene:
 def with_geometry(
     model: RobotModel, settings: RealSettings, found: Mapping[str, RobotIdentity]
 ) -> RobotModel:
-    """Return a cell's model with calibrated kinematics for every arm that has been identified.
+    """Return a cell's model with calibrated kinematics for every arm whose robot has been identified.
 
     Args:
         found: the identities of the robots, by planning group.

@@ -19,7 +19,7 @@ from armcell.sim import Camera, Decal, DepthNoise, look_at
 
 
 def camera_of(name: str, spec: CameraSpec, model: RobotModel, positions: ArrayLike, folder: Path) -> Camera:
-    """Return the simulated camera that a camera entry of the cell file describes.
+    """Create the simulated camera that an entry in the cell file describes.
 
     Args:
         positions: (dof,) joint positions; they set the pose of a camera that is mounted on a link.
@@ -43,7 +43,7 @@ def camera_of(name: str, spec: CameraSpec, model: RobotModel, positions: ArrayLi
 
 
 def pinhole_of(spec: CameraSpec, folder: Path) -> Pinhole | None:
-    """Return the intrinsics that a camera entry of the cell file gives explicitly, or None.
+    """Return the camera intrinsics that an entry in the cell file gives explicitly, or None if it gives none.
 
     Without explicit intrinsics, the image size and the field of view define the camera.
     """
@@ -62,7 +62,7 @@ def noise_of(spec: str | NoiseSpec) -> DepthNoise:
 
 
 def decal_of(name: str, spec: MarkerSpec, known: Iterable[str]) -> Decal:
-    """Return a textured square that shows one of the cell's markers to simulated cameras.
+    """Return a textured square that shows a marker of the cell. Simulated cameras can see it.
 
     Raises:
         UnknownNameError: the frame or the marker family does not exist.
@@ -77,7 +77,7 @@ def decal_of(name: str, spec: MarkerSpec, known: Iterable[str]) -> Decal:
 
 
 def in_view(camera: Camera, scene: PlanningScene) -> list[str]:
-    """Return the objects whose center is in the image of a cell's camera. Occlusion is ignored."""
+    """Return the objects whose center is in the image from a cell's camera. Occlusion is ignored."""
     found = []
     for name, item in scene.objects.items():
         low, high = item.bounds()

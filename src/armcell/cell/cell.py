@@ -99,15 +99,15 @@ class Cell:
         return settings
 
     def _sensors(self) -> Sensors3d | None:
-        """Load the configuration of 3D sensors (sensors_3d.yaml) that the cell names, or else that of the
-        robot's MoveIt package.
+        """Load the 3D sensors from the file that the cell names (sensors_3d.yaml),
+        or else from the robot's MoveIt package.
         """
         file = self._moveit_file(self.spec.ros.sensors, "sensors_3d.yaml")
         return None if file is None else load_sensors_3d(file)
 
     def _planner_configs(self) -> Mapping[str, Any]:
-        """Load the planner settings (ompl_planning.yaml) that the cell names, or else those of the robot's
-        MoveIt package.
+        """Load the planner settings from the file that the cell names (ompl_planning.yaml),
+        or else from the robot's MoveIt package.
         """
         file = self._moveit_file(self.spec.ros.planners, "ompl_planning.yaml")
         return {} if file is None else load_ompl_planning(file, self.model)
@@ -210,8 +210,8 @@ class Cell:
         return values
 
     def scene(self, seed: int | None = None) -> PlanningScene:
-        """Return a cell's planning scene at the start of a run, randomized by a seed, or nominal without a
-        seed.
+        """Return a cell's planning scene at the start of a run.
+        A seed randomizes it; without a seed all values are nominal.
         """
         draw = self.draw(seed) if seed is not None else {}
         scene = PlanningScene.of(self.model).with_padding(self.spec.padding)
@@ -248,7 +248,7 @@ class Cell:
         scene: PlanningScene | None = None,
         watch: bool = True,
     ) -> LiveCell:
-        """Create a `LiveCell` for this cell. Its `with` block connects the driver.
+        """Create a `LiveCell` for this cell. Use it in a `with` block, which connects the driver.
 
         Args:
             mode: "sim" (physics), "fake" (joints follow commands exactly, no physics) or "real" (the arms of
@@ -315,8 +315,8 @@ def _varied(item: CollisionObject, values: dict[str, float]) -> CollisionObject:
 
 
 def _with_friction(material: Material, static: float | None) -> Material:
-    """Return the material of a cell's object with another static friction; the ratio of static to dynamic
-    friction stays the same.
+    """Return the material of a cell's object with a new static friction.
+    The ratio of static to dynamic friction stays the same.
     """
     if static is None:
         return material

@@ -23,8 +23,8 @@ FENCES = ("fence 1", "fence 2", "fence 3", "fence 4", "shelf")
 
 
 def dropped(scene: PlanningScene, names: Sequence[str], into: str, seed: int) -> PlanningScene:
-    """Return the scene with objects at rest in a bin, after physics has dropped each of them at a random
-    pose.
+    """Drop each object into a bin at a random pose in the physics simulation.
+    Return the scene with all objects at rest.
 
     The poses are cached on disk per seed.
 
@@ -96,7 +96,8 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
 
 
 def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
-    """Return a fence on the edges of a bin, and a shelf that holds the objects before they are dropped.
+    """Return a fence along the edges of a bin and a shelf that holds
+    the objects until they are dropped into the bin.
 
     Args:
         frame: center of the rectangle, T_world_frame.
@@ -115,7 +116,8 @@ def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
 
 
 def _above(item: CollisionObject, frame: SE3, half: np.ndarray, top: float, rng: np.random.Generator) -> SE3:
-    """Return a random pose above the objects that are already in the bin, from which to drop the next object.
+    """Return a random pose from which to drop the next object.
+    It is above the objects that are already in the bin.
 
     Args:
         frame: center of the bin's floor, T_world_frame.

@@ -32,8 +32,8 @@ IN_VAIN = 3  # draws per wanted trial: some grasps are unreachable
 
 @dataclass(frozen=True)
 class Held:
-    """Result of a simulated pick that tests a grasp prediction: whether and how firmly the gripper held the
-    object.
+    """Result of a simulated pick that tests a grasp prediction:
+    whether the gripper held the object, and how firmly.
     """
 
     to_the_end: bool
@@ -43,8 +43,8 @@ class Held:
 
     @property
     def firmly(self) -> bool:
-        """Return whether the object was held to the end without exceeding the limits for slip and turn, to
-        test a grasp prediction.
+        """Return whether the gripper held the object to the end and the
+        object slipped and turned less than the limits.
         """
         if not self.to_the_end or self.slip_m is None or self.turn_rad is None:
             return False
@@ -53,7 +53,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Prediction:
-    """The success that was predicted for one grasp, and the result that was observed."""
+    """The predicted success of one grasp and the observed result."""
 
     grasp: str
     probability: float  # predicted by trials of the hand alone
@@ -66,8 +66,8 @@ def predictions(
     scene: PlanningScene, item: CollisionObject, gripper: Gripper, grasps: Sequence[Grasp],
     settings: TaskSettings, count: int, duration: float, seed: Sequence[int],
 ) -> list[Prediction]:  # fmt: skip
-    """Pick up to `count` times with random grasps and compare the predicted success with the result.
-    Unreachable grasps are skipped.
+    """Pick up to `count` times with random grasps and compare the predicted success with the results.
+    Skip unreachable grasps.
 
     Args:
         scene: the believed planning scene, with the object.
@@ -94,7 +94,8 @@ def held_in_truth(
     scene: PlanningScene, truth: CollisionObject, gripper: Gripper, grasp: Grasp, settings: TaskSettings,
     duration: float,
 ) -> Held | None:  # fmt: skip
-    """Pick, lift and hold an object with true properties that the grasp prediction does not know.
+    """Pick, lift and hold an object whose true properties the grasp
+    prediction does not know, to test the prediction.
 
     Like a real robot that relies on a camera, the simulated robot knows only the planning scene.
 
@@ -124,7 +125,8 @@ def held_in_truth(
 
 
 def _stages(ctx: TaskContext, item: str, gripper: Gripper, grasp: Grasp, hand: _Hand) -> list[Stage]:
-    """Return the stages of a pick with one given grasp, to test the prediction for this grasp.
+    """Return the stages of a pick with one given grasp,
+    to test the success that was predicted for this grasp.
 
     One step records the pose of the object in the hand.
     """
@@ -134,15 +136,15 @@ def _stages(ctx: TaskContext, item: str, gripper: Gripper, grasp: Grasp, hand: _
 
 
 class _Hand:
-    """Measurement of an object's true pose in the hand, to test a grasp prediction."""
+    """Task stage that measures the true pose of an object in the hand, to test a grasp prediction."""
 
     def __init__(self, world: SimWorld, gripper: Gripper, item: str):
         self._world, self._gripper, self._item = world, gripper, item
         self._closed: SE3 | None = None  # T_tcp_object
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        """Record the true pose of an object in the hand, from which slip is measured to test a grasp
-        prediction.
+        """Record the true pose of an object in the hand.
+        Its slip relative to this pose tests a grasp prediction.
         """
         self._closed = self._now()
         return DONE
@@ -151,8 +153,8 @@ class _Hand:
         return self._world.link_pose(self._gripper.tcp_link).inv() @ self._world.object_pose(self._item)
 
     def held(self, outcome: Outcome) -> Held:
-        """Return whether the grasp held its object during lift and hold, and how far the object slipped and
-        turned. Used to test a prediction.
+        """Return whether a grasp held its object while the arm lifted and held it,
+        and how far the object slipped and turned.
         """
         if self._closed is None:
             return Held(False, reason=outcome.message)

@@ -45,7 +45,7 @@ AT_REST = 5e-4  # [m] and 10 [rad] of motion in 0.5 s: an object below both is a
 
 @dataclass(frozen=True)
 class TrialOptions:
-    """Options for the trials of the grasp benchmark in physics."""
+    """Options for the grasp benchmark, which runs trials in the physics simulation."""
 
     robot: str = "panda"
     candidates: int = 16  # grasps tried in physics before one is chosen
@@ -82,9 +82,7 @@ class Row:
 
 # --- objects ---
 def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
-    """Yield the objects of the library for trials in the grasp benchmark, each as name, object and
-    scale 1.
-    """
+    """Yield the objects of the object library for the grasp benchmark, each as name, object and scale 1."""
     for kind in object_names():
         yield kind, library_object(kind), 1.0
 
@@ -92,8 +90,8 @@ def made_objects() -> Iterator[tuple[str, CollisionObject, float]]:
 def objects_of(
     folder: Path, gripper: Gripper, count: int, scale: float = 1.0, skip: int = 0
 ) -> Iterator[tuple[str, CollisionObject | InputError, float]]:
-    """Yield objects for grasp trials from the URDF or mesh files in a folder, scaled such that the gripper
-    can grasp them.
+    """Yield objects for the grasp benchmark from URDF or mesh files in a folder.
+    Each is scaled such that the gripper can grasp it.
 
     If the folder has URDFs, mesh files are ignored. An unreadable file yields its error as the object.
 
@@ -149,7 +147,9 @@ def _scaled(item: CollisionObject, scale: float) -> CollisionObject:
 
 # --- one object ---
 class Bench:
-    """Grasp benchmark in physics, in which a robot at a table picks and places one object after the other."""
+    """Grasp benchmark in the physics simulation, in which a robot at a
+    table picks and places one object after the other.
+    """
 
     def __init__(self, options: TrialOptions):
         self.options = options
@@ -210,16 +210,16 @@ class Bench:
     def _predictions(
         self, scene: PlanningScene, item: CollisionObject, name: str, grasps: Sequence[Grasp]
     ) -> list[Prediction]:
-        """Test grasp predictions for one object of the benchmark in trials with random grasps. The object's
-        name determines the seed.
+        """Test the grasp predictions for one object in trials with random grasps.
+        The name of the object determines the seed.
         """
         o, settings = self.options, replace(self.settings, prove_grasps=0)
         seed = o.seed, zlib.crc32(name.encode())
         return predictions(scene, item, self.gripper, grasps, settings, o.predictions, HOLD, seed)
 
     def _attempt(self, scene: PlanningScene, settings: TaskSettings, tries: int = 1) -> Outcome:
-        """Run one trial of the grasp benchmark: pick, lift, hold and place an object that only friction
-        holds. Return the measurements.
+        """Run one trial of the grasp benchmark and return the measurements. The robot picks, lifts, holds and
+        places an object by friction only.
         """
         driver = drivers["sim"](scene, DriverOptions(self.options.seed, physics=PhysicsSettings()))
         with LiveCell("grasp trial", scene, driver, settings, (), self.options.seed) as live:
@@ -260,8 +260,8 @@ class Bench:
         return Outcome(ErrorCode.SUCCESS, "", evidence)
 
     def _picked(self, ctx: TaskContext) -> Outcome:
-        """Pick the object of a grasp trial with a grasp that also reaches the goal or, if there is none, with
-        any grasp.
+        """Pick the object of a grasp trial.
+        Prefer a grasp with which the arm can also reach the goal; otherwise use any grasp.
         """
         s = self.settings
         goal = ChoosePlacement(OBJECT, TABLE, self.gripper, s.near, s.lower_distance, self.goal)
@@ -269,7 +269,8 @@ class Bench:
         return picked if picked.code is not ErrorCode.PLANNING_FAILED else pick(ctx, OBJECT, self.gripper)
 
     def _at_rest(self, item: CollisionObject) -> CollisionObject | None:
-        """Return the object of a grasp trial at rest in physics, on one of its three most stable sides.
+        """Return the object of a grasp trial at rest in the physics simulation,
+        on one of its three most stable sides.
 
         Returns:
             The object at rest; None if it rolls away from all three sides.

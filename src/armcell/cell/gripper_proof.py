@@ -21,7 +21,7 @@ FORCE = 30.0  # [N] per finger, if the gripper has it
 
 @dataclass(frozen=True)
 class GripperProof:
-    """Proof that a gripper works: the result of a physics test in which it closes on a cube.
+    """Proof that a gripper works: the result of a simulation in which it closes on a cube.
 
     Attributes:
         gripper: the gripper that was tried.
@@ -39,8 +39,8 @@ class GripperProof:
 
 
 def with_proven_grippers(model: RobotModel) -> tuple[RobotModel, tuple[GripperProof, ...]]:
-    """Return the robot without those grippers that cannot hold a cube in physics, and the proof for each
-    gripper.
+    """Return the robot without the grippers that fail to hold a cube in the physics simulation,
+    and the proof for each gripper.
     """
     proofs = tuple(prove(model, gripper) for gripper in model.grippers.values())
     held = {p.gripper.name: p.gripper for p in proofs if p.held}
@@ -48,7 +48,9 @@ def with_proven_grippers(model: RobotModel) -> tuple[RobotModel, tuple[GripperPr
 
 
 def prove(model: RobotModel, gripper: Gripper) -> GripperProof:
-    """Prove a detected gripper: close it on a cube in physics, lift the cube and shake it."""
+    """Prove that a detected gripper works: close it on a cube in the physics simulation,
+    lift the cube and shake it.
+    """
     try:
         return _tried(model, gripper)
     except InputError as error:

@@ -28,8 +28,7 @@ OK, WAITING = "ok", "waiting"
 
 
 class Health:
-    """Health of a cell while it starts: the state of each layer, which is "waiting", "ok", or "failed:
-    reason".
+    """Health of a cell during startup. Each layer has the state "waiting", "ok" or "failed: reason".
 
     Args:
         tell: receives one line for every layer that has started or failed.
@@ -91,8 +90,8 @@ def first_layers(cell: str | Path, mode: str, tell: Callable[[str], None]) -> tu
 
 
 def check_description(cell: Cell) -> str:
-    """Check a cell's health: summarize the robot model by its name and its numbers of joints and planning
-    groups.
+    """Summarize the robot model for a cell's health report:
+    its name and its numbers of joints and planning groups.
 
     Raises:
         InputError: the model has no planning group with a tip, so nothing can be planned.
@@ -108,7 +107,8 @@ def check_description(cell: Cell) -> str:
 
 
 def check_controllers(cell: Cell, mode: str) -> str:
-    """Check a cell's health: summarize which controllers move the joints in a mode ("sim", "fake" or "real").
+    """Summarize for a cell's health report which controllers move the
+    joints in the mode "sim", "fake" or "real".
 
     Raises:
         UnknownNameError: the mode does not exist, or the block `real` names an arm that the model lacks.
@@ -151,8 +151,8 @@ def check_driver(live: LiveCell) -> str:
 
 
 def check_planner(live: LiveCell) -> str:
-    """Check that the planner can start from the present state of every arm, and return a summary for the
-    health report.
+    """Check that the planner accepts the current state of every arm as a start state.
+    Return a summary for the health report.
 
     The check plans from the present state to the same state. Start states from which the planner cannot start
     are only reported, because a task may begin with steps that need no planner.
@@ -168,7 +168,7 @@ def check_planner(live: LiveCell) -> str:
 
 
 def check_task(cell: Cell) -> str:
-    """Check a cell's health: summarize its task or script.
+    """Summarize the task or script of a cell for its health report.
 
     Raises:
         InputError: the cell has no task, or its script cannot be loaded.

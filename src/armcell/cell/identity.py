@@ -39,7 +39,8 @@ ADDRESSES = ("host", "port", "own_host")  # network addresses of a real arm; no 
 
 
 def content_hashes(cell: Cell) -> dict[str, str]:
-    """Return the content hash of every part that influences a run, by name. The hashes identify the cell.
+    """Return a content hash for each part of a cell that influences a run, by name.
+    Together the hashes identify the cell.
 
     The names are the cell file's keys (`task`, `objects.cube`, `physics`), `robot` (with its meshes), `code`
     (armcell's source) and `versions.<library>`. The hash of a script includes the file content. The hashes
@@ -100,7 +101,7 @@ def _fields(value: Any) -> dict[str, Any]:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Feed the type and content of a value unambiguously into the hash of a cell's identity."""
+    """Update the hash of a cell's identity with the type and content of a value, without ambiguity."""
     if isinstance(value, np.ndarray):
         digest.update(f"array {value.dtype} {value.shape} ".encode())
         digest.update(np.ascontiguousarray(value).tobytes())
@@ -124,7 +125,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Convert a value to a form that has the same hash in all processes, for a cell's identity.
+    """Convert a value of a cell to a form that has the same hash in all processes.
 
     Sets are sorted, and memory addresses are removed.
     """

@@ -66,7 +66,7 @@ from armcell.tasks.steps import Motion, perform_all
 
 
 class Arm:
-    """One arm of a live cell, with methods that command it.
+    """One arm of a live cell, with methods for commanding it.
 
     Each command returns an `Outcome`, which is true if the command succeeded.
     """
@@ -143,8 +143,8 @@ class Arm:
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
     def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
-        """Grasp an object that moves at constant speed, for example on a conveyor, with an arm of the live
-        cell, and lift it.
+        """Grasp an object that moves at constant speed, such as on a conveyor,
+        and lift it with an arm of the live cell.
         """
         gripper = self._ctx.scene().model.gripper(arm_group=self.group)
         return pick_moving(self._ctx, item, gripper, settings)
@@ -154,7 +154,7 @@ class Arm:
         return grasp(self._ctx, item, self._ctx.scene().model.gripper(arm_group=self.group))
 
     def let_go(self, item: str) -> Outcome:
-        """Open the gripper of a live cell's arm that holds an object, and retreat straight back."""
+        """Open the gripper of an arm that holds an object, and retreat in a straight line."""
         return let_go(self._ctx, item)
 
     def screw(
@@ -167,8 +167,7 @@ class Arm:
 
     @property
     def joints(self) -> JointGoal:
-        """Return the measured joint positions of a live cell's arm, in a form that `move_to` accepts as a
-        goal.
+        """Return the measured joint positions of an arm in a live cell. `move_to` accepts them as a goal.
 
         Example: `ready = arm.joints; ...; arm.move_to(ready)`
         """
@@ -195,7 +194,7 @@ class Arm:
         return self._ctx.choose(items, zone)
 
     def rendezvous(self, name: str) -> None:
-        """Wait in the program of one arm of the live cell until the other arm reaches the same rendezvous."""
+        """Pause the program of one arm in a live cell until the other arm reaches the same rendezvous."""
         self._ctx.rendezvous(name)
 
 
@@ -266,8 +265,8 @@ class LiveCell:
 
     @property
     def arms(self) -> dict[str, Arm]:
-        """Return a live cell's arms by planning group: those that carry a gripper or, if none does, every
-        chain.
+        """Return a live cell's arms by planning group: all arms with a gripper or,
+        if there are none, all kinematic chains.
         """
         groups = [g.arm_group for g in self.model.grippers.values()]
         groups = groups or [g.name for g in self.model.groups.values() if g.tip_link]
@@ -275,7 +274,7 @@ class LiveCell:
 
     @property
     def arm(self) -> Arm:
-        """Return the arm of a live cell that has only one.
+        """Return the arm of a live cell that has only one arm.
 
         Raises:
             InputError: the cell has no arm or several arms.
@@ -293,8 +292,8 @@ class LiveCell:
         return self.arms[group]
 
     def side_by_side(self, **programs: Callable[[Arm], Outcome | None]) -> SideBySide:
-        """Run one program (a function that takes an `Arm`) for each arm of a live cell. Each arm proceeds at
-        its own pace.
+        """Run one program per arm of a live cell.
+        Each program is a function that takes an `Arm` and proceeds at its own pace.
 
         Example: `cell.side_by_side(left_arm=sort_left, right_arm=sort_right)`
         """
@@ -309,8 +308,8 @@ class LiveCell:
     def orders(
         self, to: Callable[[str], str], cycle_times: CycleTimes = CycleTimes(), **streams: Sequence[str]
     ) -> dict[str, list[str]]:  # fmt: skip
-        """Return for each arm of a live cell the order in which to handle its objects, such that both arms
-        finish early.
+        """Return the order in which each arm of a live cell should
+        handle its objects so that both arms finish early.
 
         With these orders, the arms rarely wait for each other at a zone.
 
@@ -347,7 +346,9 @@ class LiveCell:
         return hand_over(self.ctx, item, self.model.gripper(arm_group=to), at)
 
     def move_together(self, **targets: Target) -> Outcome:
-        """Move two arms of a live cell to one target each. Both arms start and arrive at the same time."""
+        """Move two arms of a live cell, each to its own target.
+        Both arms start at the same time and arrive at the same time.
+        """
         scene = self.ctx.scene()
         goals = {group: goal_of(scene.model, group, target) for group, target in targets.items()}
         return move_together(self.ctx, self._both(targets), goals)
@@ -377,7 +378,7 @@ class LiveCell:
         self.ctx.cancel.set()
 
     def resume(self) -> Outcome:
-        """Make a live cell ready for motions again after `stop()`, a fault or a lost connection.
+        """Prepare a live cell for further motions after `stop()`, a fault or a lost connection.
 
         Call it from any thread. It reconnects real arms whose connection was lost. It starts no motion and
         discards old goals. If the cell is not stopped, it does nothing, also during a motion.
@@ -398,12 +399,12 @@ class LiveCell:
         return Outcome(ErrorCode.SUCCESS)
 
     def scene(self) -> PlanningScene:
-        """Return a live cell's scene with the measured state. Any thread may call this method."""
+        """Return a live cell's scene with the measured state. This method is thread-safe."""
         return self.ctx.scene()
 
     def change_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
-        """Change the planning scene of a live cell. Any thread may call this method at any time, even during
-        a motion.
+        """Change the planning scene of a live cell.
+        This method is thread-safe and can be called even during a motion.
 
         Later plans use the changed scene. If the change blocks the rest of a running motion, the motion stops
         with MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE and names the obstacle; other motions continue.
@@ -423,7 +424,8 @@ class LiveCell:
 
     # --- cameras ---
     def camera(self, name: str | None = None) -> LiveCamera:
-        """Return a camera of the live cell by name, or its only camera.
+        """Return the camera of a live cell that has the given name.
+        A cell with a single camera needs no name.
 
         Raises:
             UnknownNameError: no camera has this name.

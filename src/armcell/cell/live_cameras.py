@@ -56,8 +56,8 @@ class LiveCamera:
         return self._newest is None or self._number(self._driver.now) > self._number(self._newest.time)
 
     def ask(self, key: Hashable, give: Give, rgb: bool = True, depth: bool = True) -> None:
-        """Request an image of the present state from a live camera and pass it to a function, without waiting
-        for it.
+        """Request an image of the current state from a live camera without waiting.
+        The image is passed to a function later.
 
         In lock-step, `give` runs at once. In real time, `give` runs in another thread when the picture is
         drawn; a new request replaces a waiting one with the same key (`CellRenderer.ask`).
@@ -77,8 +77,8 @@ class LiveCamera:
         return gives
 
     def take(self, advance: Callable[[float], None], rgb: bool = True) -> CameraImage:
-        """Return the newest image of a live camera. `advance` lets time pass while another process draws the
-        image.
+        """Return the newest image from a live camera. `advance` lets time
+        pass while another process renders the image.
 
         Args:
             advance: lets the given number of seconds pass, e.g. `TaskContext.advance`.
@@ -118,8 +118,8 @@ class LiveCamera:
         return rgb and not self.frozen and self._newest is not None and self._newest.rgb is None
 
     def image(self, rgb: bool = True) -> CameraImage:
-        """Return the newest image of a live camera. This thread draws it, at most once per period of the
-        camera.
+        """Return the newest image from a live camera.
+        The calling thread renders at most one image per camera period.
         """
         newest = self._newest
         if newest is None or self.due() or self._lacks(rgb):
@@ -127,7 +127,7 @@ class LiveCamera:
         return newest
 
     def draw(self, rgb: bool = True, depth: bool = True) -> CameraImage:
-        """Draw an image of the present state for a live camera, in the calling thread."""
+        """Render an image of the current state for a live camera in the calling thread."""
         image = take_image(self._world(), self.camera, rgb=rgb, depth=depth and self.camera.has_depth)
         return replace(image, time=self._driver.now)
 
@@ -182,7 +182,7 @@ class CameraWatch:
             self.ctx.observers.remove(self)
 
     def update(self) -> MapUpdate:
-        """Update the octomap from a live camera now. If there is no new image, return the last update.
+        """Update the octomap from a live camera now. Return the previous update if there is no new image.
 
         Each image is used only once: later, the robot is no longer at the position that the image shows, and
         would be mapped as an obstacle.
@@ -218,8 +218,8 @@ class CameraWatch:
             self.ctx.emit("error", f"octomap: {message}", code=code)
 
     def _ask(self) -> None:
-        """Request an image of the present state from a live camera. It is inserted into the octomap when it
-        has been drawn.
+        """Request an image of the current state from a live camera.
+        The image is inserted into the octomap after it has been rendered.
         """
         now, scene = self.ctx.driver.now, self.ctx.scene()
         self._since = min(self._since, now)

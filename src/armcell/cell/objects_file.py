@@ -67,7 +67,7 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
 
 
 def material_of(friction: float | FrictionSpec) -> Material:
-    """Return the material that the value `friction` of an entry in a cell's objects file describes.
+    """Return the material that the entry `friction` in a cell's objects file describes.
 
     Raises:
         InputError: see `Material`.
@@ -90,7 +90,7 @@ def _shape(spec: ShapeSpec, folder: Path, movable: bool) -> Shape:
 
 
 def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
-    """Load the objects from a YAML file that contains nothing but an `objects` block, as in a cell file.
+    """Load objects from a YAML file that contains only an `objects` block in the format of a cell file.
 
     Raises:
         InputError: the file is invalid; the error has the file, the element and the reason.
@@ -113,7 +113,7 @@ def load_objects(path: str | Path) -> tuple[CollisionObject, ...]:
 
 
 def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> CollisionObject:
-    """Return an object of an objects file with a screw thread, with its pose converted to the world frame.
+    """Return an object with a screw thread from an objects file. Its pose is converted to the world frame.
 
     The given pose is in the frame of the object into which it is screwed, as in a cell file.
 
@@ -133,8 +133,8 @@ def screwed(item: CollisionObject, others: Mapping[str, CollisionObject]) -> Col
 
 
 def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
-    """Write objects to an objects file (YAML). `load_objects` can read it, or its content can serve as a
-    cell's block `objects`.
+    """Write objects to a YAML file that `load_objects` can read.
+    Its content can also be the `objects` block of a cell file.
 
     Meshes and clouds are written to files in the same folder, named after the file, the object and the
     shape's index. Of a material, only the static and dynamic friction are written, as cell files have no
@@ -148,7 +148,7 @@ def save_objects(objects: Iterable[CollisionObject], path: str | Path) -> None:
 
 
 def objects_text(entries: Mapping[str, Any]) -> str:
-    """Return the YAML text of the block `objects` of a cell file for the given entries."""
+    """Return YAML text with the given entries as an `objects` block for a cell file."""
     return yaml.safe_dump({"objects": dict(entries)}, sort_keys=False, default_flow_style=None, width=110)
 
 
@@ -229,7 +229,7 @@ def _friction_entry(material: Material) -> float | dict[str, float]:
 
 
 def _shape_entry(shape: Shape, beside: Path) -> dict[str, Any]:
-    """Convert a shape to an entry of an objects file. A mesh or point cloud is written to a file of its own.
+    """Convert a shape to an entry of an objects file. A mesh or point cloud is written to a separate file.
 
     Args:
         beside: path of that file without the suffix.

@@ -22,7 +22,7 @@ _REACH = 0.03  # [m] largest distance from a closed gripper's TCP to the object 
 
 @dataclass
 class Seen:
-    """Detected poses of those objects that are perceived only by the cell's cameras.
+    """Detected poses of those objects whose poses are known only from the cell's cameras.
 
     Attributes:
         known: the objects to detect, with their shapes, by name.
@@ -45,7 +45,9 @@ class Seen:
 
     @property
     def unknown(self) -> dict[str, CollisionObject]:
-        """Return the perceived objects that had no initial pose, at their last detected poses."""
+        """Return the perceived objects that had no initial pose.
+        They are now at their last detected poses.
+        """
         names = (n for n in self.known if n not in self.initial)
         return {n: self.known[n].at(self.poses.get(n, SE3.identity())) for n in names}
 
@@ -67,8 +69,8 @@ class Seen:
 
 
 class PerceivingDriver(DriverProxy):
-    """Driver that reports perceived objects at their last detected poses or, while they are held, in the
-    gripper.
+    """Driver that reports perceived objects at their last detected poses.
+    While the robot holds an object, its pose follows the gripper.
 
     As with a real gripper, the held object is inferred from the gripper's width and force and from the last
     detected poses.
@@ -108,8 +110,8 @@ class PerceivingDriver(DriverProxy):
         return replace(reading, held=held[0] if held else None)
 
     def object_poses(self) -> dict[str, SE3]:
-        """Return the poses T_world_object by object name: those perceived and, for other objects, those from
-        the wrapped driver.
+        """Return the pose T_world_object of each object, by name.
+        If an object has no perceived pose, the wrapped driver supplies it.
         """
         self._follow()
         others = {n: T for n, T in self._driver.object_poses().items() if n not in self._seen.known}
@@ -120,8 +122,8 @@ class PerceivingDriver(DriverProxy):
             self._seen.poses[name] = self._tcp(gripper) @ T_tcp_object
 
     def _near(self, gripper: str) -> str | None:
-        """Return the perceived object that contains the gripper's TCP or, if there is none, the nearest one;
-        None if that is too far away.
+        """Return the perceived object that contains the gripper's TCP, or else the nearest one.
+        Return None if it is too far away.
         """
         tcp, best, found = self._tcp(gripper).translation, _REACH, None
         for name, T in self._seen.poses.items():

@@ -24,8 +24,8 @@ RESAMPLED = 2000  # bootstrap resamples of the objects for the interval of the l
 def scores(
     objects: Sequence[str], probability: Sequence[float], epsilon: Sequence[float], success: Sequence[bool]
 ) -> dict[str, Any]:
-    """Score three predictors of grasp success against each other: P from proofs, the quality epsilon alone,
-    and the base rate.
+    """Compare the scores of three predictors of grasp success: P from grasp proofs,
+    the quality epsilon alone, and the base rate.
 
     `brier_lead` is the Brier score of epsilon minus that of P, and `brier_lead_interval` its 95 % bootstrap
     interval over objects. An area under the curve is None without successes or without failures.
@@ -53,8 +53,8 @@ def scores(
 
 
 def reliability(p: Array, happened: Array) -> list[dict[str, float]]:
-    """Return the edges, the count, the mean prediction and the observed success rate of each non-empty bin of
-    predicted P.
+    """Return the edges, count, mean prediction and observed success
+    rate of every bin of predicted P that is not empty.
     """
     rows = []
     bins = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
@@ -95,8 +95,8 @@ def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
 
 
 def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
-    """Predict P(success) of each trial from epsilon alone, with a logistic curve that is fitted to the other
-    objects.
+    """Predict P(success) of each trial from epsilon alone.
+    The logistic curve is fitted to the trials of all other objects.
     """
     from scipy.optimize import minimize
 
@@ -115,8 +115,8 @@ def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -
 
 
 def _interval(objects: NDArray[np.str_], lead: Array) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval, over resampled objects, for the mean lead of one prediction score
-    over another.
+    """Return the 95 % bootstrap interval for the mean lead of one prediction score over another.
+    Objects are resampled.
 
     Each resampled object keeps all its trials.
     """

@@ -30,7 +30,7 @@ class _Request:
 
 
 class CellRenderer:
-    """Renderer that draws the camera images of a real-time cell in another process.
+    """Renderer that draws the camera images of a real-time cell in a separate process.
 
     The thread and the process start with the first request.
 
@@ -60,7 +60,7 @@ class CellRenderer:
         self, key: Hashable, camera: Camera, give: Give, rgb: bool = True, depth: bool = True,
         keep: bool = False,
     ) -> None:  # fmt: skip
-        """Request an image of a cell's camera from the rendering process, and return without waiting for it.
+        """Request an image from a cell's camera without waiting. The rendering process draws the image.
 
         Call this method from the thread that steps the driver.
 
@@ -84,7 +84,9 @@ class CellRenderer:
             self._wake.notify()
 
     def close(self) -> None:
-        """End the rendering process of a cell after it has drawn the key moments that are still waiting."""
+        """End the rendering process of a cell after it has rendered all
+        images of key moments that are still waiting.
+        """
         with self._wake:
             self._closing = True
             self._waiting = {k: r for k, r in self._waiting.items() if r.keep}
@@ -111,7 +113,7 @@ class CellRenderer:
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 
     def _run(self) -> None:
-        """Draw the camera images that a real-time cell requests. This function runs in the rendering process.
+        """Render the camera images that a real-time cell requests. This function runs in a separate process.
 
         The process draws the next image while `give` handles the last one.
         """
@@ -127,7 +129,7 @@ class CellRenderer:
             self._process.close()
 
     def _next(self, wait: bool) -> _Request | None:
-        """Begin to render the oldest waiting request for a camera image of the cell, and return this request.
+        """Start rendering the oldest waiting request for a camera image of the cell, and return this request.
 
         Args:
             wait: wait for a request.

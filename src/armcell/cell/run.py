@@ -87,8 +87,8 @@ def _perform(live: LiveCell, step: StepSpec) -> Outcome:
 
 
 def _move(live: LiveCell, state: str) -> Outcome:
-    """Move each arm that has a named state to that state at the start or end of a run, one arm after the
-    other.
+    """Move each arm to its named state at the start or end of a run, one arm after the other.
+    Skip arms without a named state.
     """
     tables = live.model.named_states
     arms = [arm for group, arm in live.arms.items() if state in tables.get(group, {})]
@@ -183,7 +183,8 @@ def complaints(result: Mapping[str, Any]) -> list[str]:
 def _failed_at(
     outcome: Outcome, reports: list[dict[str, Any]], unwanted: list[dict[str, Any]]
 ) -> dict[str, str]:
-    """Return the stage and the pair of bodies at which the task of a run failed, or empty texts.
+    """Return the stage and the pair of bodies at which the task of a run failed.
+    Both are empty if it did not fail.
 
     After a planning failure: the stage without a solution and the contact at the start or goal. Otherwise:
     the last failed stage and the first unwanted contact.

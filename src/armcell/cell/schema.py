@@ -35,9 +35,7 @@ SHAPE_KEYS = (*_SIZED, "mesh", "cloud")
 
 
 def _value_type(kind: ShapeKind) -> Any:
-    """Return the type of a shape's value in the cell file schema: a list of sizes [m], one size, or
-    `true`.
-    """
+    """Return the type of a shape's value in a cell file: a list of sizes [m], a single size, or `true`."""
     if not kind.sizes:
         return Literal[True]
     return float if len(kind.sizes) == 1 else tuple[(float,) * len(kind.sizes)]
@@ -48,7 +46,7 @@ _Sized: Any = create_model("_Sized", __base__=Strict, **_SIZED_FIELDS)
 
 
 class SomeShape(_Sized, Strict):
-    """Cell file schema for at most one shape, with armcell's shape names as keys.
+    """Part of the cell file schema that accepts at most one shape. The keys are armcell's shape names.
 
     Attributes:
         package_shape: value by name of a shape of an installed package; cell files have the name as key.
@@ -72,13 +70,13 @@ class SomeShape(_Sized, Strict):
         return {**{k: v for k, v in data.items() if k not in found}, "package_shape": found}
 
     def given(self) -> dict[str, Any]:
-        """Return the values of all shape keys in an entry, as the schema of a cell file defines them."""
+        """Return the values of all shape keys that are given in an entry of a cell file."""
         own = {key: value for key in SHAPE_KEYS if (value := getattr(self, key)) is not None}
         return {**own, **self.package_shape}
 
     def sized(self) -> tuple[str, list[float]] | None:
-        """Return name and sizes [m] of the shape in the cell file schema; None for a mesh, a cloud or no
-        shape.
+        """Return the name and sizes [m] of the shape in an entry of a cell file.
+        Return None for a mesh, a cloud or no shape.
         """
         for name, value in self.given().items():
             if name in ("mesh", "cloud"):
@@ -107,7 +105,7 @@ class ShapeSpec(SomeShape):
 
 
 class TypeSpec(Strict):
-    """Cell file schema for an object type: a key in a database, as in ROS's object_recognition_msgs."""
+    """Cell file schema for an object type, which is a database key as in ROS's object_recognition_msgs."""
 
     key: str = ""
     db: str = ""
@@ -145,8 +143,8 @@ Friction = Annotated[
 
 
 class ObjectSpec(SomeShape):
-    """Cell file schema for an object with one shape, with several under `shapes`, or from the library under
-    `model`.
+    """Cell file schema for an object: one shape, several under `shapes`,
+    or an object from the library under `model`.
     """
 
     shapes: list[ShapeSpec] = []
@@ -184,8 +182,8 @@ class ObjectSpec(SomeShape):
 
 
 class RandomSpec(Strict):
-    """Cell file schema for ranges [low, high] of random values of an object. Each seed draws from them
-    uniformly.
+    """Cell file schema for ranges [low, high] of random values for an object.
+    Each seed draws values uniformly from the ranges.
 
     The offsets are added to the object's pose.
     """
@@ -297,8 +295,8 @@ class PerceptionSpec(Strict):
 
 
 class DropSpec(Strict):
-    """Cell file schema for objects that are dropped into a bin in physics. The seed determines
-    their poses.
+    """Cell file schema for objects that the physics simulation drops into a bin.
+    The seed determines their poses.
     """
 
     into: str  # fixed object with a level floor
@@ -336,12 +334,12 @@ class StepSpec(Strict):
 
     @property
     def goal(self) -> PlaceSpec | None:
-        """Return the placement that a task step in the cell file schema must achieve, or None."""
+        """Return the goal placement of a task step in the cell file, or None if it has none."""
         return self.place or self.transfer
 
     @property
     def camera(self) -> str | None:
-        """Return the camera that a task step in the cell file schema uses, or None."""
+        """Return the camera that a task step in the cell file uses, or None if it uses none."""
         return self.transfer.look if self.transfer else self.look
 
 
@@ -358,8 +356,8 @@ class PushSpec(Strict):
 
 
 class MovedSpec(Strict):
-    """Cell file schema for a disturbance that moves an object at time `at` without the planners'
-    knowledge.
+    """Cell file schema for a disturbance that moves an object at time `at`.
+    The planners are not informed of it.
     """
 
     by: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in world axes

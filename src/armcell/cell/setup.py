@@ -39,8 +39,8 @@ LIMITS_NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Proposal of the setup assistant for a robot: a model with groups, grippers, named states and disabled
-    link pairs.
+    """Robot setup that the setup assistant proposes: a model with groups, grippers,
+    named states and disabled link pairs.
 
     `model` has the planning groups, end effectors, named states and the link pairs that are not checked.
     """
@@ -111,7 +111,8 @@ def propose(
 
 
 def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
-    """Return the MJCF file of the only robot in a setup, or None if all robots are URDF or xacro files.
+    """Return the MJCF file if the setup consists of one robot in MJCF format.
+    Return None if all robots are URDF or xacro files.
 
     Raises:
         InputError: an MJCF file has a prefix or pose, or is one of several parts.
@@ -128,8 +129,8 @@ def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
 
 
 def propose_from_package(folder: Path) -> Proposal:
-    """Propose a cell for an existing MoveIt package, whose groups, states, link pairs and limits the setup
-    assistant keeps.
+    """Propose a cell for an existing MoveIt package.
+    The setup assistant keeps the package's groups, states, link pairs and limits.
 
     Raises:
         InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type.
@@ -140,8 +141,8 @@ def propose_from_package(folder: Path) -> Proposal:
 
 
 def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
-    """Write the MoveIt package and the cell of the setup assistant into a folder. Either all files are
-    written or none.
+    """Write the MoveIt package and the cell from the setup assistant into a folder.
+    Either all files are written or none.
 
     Args:
         force: write into a folder that is not empty.
@@ -205,8 +206,8 @@ def _frame(joint: Joint) -> dict[str, Any]:
 
 
 def _gripper_entry(gripper: Gripper) -> dict[str, Any]:
-    """Return the entry for a gripper that the setup assistant writes to robot.yaml: all fields except the
-    name and empty ones.
+    """Return the robot.yaml entry that the setup assistant writes for a gripper.
+    It omits the name and all empty fields.
     """
     entry = {f.name: getattr(gripper, f.name) for f in fields(Gripper) if f.name != "name"}
     return {
@@ -240,8 +241,8 @@ def _cell_yaml(model: RobotModel) -> str:
 
 
 def _first_task(model: RobotModel, arms: list[str]) -> list[dict[str, Any]]:
-    """Return the task that the setup assistant proposes for a cell without objects: move all arms to named
-    states, or hold.
+    """Return a task for a cell without objects, as the setup assistant proposes it:
+    move all arms to named states, or hold.
     """
     tables = [model.named_states.get(arm, {}) for arm in arms]
     shared = [name for name in (tables[0] if tables else {}) if all(name in table for table in tables)]

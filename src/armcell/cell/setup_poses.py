@@ -51,7 +51,7 @@ def with_poses(model: RobotModel, seed: int = 0) -> RobotModel:
 
 
 def _hands(model: RobotModel) -> list[str]:
-    """Return the gripper groups that have joints, for which the poses open and close are generated."""
+    """Return the gripper groups that have joints. The poses open and close are generated for them."""
     hands = {e.group for e in model.end_effectors.values()}
     chains = any(g.tip_link for g in model.groups.values())
     return [g.name for g in model.groups.values() if g.joint_names and (g.name in hands or not chains)]
@@ -63,7 +63,8 @@ def _checker(model: RobotModel) -> ExactChecker:
 
 
 def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]]:
-    """Return the generated poses "open" and "close" of a gripper, which are the two ends of its joint ranges.
+    """Return the generated poses "open" and "close" of a gripper,
+    where its joints are at opposite ends of their ranges.
 
     Open is the end with the larger mean gap between the moving links. Empty if a joint has no limits.
     """
@@ -104,7 +105,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
 
 
 def _moves(model: RobotModel, link: str, names: tuple[str, ...]) -> bool:
-    """Return whether a link moves with the given joints or with joints that mimic them, to generate poses."""
+    """Return whether a link moves with any of the given joints or with a joint that mimics one of them."""
     tree = kinematic_tree(model)
     columns = set(model.columns(names))
     return any(int(tree.column[j]) in columns and tree.kind[j] != 0 for j in tree.path_to(link))
@@ -147,7 +148,9 @@ def _home_and_ready(model: RobotModel, joints: set[str], seed: int) -> dict[str,
 
 
 def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> Iterator[Array]:
-    """Yield candidates for the home pose: the zero state with one or two joints turned by a quarter turn."""
+    """Yield candidates for the home pose.
+    In each, one or two joints are turned by a quarter turn from the zero state.
+    """
     for count in (1, 2):
         for some in combinations(columns, count):
             for turns in product((-np.pi / 2, np.pi / 2), repeat=count):
@@ -158,8 +161,8 @@ def _quarter_turns(zero: Array, columns: list[int], low: Array, high: Array) -> 
 
 
 class _Judge:
-    """Evaluator for candidate poses (named states), which checks that they are collision-free and measures
-    their self-clearance.
+    """Evaluator for candidates of named poses.
+    It checks that they are collision-free and measures the distance between links.
     """
 
     def __init__(self, model: RobotModel, samples: Array):
@@ -184,8 +187,8 @@ class _Judge:
         return self.checker.is_free(q)
 
     def room(self, q: Array) -> float:
-        """Return the distance [m] of the nearest link pair in a candidate for a named state; negative if
-        links are in contact.
+        """Return the distance [m] between the closest two links in a candidate for a named pose. It is
+        negative if links are in contact.
 
         Only pairs that can touch count. Distances above 1 m are not measured.
         """

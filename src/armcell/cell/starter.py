@@ -59,8 +59,8 @@ PICK = """  - pick: cube
 
 
 def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> Iterator[str]:
-    """Yield starter cell files (first cells for a new robot) with collision-free start states, most
-    comfortable first.
+    """Yield cell files for the first use of a new robot (starter cells). Their start states are
+    collision-free, most comfortable first.
 
     A robot with a gripper gets a cube to pick; other robots move between their named states. The positions of
     the cube differ from file to file; `armcell check` tells whether the robot reaches it.
@@ -104,13 +104,15 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
 
 
 def _turning(model: RobotModel) -> bool:
-    """Return whether the jaws of a gripper turn as they close, for the settings of a starter cell."""
+    """Return whether the jaws of a gripper rotate as they close.
+    The settings of a starter cell depend on this.
+    """
     return any(gripper.curve for gripper in model.grippers.values())
 
 
 def _settings(reach: float) -> str:
-    """Return the block `settings` for the starter cell of a small arm: straight motions are a tenth of its
-    reach.
+    """Return the block `settings` for the starter cell of a small arm.
+    Straight approach and lift distances are a tenth of the reach.
     """
     if reach >= SMALL:
         return ""
@@ -129,8 +131,8 @@ def _inline(values: dict[str, str]) -> str:
 
 
 def _arms(model: RobotModel) -> list[Group]:
-    """Return the arms that take part in a starter cell's task: those that carry a gripper or, if none does,
-    all.
+    """Return the arms that the task of a starter cell uses: all arms with a gripper or,
+    if there are none, all arms.
     """
     arms = [g for g in model.groups.values() if g.tip_link and g.joint_names]
     carrying = {g.arm_group for g in model.grippers.values()}
@@ -154,8 +156,8 @@ def _reach(model: RobotModel) -> float:
 
 
 def _bottom(model: RobotModel) -> float:
-    """Return the lowest point [m] of the links that never move, to place the table of a starter cell; 0
-    without geometry.
+    """Return the height [m] of the lowest point of all fixed links, to place the table of a starter cell.
+    It is 0 without geometry.
     """
     fixed = next(links for links in model.rigid_groups if model.root_link in links)
     tree, q, lowest = kinematic_tree(model), model.default_positions(), [0.0]
@@ -168,8 +170,8 @@ def _bottom(model: RobotModel) -> float:
 
 
 def _choices(model: RobotModel) -> Iterator[dict[str, str]]:
-    """Yield candidates for the start state of a starter cell, as named states by group: home first, with
-    grippers open.
+    """Yield candidates for the start state of a starter cell, as named states by group.
+    Home with open grippers comes first.
     """
     arms = [arm.name for arm in _arms(model)]
     named = model.named_states
@@ -207,8 +209,8 @@ def _free_start(model: RobotModel, bottom: float, side: float) -> tuple[dict[str
 
 
 def _task_states(model: RobotModel, table: float, side: float) -> list[str]:
-    """Return the collision-free named states that all arms have, for the task of a starter cell. "home" comes
-    last.
+    """Return the collision-free named states that all arms have, for the task of a starter cell.
+    The state "home" comes last.
     """
     tables = [model.named_states.get(arm.name, {}) for arm in _arms(model)]
     shared = [s for s in (tables[0] if tables else {}) if all(s in t for t in tables)]

@@ -31,8 +31,8 @@ TRIES = 30  # random goals tried per motion
 
 
 def bands_file(cell: Cell) -> Path:
-    """Return the path of the file with a cell's twin thresholds: how far its real arms normally deviate from
-    the simulated twin.
+    """Return the path of a cell's file with twin thresholds. They describe how far the real arms normally
+    deviate from the simulated twin.
     """
     return cell.file.with_name(f"{cell.file.stem}.twin.json")
 
@@ -124,8 +124,8 @@ def _wander(
 
 
 class _NotFree(InputError):
-    """Error in twin learning: no motion to a goal can be planned, or the simulated twin rejects the
-    motion.
+    """Error while learning how far real arms deviate from the twin: no motion can be planned,
+    or the simulated twin rejects it.
     """
 
 

@@ -33,8 +33,8 @@ NOISES = ("none", "stereo")  # named noise models of a camera
 
 
 def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
-    """Return a cell in which values are changed, each given by its path. The result is validated like a cell
-    file.
+    """Return a cell with changed values, each of which is given by its path.
+    The result is validated like a cell file.
 
     Args:
         values: new values by path. A path joins the keys of the cell file with dots; x, y, z, roll, pitch,
@@ -55,7 +55,7 @@ def with_values(cell: Cell, values: Mapping[str, Any]) -> Cell:
 
 
 def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
-    """Return the cell values, by path, that set the joint gains to those of a gain set or a gain file.
+    """Return the cell values (by path) that select the joint gains of a gain set or gain file.
 
     The values contain the gains themselves, so a record of the run does not depend on the file.
 
@@ -69,7 +69,7 @@ def gains_as_values(cell: Cell, gains: str | None) -> dict[str, Any]:
 
 
 def parsed(setting: str) -> tuple[str, Any]:
-    """Split a text `PATH=VALUE` for a cell value into its path and its value, which is parsed as YAML.
+    """Split a text `PATH=VALUE` into the path of a cell value and the value itself, which is parsed as YAML.
 
     Raises:
         InputError: the text has no '=', or the value is not valid YAML.
@@ -84,8 +84,8 @@ def parsed(setting: str) -> tuple[str, Any]:
 
 
 def place_of(path: str) -> tuple[str, ...]:
-    """Split the path of a cell value into its parts in normal form, in which `pose.x` and `pose.0`
-    are equal.
+    """Split the path of a cell value into normalized parts.
+    For example, `pose.x` and `pose.0` give the same result.
     """
     return tuple(str(COMPONENTS.get(part, part)) for part in path.split("."))
 
@@ -113,7 +113,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Expand a named or default value on the path to a cell value, so that a part of it can be changed."""
+    """Expand a named or default value of a cell into its parts, so that a path can refer to one of them."""
     match path.split("."):
         case ["cameras", name, "noise", _]:
             camera = _table(data, "cameras").get(name)
@@ -142,8 +142,8 @@ def _table(data: Any, *keys: str) -> dict[str, Any]:
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
-    """Fix a changed cell value that would be drawn at random. The other random values of a seed stay the
-    same.
+    """Keep a changed cell value fixed that would otherwise be drawn at random.
+    A seed's other random values stay the same.
     """
     block, name, key, *more = [*path.split("."), "", ""]
     drawn = data.get("randomize", {}).get(name, {})

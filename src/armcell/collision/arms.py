@@ -34,8 +34,8 @@ FINE = 0.01  # [rad] smallest boxes of joint positions in `certify_any_time`
 
 @lru_cache(maxsize=64)
 def moved_links(model: RobotModel, group: str) -> frozenset[str]:
-    """Return the links that an arm's joints move, including links mounted on them, for collision checks of
-    one arm against another.
+    """Return the links that the joints of an arm move, including links mounted on them.
+    Used to check one arm against another.
     """
     tree, columns = kinematic_tree(model), set(model.columns(model.group(group).joint_names))
     return frozenset(
@@ -47,8 +47,8 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
-    """Return a copy of the robot model without collision checks between the given links and all others. Used
-    by two-arm checks.
+    """Return a copy of the robot model in which the given links are not checked
+    for collisions with any other link. Used for two arms.
     """
     pairs = {frozenset((a, b)): "Other arm" for a in links for b in model.links if a != b}
     return replace(model, disabled_collisions={**model.disabled_collisions, **pairs})
@@ -56,8 +56,8 @@ def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
 
 @lru_cache(maxsize=64)
 def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> RobotModel:
-    """Return a copy of the robot model that only checks collisions between the links of set a and those of
-    set b. Used by two-arm checks.
+    """Return a copy of the robot model in which only collisions between link
+    set a and link set b are checked. Used for two arms.
     """
     pairs = combinations(model.links, 2)
     never = {
@@ -68,8 +68,8 @@ def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> R
 
 @lru_cache(maxsize=64)
 def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the arm groups that a planning group consists of, for collision checks between two arms. Empty
-    if the group is a single arm.
+    """Return the arm groups that make up a planning group, to check two arms against each other.
+    Empty if the group is a single arm.
 
     The result has two or more groups, and no arm moves a link of another.
     """
@@ -95,8 +95,7 @@ def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
 
 
 def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike) -> Contact | None:
-    """Return the nearest pair of bodies of two different arms at the configuration q (n,), to check the arms
-    against each other.
+    """Return the closest pair of bodies that belong to different arms at the robot configuration q (n,).
 
     Pairs whose contact the scene allows are ignored.
 
@@ -120,8 +119,8 @@ def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike)
 
 
 def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
-    """Check that both groups of a two-arm collision check have joints and that they share none; raise an
-    InputError otherwise.
+    """Check that both groups of a two-arm collision check have joints and share none.
+    Otherwise raise an InputError.
     """
     names = [set(model.group(g).joint_names) for g in groups]
     if not all(names):
@@ -152,7 +151,9 @@ def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Return the column indices of the joints that move the links of an arm, for two-arm collision checks."""
+    """Return the column indices of the joints that move the links of one arm,
+    for collision checks between two arms.
+    """
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
 
@@ -203,8 +204,8 @@ class Arms:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """Return the exact, slow collision checker for body pairs of two arms. It suits single
-        configurations.
+        """Return the exact but slow collision checker for body pairs of two arms.
+        Use it for single configurations.
         """
         return ExactChecker(self._bare, self.joint_names)
 
@@ -255,8 +256,8 @@ class Arms:
         until: float | None = None,
         evidence: bool = True,
     ) -> TimedCertificate:
-        """Certify that two motions that start on a common clock keep the arms apart, or find the pair of
-        bodies that touches and the time.
+        """Certify that two arms stay apart while their motions run on a common clock. Otherwise return the
+        bodies that touch and the time.
 
         Each arm stays still before and after its motion.
 
@@ -290,8 +291,7 @@ class Arms:
     def certify_any_time(
         self, first: JointTrajectory, second: JointTrajectory, clearance: float = 0.0
     ) -> bool:
-        """Certify that two motions keep the arms apart, no matter when each motion starts and how fast it
-        runs.
+        """Certify that two arms stay apart whenever each of their motions starts and however fast it runs.
 
         The function tests every position of one motion against every position of the other: it tests boxes of
         joint positions of the second motion against the whole first motion, and splits boxes that are too
@@ -309,8 +309,8 @@ class Arms:
     def keeps_clearance_at_any_pace(
         self, a: Array, room_a: Array, b: Array, room_b: Array, clearance: float
     ) -> bool:
-        """Certify that two arms that move along piecewise linear motions stay apart, whatever the relative
-        timing of the motions.
+        """Certify that two arms stay apart while they follow piecewise linear motions,
+        whatever the relative timing of the motions.
 
         Args:
             a, b: (k, n) waypoints of the first and of the second arm.

@@ -11,8 +11,8 @@ from numba import njit
 
 @njit(cache=True)
 def world_boxes(Ts, link, center, R_half, is_static, out_center, out_half):
-    """Compute the axis-aligned world bounding boxes of collision geometries that move with their links
-    (broad phase).
+    """Compute axis-aligned bounding boxes in the world frame for collision
+    geometries that move with their links (broad phase).
 
     Args:
         Ts: T_world_link (links, 4, 4).
@@ -37,8 +37,8 @@ def world_boxes(Ts, link, center, R_half, is_static, out_center, out_half):
 
 @njit(cache=True)
 def box_gaps(pairs, center, half, out):
-    """Compute the distance between the bounding boxes of each pair (p, 2) in the broad phase; it is 0 where
-    boxes overlap.
+    """Compute the gap [m] between the bounding boxes of each pair (p, 2) in the broad phase.
+    The gap is 0 where boxes overlap.
 
     The distance is never above the true one.
     """

@@ -27,8 +27,8 @@ MIN_INTERVAL_RAD = 2e-4
 
 
 class Measures(Protocol):
-    """Interface of a checker that the certification of motions uses: it places bodies and measures the
-    distances of body pairs.
+    """Interface of a collision checker that certifies motions: it moves bodies to a configuration and
+    measures distances between bodies.
     """
 
     model: RobotModel
@@ -45,8 +45,8 @@ class Measures(Protocol):
 
 
 class MotionBound:
-    """Bounds for certification on how far two geometries of a pair can move relative to each other, per unit
-    of each joint [m/rad].
+    """Upper bounds on the relative motion of two geometries.
+    Each bound applies to a unit of motion of one joint [m/rad or m/m].
 
     Args:
         checker: the checker with the geometries and the group's joints.
@@ -86,8 +86,8 @@ class MotionBound:
                     self.per_joint[p, k] += levers[a][joint] + levers[b][joint]
 
     def along(self, dq: Array) -> Array:
-        """Return upper bounds (p,) [m] on the relative motion of each geometry pair during a joint change dq
-        (n,), for certification.
+        """Return upper bounds (p,) [m] on how far the geometries of each pair move relative to each other
+        when joints change by dq (n,).
         """
         moving = np.abs(dq) > 0  # avoids 0 * inf for levers of infinite length
         return self.per_joint[:, moving] @ np.abs(dq)[moving]

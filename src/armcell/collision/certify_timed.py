@@ -81,8 +81,8 @@ def certify_timed(
 
 
 class _Moving:
-    """The robot and the moving obstacles at one time of a motion to certify, with the pairs to check and
-    their motion bounds.
+    """The robot and the moving obstacles at one time of a motion to be certified, with the body pairs to
+    check and bounds on their motion.
     """
 
     def __init__(self, scene, trajectory, moving, start_time, clearance):
@@ -116,7 +116,7 @@ class _Moving:
 
     def joint_travel(self, a: float, b: float) -> Array:
         """Return upper bounds (n,) on how far each joint moves [rad or m] between two times of a timed
-        motion, for its certification.
+        motion, to certify the motion.
         """
         times = np.array([a, b]) - self.start
         ends = np.array([np.interp(times, self.trajectory.times, row) for row in self.travelled.T])
@@ -158,8 +158,8 @@ class _Moving:
 
 
 def _travelled(trajectory: JointTrajectory) -> Array:
-    """Return upper bounds (k, n) on the accumulated travel of each joint along a timed motion, for its
-    certification.
+    """Return upper bounds (k, n) on the distance that each joint has
+    traveled so far along a timed motion, to certify the motion.
 
     On each segment, the Bernstein coefficients of a polynomial's derivative bound the derivative (Farouki,
     "The Bernstein polynomial basis: a centennial retrospective", CAGD 2012).

@@ -43,8 +43,8 @@ class _Reflex:
     weights: Array
 
     def below(self, plane: Array) -> _Reflex:
-        """Return the parts of a concave mesh's reflex edges that are below a cutting plane, where n x + d <
-        0.
+        """Return the parts of a concave mesh's reflex edges that are
+        below a cutting plane, where n · x + d < 0.
         """
         height = self.ends @ plane[:3] + plane[3]  # (e, 2)
         rows = height.min(1) < -1e-7
@@ -99,8 +99,8 @@ class _Work:
         return np.abs(winding_numbers(points, self._vertices, self._faces)) > 0.5
 
     def hull(self, points: Array) -> float:
-        """Return the volume [m^3] of the convex hull of points (n, 3) of a concave solid's piece; 0 if they
-        are coplanar.
+        """Return the volume [m^3] of the convex hull of points (n, 3) on a piece of a concave solid.
+        It is 0 if the points are coplanar.
         """
         from scipy.spatial import ConvexHull, QhullError
 
@@ -114,7 +114,8 @@ class _Work:
 
 
 def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[Array]:
-    """Cut a closed concave mesh into pieces until their convex hulls together fill hardly more than the mesh.
+    """Cut a closed concave mesh into pieces until the convex hulls of the
+    pieces together fill hardly more volume than the mesh.
 
     Args:
         vertices: (v, 3) [m].
@@ -156,7 +157,8 @@ def _volume(triangles: Array) -> float:
 
 
 def _best_cut(piece: _Piece, work: _Work) -> tuple[_Piece, _Piece] | None:
-    """Find the best cut of a concave piece along one of its reflex edges. Return both sides, or None.
+    """Find the best cut through a reflex edge of a concave piece.
+    Return the pieces on both sides, or None if no cut helps.
 
     The first cuts of a cup or a bin save no volume, because a ring has the same hull as its disk. The score
     therefore also counts how far the reflex edges are resolved and distributed.
@@ -209,8 +211,8 @@ def _corners(piece: _Piece, plane: Array, work: _Work) -> Array:
 
 
 def _candidates(piece: _Piece) -> Array:
-    """Return the candidate cutting planes (k, 4) for a piece of a concave solid, as normal n and offset d
-    with n x + d = 0.
+    """Return the candidate cutting planes (k, 4) for a piece of a concave solid,
+    as normal n and offset d with n · x + d = 0.
     """
     points = piece.triangles.reshape(-1, 3)
     low, high = points.min(0), points.max(0)

@@ -40,7 +40,9 @@ def convex_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
 
 
 def stored_pieces(key: str, make: Callable[[], tuple[Mesh, ...]]) -> tuple[Mesh, ...]:
-    """Return the convex pieces that are cached on disk under a key, or compute them if the cache has none."""
+    """Return the convex pieces of a mesh from the cache on disk.
+    If the cache has no entry for the key, compute the pieces.
+    """
     stored = recall("pieces", key)
     if stored is None:
         pieces = make()
@@ -102,8 +104,8 @@ def convex_hull_mesh(triangles: Array) -> Mesh:
 
 
 def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
-    """Find the best cut of a mesh along one axis into two convex pieces. Return the volume saved [m^3] and
-    both halves.
+    """Find the axis-aligned plane that best cuts a mesh into two convex pieces.
+    Return the volume saved [m^3] and both halves.
 
     The halves are None if no cut saves volume.
     """
@@ -125,8 +127,8 @@ def _best_cut(triangles: Array) -> tuple[float, list[Array] | None]:
 
 
 def _clip(triangles: Array, axis: int, at: float, side: float) -> Array:
-    """Clip triangles (n, 3, 3) at an axis-aligned plane and return one side (k, 3, 3), for the decomposition
-    into convex pieces.
+    """Clip triangles (n, 3, 3) at an axis-aligned plane and return those on one side (k, 3, 3),
+    to decompose a mesh into convex pieces.
 
     The part has side * (x[axis] - at) <= 0.
     """

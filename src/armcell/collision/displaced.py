@@ -20,8 +20,8 @@ Solids = tuple[tuple[Shape, SE3], ...]
 
 
 def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> float:
-    """Return an upper bound on how much closer [m] two bodies may be than planned, because objects or joints
-    are displaced.
+    """Return an upper bound [m] on how much closer two bodies can be than planned,
+    because objects or joints have been displaced.
 
     The result is an upper bound: a motion that keeps this distance from everything in the planned scene is
     collision-free in the other scene.
@@ -66,8 +66,8 @@ def displacement(planned: PlanningScene, scene: PlanningScene, joint_names: Iter
 
 
 def _links_moved(planned: PlanningScene, scene: PlanningScene, joint_names: Iterable[str]) -> Array:
-    """Return upper bounds (links,) [m] on how far links are displaced by joints that deviate but are not part
-    of the motion.
+    """Return upper bounds (links,) [m] on the displacement of each link
+    that is caused by joints outside the planned motion.
     """
     model = scene.model
     q, columns = planned.positions.copy(), model.columns(joint_names)

@@ -119,8 +119,8 @@ class ExactChecker:
 
     # --- placing ---
     def full(self, q: ArrayLike) -> Array:
-        """Return the positions (dof,) of all joints in the exact checker, with the group's joints
-        at q (n,).
+        """Return the positions (dof,) of all joints in the exact checker,
+        where the joints of the group are at q (n,).
         """
         self._q[self.columns] = float_array(q, (len(self.columns),), "a configuration")
         return self._q
@@ -143,8 +143,8 @@ class ExactChecker:
         self._query += 1
 
     def place_object(self, i: int, T_world_solid: SE3) -> None:
-        """Move a world geometry of the exact checker, given by index, to a pose that is valid until the next
-        call.
+        """Move a world object's geometry in the exact checker to another pose,
+        which is valid until the next call.
         """
         R, g = T_world_solid.rotation.matrix, self.geometries[i].solid
         self._transforms[i].setTransform(R, T_world_solid.translation)
@@ -270,7 +270,9 @@ class ExactChecker:
 
     # --- queries ---
     def is_free(self, q: ArrayLike) -> bool:
-        """Check exactly that no body that the group can move touches another body, with padding included."""
+        """Check exactly that no body that the group can move touches another body.
+        The check includes padding.
+        """
         self.checks += 1
         self.place(q)
         box_gaps(self.pairs, self._world_center, self._world_half, self._gaps)
@@ -280,8 +282,8 @@ class ExactChecker:
         return True
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the exact checker's padding for pairs that do not touch at q (n,) but are within the
-        padding.
+        """Reduce the exact checker's padding for body pairs whose distance at
+        q (n,) is smaller than the padding but not zero.
 
         The new padding is 0.1 mm less than the current distance, so a motion can start at q and leave, but
         cannot come closer.
@@ -289,8 +291,8 @@ class ExactChecker:
         self.relaxed_margins(q)
 
     def relaxed_margins(self, q: ArrayLike) -> dict[tuple[str, str], float]:
-        """Run the exact checker's `relax_margins` and return the reduced paddings [m], keyed by
-        (body, object).
+        """Run `relax_margins` of the exact checker and return the
+        reduced paddings [m] for each pair (body, object).
         """
         self.place(q)
         lowered: dict[tuple[str, str], float] = {}
@@ -339,8 +341,8 @@ class ExactChecker:
         return sorted(worst.values(), key=lambda c: c.distance)
 
     def nearest(self, q: ArrayLike, cutoff: float = np.inf) -> Contact | None:
-        """Return the closest pair of bodies that the group can move relative to each other, according to the
-        exact checker.
+        """Return the closest pair of bodies whose relative pose the group can change,
+        according to the exact checker.
 
         Args:
             q: (n,) configuration.

@@ -54,7 +54,7 @@ class Conflict:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """Motion that is currently running, as a motion proof sees it: evaluated from the current instant on.
+    """A running motion as the motion proof uses it, evaluated from the current time on.
 
     Attributes:
         trajectory: the planned trajectory.
@@ -69,18 +69,19 @@ class Moving:
 
     @property
     def remaining(self) -> float:
-        """Return the time [s] until a running motion ends, for a motion proof."""
+        """Return the time [s] until a running motion ends, to prove the rest of the motion collision-free."""
         return max(self.trajectory.duration - self.passed, 0.0)
 
     def positions(self, after: Array) -> Array:
-        """Return the positions (k, n) that a running motion commands at times (k,) [s], for a motion proof.
-        After its end they are constant.
+        """Return the joint positions (k, n) that a running motion commands at times (k,) [s]. They are
+        constant after the motion has ended.
         """
         q = positions_at(self.trajectory, self.passed + after)
         return q if self.blend is None else q + positions_at(self.blend, self.passed + after)
 
     def accelerations(self) -> Array:
-        """Return upper bounds (n,) on the acceleration of each joint in a running motion, for a motion proof.
+        """Return upper bounds (n,) on the acceleration of each joint in a running motion,
+        to prove the motion collision-free.
 
         Units are [rad/s^2 or m/s^2].
         """
@@ -88,8 +89,8 @@ class Moving:
         return most if self.blend is None else most + acceleration_bounds(self.blend)
 
     def knots(self) -> Array:
-        """Return the times [s] from now at which polynomial segments of a running motion meet, for a motion
-        proof.
+        """Return the times [s] from now at which one polynomial segment
+        of a running motion ends and the next begins.
         """
         times = self.trajectory.times - self.passed
         if self.blend is not None:
@@ -162,8 +163,8 @@ def _conflict(
 
 
 def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certificate) -> Certificate:
-    """Return the certificate of the first contact in a motion proof, found by bisection from any later
-    contact.
+    """Return the certificate of the first contact in a motion.
+    Starting from a later contact, bisection finds it.
     """
     edges = len(points) - 1
     free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # last waypoints of a free and a failed prefix
@@ -184,8 +185,8 @@ def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certifi
 def _timed(
     here: Array, motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Return the path that a motion proof checks: piecewise linear, through all running motions, starting at
-    the measured joint positions.
+    """Return the path to be proven free: piecewise linear,
+    from the measured joint positions through all running motions.
 
     Args:
         here: (n,) measured positions, which become the first waypoint.
@@ -200,8 +201,8 @@ def _timed(
 def _pieces(
     motion: Moving, others: Sequence[Moving], late: float, error: float
 ) -> tuple[Array, Array, Array]:
-    """Convert running motions to one piecewise linear path, and bound its deviation from them, for a motion
-    proof.
+    """Convert running motions to one piecewise linear path and bound its deviation from these motions,
+    to prove them collision-free.
 
     Returns:
         Times (k,) [s] from now, positions (k, n), and the largest deviation of each joint (n,) [rad or m].
@@ -222,8 +223,7 @@ def _pieces(
 
 
 def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) -> bool:
-    """Return whether a motion proof finds that two arms could touch if their motions ran at any time and at
-    any speed.
+    """Return whether two arms could touch if their motions ran at arbitrary times and speeds.
 
     A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
     result is also True if no certificate is possible, because the motions do not belong to two arms without
@@ -240,8 +240,8 @@ def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) ->
 
 
 def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, Array]:
-    """Return the positions (k, n) of a group's joints and the deviations (n,) of all joints, for a motion
-    proof.
+    """Return a group's joint positions (k, n) along a motion to be proven,
+    and the deviation (n,) of each joint.
 
     Joints outside the motion keep their positions.
     """
@@ -262,8 +262,8 @@ def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
 
 
 def passed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
-    """Return the time [s] on a trajectory that a robot at q (n,) has reached, for the proof of a motion that
-    runs slower than planned.
+    """Return the time [s] on the trajectory that corresponds to the measured joint positions q (n,).
+    A motion can run slower than planned.
 
     Args:
         trajectory: the trajectory that the robot executes.

@@ -27,8 +27,8 @@ CHUNK = 512
 
 @dataclass(frozen=True, eq=False)
 class PrimitiveSet:
-    """The spheres (sizes are radii) or cubes (sizes are half edges) of a point cloud or octree, as the exact
-    checker uses them.
+    """Spheres or cubes that represent a point cloud or octree in the exact checker.
+    Sizes are radii or half edge lengths.
 
     They are stored in chunks of `CHUNK` neighbors.
     """
@@ -56,7 +56,8 @@ class PrimitiveSet:
         return PrimitiveSet(cubes, centers, sizes, low, high)
 
     def near(self, center: Array, half: Array, R: Array, t: Array, within: float) -> tuple[Array, Index]:
-        """Return the spheres or cubes of a set that may be near an oriented box, nearest first.
+        """Return the spheres or cubes of a point cloud or octree that
+        may touch an oriented box, nearest first.
 
         Args:
             center: (3,) center of the box, box frame.
@@ -80,8 +81,8 @@ class PrimitiveSet:
         return bound[order], index[order]
 
     def solids(self, index: Index, T: coal.Transform3s) -> Iterator[tuple]:
-        """Yield spheres or cubes of a set as coal geometries with their transforms, given the transform T of
-        the set's frame.
+        """Yield the spheres or cubes of a set as coal geometries with their transforms,
+        if the set's frame has the transform T.
         """
         R, t, here = T.getRotation(), T.getTranslation(), coal.Transform3s()
         known: dict[float, coal.CollisionGeometry] = {}
@@ -102,14 +103,16 @@ def _near(
 
 
 def _holds(solid: Solid, T: coal.Transform3s, part: coal.Transform3s) -> bool:
-    """Return whether the center of one of the set's spheres or cubes is inside a nonconvex mesh."""
+    """Return whether a nonconvex mesh contains the center of a sphere or cube that belongs to the set."""
     return solid.holds(T.getRotation().T @ (part.getTranslation() - T.getTranslation()))
 
 
 def touches_primitives(solid: Solid, T: coal.Transform3s,
                        primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                  request: coal.CollisionRequest, result: coal.CollisionResult) -> bool:  # fmt: skip
-    """Return whether a solid is closer than the request's security margin to any sphere or cube of a set."""
+    """Return whether any sphere or cube of a set is closer to a solid
+    than the security margin of the request.
+    """
     _, index = _near(solid, T, primitives, T_primitives, request.security_margin)
     return any(
         coal.collide(solid.exact, T, part, there, request, result) or _holds(solid, T, there)
@@ -121,7 +124,7 @@ def distance_to_primitives(solid: Solid, T: coal.Transform3s,
                            primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                      request: coal.DistanceRequest, result: coal.DistanceResult,
                      outer: bool = False) -> float:  # fmt: skip
-    """Return the signed distance [m] from a solid to the nearest sphere or cube of a set.
+    """Return the signed distance [m] from a solid to the nearest sphere or cube of a point cloud or octree.
 
     The distance is infinite if the set is empty. `result` holds coal's result for the nearest part.
 
@@ -150,7 +153,8 @@ def distance_to_primitives(solid: Solid, T: coal.Transform3s,
 
 
 def _halved(centers: Array) -> Index:
-    """Order the points of a primitive set such that each run of `CHUNK` points is spatially compact.
+    """Order the points of a point cloud or octree such that each run
+    of `CHUNK` points is close together in space.
 
     The algorithm splits the points in halves along the longest axis.
     """

@@ -58,8 +58,8 @@ CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) -> dict[Pair, Contact]:
-    """Return the pairs of bodies that rest on each other at q (n,), because they touch or nearly touch, with
-    their contacts.
+    """Return the pairs of bodies that rest on each other at q (n,), with their contacts.
+    These bodies touch or nearly touch.
 
     Each pair has the contact at its smallest distance.
 
@@ -82,7 +82,8 @@ def resting_pairs(exact: ExactChecker, q: ArrayLike, within: ArrayLike = APART) 
 
 
 def touching(checker: KernelChecker, q: ArrayLike) -> list[Contact]:
-    """Return the resting contacts at q (n,) of bodies that the group moves, deepest first.
+    """Return the contacts of those bodies that the group moves and that
+    rest on other bodies at q (n,), deepest first.
 
     If only the kernel reports a contact, the result is the nearest pair of the exact checker.
     """
@@ -109,7 +110,8 @@ def certify_from_rest(
     *,
     evidence: bool = True,
 ) -> Certificate:
-    """Certify that a motion (k, n) is collision-free, except for contact between resting bodies at its start.
+    """Certify that a motion (k, n) is collision-free.
+    Bodies that are in resting contact at its start may touch there.
 
     The motion may start in resting contact and lead out of it. The exact checker measures pairs that touch at
     the start, or that are too close for a certificate with slack, until they are separated. All other pairs
@@ -176,8 +178,8 @@ def certify_from_rest(
 
 
 def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact]) -> Iterable[Pair]:
-    """Return the nearby pairs of bodies whose distances must be measured while a motion leaves resting
-    contact.
+    """Return the nearby pairs of bodies whose distances must be measured
+    while a motion separates bodies in resting contact.
 
     These are the touching pairs if the kernel certifies all others, else all near pairs.
     """
@@ -191,7 +193,7 @@ def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact
 def separation(
     exact: ExactChecker, points: Array, near: Mapping[Pair, Contact]
 ) -> tuple[float, Contact | None]:
-    """Return the position along a motion (k, n) where all resting contacts have ended.
+    """Return the position along a motion (k, n) at which all bodies that rested on each other have separated.
 
     Args:
         exact: the exact checker.
@@ -206,7 +208,7 @@ def separation(
 
 
 def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
-    """Return the clearance [m] of a motion (k, n) whose start may be in resting contact.
+    """Return the clearance [m] of a motion (k, n) that may start with bodies in resting contact.
 
     Like `KernelChecker.clearance`, but a pair that touches at the start counts only from the position where
     it stops separating.
@@ -228,7 +230,7 @@ def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
 
 
 class Leaving:
-    """Tests of whether a motion separates given pairs of bodies that are in resting contact.
+    """Checker for whether a motion separates given pairs of bodies that rest on each other.
 
     Args:
         exact: the exact checker.
@@ -248,8 +250,8 @@ class Leaving:
         self._bound: MotionBound | None = None
 
     def refuses(self, q: ArrayLike) -> Contact | None:
-        """Return the contact that makes the configuration q (n,) invalid while a motion leaves resting
-        contact, or None.
+        """Return the contact that is forbidden at q (n,) while a motion
+        separates bodies in resting contact, or None.
 
         The robot leaves resting contact; the configuration must not cause a new, deeper, or dragged contact.
         """
@@ -299,8 +301,8 @@ class Leaving:
         return float(last), self._contact(int(ends[0])) if len(ends) else None
 
     def until_beyond(self, points: Array, at: float, need: Array) -> tuple[float, Contact | None]:
-        """Return the first position along a motion at which all resting pairs have reached their required
-        distances.
+        """Return the first position along a motion at which all pairs that were in resting contact have
+        reached their required distances.
 
         Positions are counted in edges: 2.5 is the middle of the third edge.
 
@@ -365,8 +367,8 @@ class Leaving:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a nearby pair that comes into new contact while other pairs leave resting
-        contact, or None.
+        """Return the index of a nearby pair of bodies that newly touches
+        while other bodies leave resting contact, or None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 
@@ -426,7 +428,7 @@ def _between(points: Array, at: float) -> Array:
 
 
 def _from(points: Array, at: float) -> Array:
-    """Return the part of a motion (k, n) that follows the position where it has left resting contact.
+    """Return the rest of a motion (k, n), starting where it has separated all bodies in resting contact.
 
     The position is counted in edges: 2.5 is the middle of the third edge.
     """
@@ -435,7 +437,8 @@ def _from(points: Array, at: float) -> Array:
 
 
 def _places(points: Array, at: float) -> Iterable[float]:
-    """Yield positions along a motion that leaves resting contact, with joint steps of at most `COARSE`.
+    """Yield positions along a motion that separates bodies in resting contact.
+    The joint steps are at most `COARSE`.
 
     The positions begin at `at` and are counted in edges: 2.5 is the middle of the third edge.
     """
@@ -449,7 +452,8 @@ def _places(points: Array, at: float) -> Iterable[float]:
 
 
 def _along(at: float, share: float, rest: Array, edges: int) -> float:
-    """Convert a fraction of the part of a motion after resting contact to a fraction of the whole motion.
+    """Convert a fraction of the motion's second part to a fraction of the whole motion.
+    The second part begins after resting contact.
 
     Args:
         at: position where the rest begins, counted in edges.

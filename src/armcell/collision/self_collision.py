@@ -33,8 +33,8 @@ collision-free state."""
 
 @dataclass(frozen=True)
 class LinkPair:
-    """Pair of links in the self-collision matrix, with its sampled contacts and the reason for disabling its
-    check, if any.
+    """Pair of links in the self-collision matrix, with its sampled contacts.
+    If its check is disabled, the reason is given.
 
     `reason` has the SRDF's values: "Adjacent" (joined by a joint); "Always" and "Never" (in contact in all or
     none of the samples); "Default" (in contact in the default state, in a named state of the gripper that
@@ -99,7 +99,8 @@ def adjacent_links(model: RobotModel) -> set[frozenset[str]]:
 
 
 def random_states(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
-    """Sample robot states (count, dof) uniformly within the joint limits, to find self-collisions.
+    """Sample random robot states (count, dof) uniformly within the joint limits,
+    to find links that collide with each other.
 
     Joints without limits take values from -pi to pi.
     """
@@ -209,8 +210,8 @@ class _Survey:
 
     # --- on the meshes themselves ---
     def _distance(self, a: str, b: str) -> float:
-        """Return the signed distance [m] of two links at the checker's current placement, to find
-        self-collisions.
+        """Return the signed distance [m] between two links at the robot state
+        that is set in the checker, to find self-collisions.
         """
         return min(self.exact.pair_distance(i, j) for i in self.solids[a] for j in self.solids[b])
 

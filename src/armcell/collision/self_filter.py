@@ -37,8 +37,8 @@ PADDING = 0.02
 def without_robot(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
 ) -> Array:
-    """Remove the robot's own points from a cloud (self-filter): return the points (n, 3) [m, world frame] off
-    robot and held objects.
+    """Remove points on the robot and on held objects from a point cloud.
+    Return the other points (n, 3) [m, world frame].
 
     See `robot_mask`.
     """
@@ -50,8 +50,8 @@ def robot_mask(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = (),
     scale: float = 1.0,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Return a mask (n,) of the cloud points that a self-filter removes: those inside robot links or held
-    objects, or within their padding.
+    """Return a mask (n,) of the cloud points on the robot.
+    They are inside robot links or held objects, or within their padding.
 
     The padding moves the faces of a shape outward, so the padded region extends a little farther at edges and
     corners.
@@ -69,8 +69,8 @@ def robot_mask(
 def object_mask(
     scene: PlanningScene, points: ArrayLike, padding: float, objects: Iterable[str]
 ) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the cloud points to filter out, which are inside given scene objects or within
-    their padding.
+    """Return a mask (n,) of the cloud points that are inside given scene
+    objects or within their padding, to filter them out.
 
     Args:
         points: (n, 3) [m, world frame].
@@ -96,8 +96,8 @@ def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding
 
 
 def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shape, SE3, float]]:
-    """Yield the shape, T_world_shape and scale of each robot link, held object and other object that the
-    self-filter removes from a cloud.
+    """Yield the shape, T_world_shape and scale of every robot link,
+    held object and other object whose points the self-filter removes.
     """
     tree = kinematic_tree(scene.model)
     Ts = [SE3.from_matrix(T) for T in tree.link_transforms(scene.positions)]
@@ -111,8 +111,8 @@ def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shap
 
 
 def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) -> NDArray[np.bool_]:
-    """Return a mask of the cloud points (3, n) inside the padded world bounding box of a shape, to filter the
-    cloud.
+    """Return a mask of the cloud points (3, n) that are inside the padded
+    bounding box (world frame) of a shape, to filter them out.
     """
     center, half = local_bounds(shape)
     center = T.apply(center * scale)
@@ -124,8 +124,8 @@ def _in_box(columns: Array, shape: Shape, T: SE3, scale: float, padding: float) 
 
 
 def _outside(shape: Shape, p: Array) -> Array:
-    """Return how far [m] each cloud point (n, 3) is outside a convex shape of the robot, to filter the cloud;
-    negative inside.
+    """Return the distance [m] from each cloud point (n, 3) to a convex shape of the robot.
+    It is negative for points inside.
 
     The value is the largest signed distance from any of the shape's faces.
     """

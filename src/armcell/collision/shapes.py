@@ -80,8 +80,8 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
 
 @lru_cache(maxsize=1024)
 def is_convex(mesh: Mesh) -> bool:
-    """Return whether a watertight mesh shape fills its convex hull up to `CONVEX_EXCESS`, so that coal can
-    treat it as convex.
+    """Return whether a watertight mesh nearly fills its convex hull,
+    up to `CONVEX_EXCESS`. coal can then treat it as convex.
 
     No vertex may be deeper than `CONVEX_DENT` inside the hull.
     """

@@ -13,8 +13,8 @@ NEAR = 0.002
 
 
 def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tuple[str, ...]:
-    """Return the links that are now within a distance [m] of an object and may touch it (touch links),
-    nearest first.
+    """Return the links within a distance [m] of an object, nearest first.
+    They may touch the object (touch links).
 
     Allowed contacts of the scene do not affect the result.
 
@@ -39,8 +39,8 @@ def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tup
 
 
 def attached_by_contact(scene: PlanningScene, name: str, link: str, within: float = NEAR) -> PlanningScene:
-    """Return the scene with an object attached to the link that it is in contact with, at its current pose
-    relative to the link.
+    """Return the scene with an object attached to the link that it touches.
+    The object keeps its current pose relative to the link.
 
     The touch links are the links that currently touch the object (see `touching_links`).
     """

@@ -39,8 +39,8 @@ def view_cone(origin: ArrayLike, T_world_disc: SE3, radius: float, sides: int) -
 def link_hull_distances(
     scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()
 ) -> dict[str, float]:
-    """Return the signed distances [m] between robot links and a view cone, given as the convex hull of points
-    (k, 3).
+    """Return the signed distances [m] between robot links and a view cone.
+    The cone is the convex hull of points (k, 3).
 
     A negative value is the penetration depth. Attached objects and padding are not included.
 
@@ -71,8 +71,8 @@ def link_hull_distances(
 
 
 def links_in_hull(scene: PlanningScene, corners: Array, ignored: Iterable[str] = ()) -> dict[str, float]:
-    """Return the robot's links that intersect a view cone, given as the convex hull of points (k, 3), with
-    their depths [m].
+    """Return the robot links that intersect a view cone, with their depths [m].
+    The cone is the convex hull of points (k, 3).
     """
     return {
         name: -apart for name, apart in link_hull_distances(scene, corners, ignored).items() if apart <= 0

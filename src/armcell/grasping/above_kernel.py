@@ -22,8 +22,8 @@ def _height(heights, x0, y0, resolution, x, y):
 
 @njit(cache=True)
 def _slope(x, y):
-    """Return the absolute slope of a line on a height map, for grasps from above: the median slope of pairs
-    of points.
+    """Return the absolute slope of a line on a height map, as the median over pairs of points.
+    Used for grasps from above.
 
     The estimator (Theil and Sen) is robust against a few outliers, which cameras produce at edges.
     """
@@ -40,7 +40,7 @@ def _slope(x, y):
 
 @njit(cache=True)
 def search(heights, x0, y0, resolution, cells, turns, depths, floor, finger, palm, opens, rules):
-    """Search a height map for all poses from above at which a hand fits around a piece, in a compiled kernel.
+    """Search a height map for all poses at which a hand fits around a piece from above, in a compiled kernel.
 
     A pose is a cell, a rotation and a depth. The hand points down and closes along (cos a, sin a). On a
     height map, a piece is as wide at the fingertips as anywhere above them, because overhangs hide the space

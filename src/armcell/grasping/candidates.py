@@ -73,7 +73,7 @@ class Proposals:
     taken: dict[str, int] = field(default_factory=dict)  # number of uses by name
 
     def add(self, name: str, T_object_tcp: Array) -> None:
-        """Add a grasp candidate with a tcp pose (4, 4). If its name already exists, it gets a number."""
+        """Add a grasp candidate with a tcp pose (4, 4). A number is appended if its name already exists."""
         count = self.taken[name] = self.taken.get(name, 0) + 1
         self.names.append(name if count == 1 else f"{name} ({count})")
         self.poses.append(T_object_tcp)
@@ -116,7 +116,7 @@ def grasp_candidates(
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """Grasp candidates that fit geometrically around an object, independent of its mass and friction.
+    """Grasp candidates that fit around an object geometrically. They do not depend on its mass and friction.
 
     They are cached per object, gripper and up direction.
     """
@@ -255,5 +255,7 @@ def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
 
 
 def how_near(rejection: Rejection) -> tuple[int, float]:
-    """Return a key by which to sort rejected grasp candidates: first by passed checks, then by excess."""
+    """Return a sort key for rejected grasp candidates: first the number of passed checks,
+    then how far the next check was missed.
+    """
     return -rejection.passed, rejection.excess

@@ -32,8 +32,8 @@ def holding_factor(friction: float, torsional_friction: float, lever: Array, pat
 
 
 def pair_friction(item: CollisionObject, support: CollisionObject) -> float:
-    """Return the friction coefficient between an object and its support, as in MuJoCo, to compute a grip
-    force.
+    """Return the friction coefficient between an object and its support
+    as MuJoCo combines it, to compute a grip force.
 
     MuJoCo takes the material of the geom with the higher priority, and the larger coefficient if priorities
     are equal ("Contact parameters" in its XML reference). Movable objects have the higher priority.

@@ -137,8 +137,8 @@ def grasps_from_above(
 def _only_pieces(
     seen: HeightMap, labels: NDArray[np.int64], T: SE3, width: float, half: float, tip: float
 ) -> bool:
-    """Return whether only pieces of the heap, and no wall of the bin, are between the fingers in a grasp from
-    above.
+    """Return whether a grasp from above has only pieces of the heap
+    between the fingers, and no wall of the bin.
     """
     r = seen.resolution
     x, y = np.meshgrid(np.arange(-half, half + r, r), np.arange(r - width / 2, width / 2, r))
@@ -163,8 +163,8 @@ def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _down(at: Array, z: float, turn: float) -> SE3:
-    """Return the pose T_world_tcp for a grasp from above, in which the hand points down and closes at an
-    angle about z.
+    """Return the pose T_world_tcp of a grasp from above:
+    the hand points down and is turned about z by an angle.
     """
     y = np.array([np.cos(turn), np.sin(turn), 0.0])
     approach = np.array([0.0, 0.0, -1.0])

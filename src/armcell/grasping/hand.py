@@ -90,7 +90,9 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
 
 
 def _pad(left: Array, right: Array) -> Array:
-    """Return the x and z range of a hand's finger pads, which is where both closed fingers meet."""
+    """Return the x range and z range of a hand's finger pads,
+    where both fingers meet when the hand is closed.
+    """
     inner = (
         left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],
         right[right[:, 4] > right[:, 4].max() - AT_THE_PAD],

@@ -20,8 +20,8 @@ WIDER, MARGIN = 1.125, 0.010  # opening before the approach: factor on the width
 
 @njit(cache=True)
 def cast(origins, directions, triangles):
-    """Cast rays from the surface of a mesh inwards and find where they leave the mesh, in the compiled grasp
-    kernel.
+    """Cast rays from the surface of a mesh into its interior and find where they leave the mesh,
+    in the compiled grasp kernel.
 
     Several solids may touch or overlap: a ray has left the solids when it is in none of them.
 

@@ -41,16 +41,16 @@ class Placement:
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def above(self, distance: float) -> SE3:
-        """Return the pose of the object at a distance [m] above its placement, along the normal of the
-        support surface.
+        """Return the object pose that is a given distance [m] above its placement,
+        along the normal of the support surface.
         """
         x, y, z = (distance * n for n in self.normal)
         return self.T_world_object.shifted(x, y, z)
 
 
 def surface_for(item: CollisionObject, support: CollisionObject) -> tuple[SE3, float, float]:
-    """Return the surface of a support for placing an object, such that friction holds the object with a
-    safety margin.
+    """Return the surface of a support on which an object can be placed
+    such that friction holds it with a safety margin.
 
     The result is that of `support_surface`.
 
@@ -139,8 +139,8 @@ def place_candidates(
 
 
 def _highest(support: CollisionObject, normal: Array) -> float:
-    """Return the largest coordinate [m] of a support along a world direction (3,), so that an object can be
-    placed above it.
+    """Return the highest coordinate [m] of a support along a world direction (3,).
+    Objects are placed above this height.
     """
     up = support.T_world_object.rotation.matrix.T @ normal
     tops = [extent(s, T.rotation.matrix.T @ up)[1] + float(T.translation @ up) for s, T in support.shapes]
@@ -171,8 +171,8 @@ def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, S
 
 
 def _slope(frame: SE3) -> Array:
-    """Return how far (2,) the plumb line of a placed object shifts per meter of height on a tilted surface,
-    in its frame.
+    """Return how far (2,) the plumb line of a placed object shifts per meter
+    of height on a tilted surface, in the surface's frame.
     """
     return -frame.rotation.matrix[2, :2] / frame.rotation.matrix[2, 2]
 
@@ -187,8 +187,8 @@ def _stands_to(item: CollisionObject, side: Rest, frame: SE3) -> float:
 
 
 def _tilt_held(item: CollisionObject, side: Rest, turned: Array, frame: SE3) -> float:
-    """Return the largest tilt [rad] of a surface at which an object placed with one rotation does not tip
-    over.
+    """Return the largest tilt [rad] of a surface at which an object
+    placed with a given rotation does not tip over.
 
     Args:
         turned: (3, 3) rotation of the object in the surface's frame.
@@ -219,7 +219,7 @@ def _on_side(
     places: list[tuple[float, float, float, bool]],
     open_edges: bool,
 ) -> list[Placement]:
-    """Return the poses at which an object is placed on one of its sides, at given points of the support.
+    """Return poses that place an object on one of its sides, at given points of the support.
 
     Args:
         places: points of the support (x, y [m], cost, whether the point is the center).
@@ -292,7 +292,7 @@ def _clipped(ring: Array, axis: int, sign: float, limit: float) -> Array:
 
 
 def _yaw(R: SO3, upright: SO3) -> float:
-    """Return the yaw [rad] of a placement, by which its rotation differs from an upright rotation."""
+    """Return the yaw angle [rad] of a placement relative to an upright rotation of the object."""
     return float((R @ upright.inv()).rpy[2])
 
 

@@ -40,9 +40,7 @@ class Quality:
 @dataclass(frozen=True)
 @checked()
 class Noise:
-    """Standard deviations of uncertain quantities, with which the robustness of a grasp's quality is
-    evaluated.
-    """
+    """Standard deviations of uncertain quantities, used to evaluate how robust the quality of a grasp is."""
 
     position: float = 0.002  # [m] object position along each axis
     rotation: float = 0.035  # [rad] about each axis
@@ -122,7 +120,9 @@ def hull_quality(wrenches: Array) -> Quality:
 
 
 def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
-    """Return the quality of a grasp with respect to the center of mass: force closure, epsilon and volume."""
+    """Return the quality of a grasp relative to the object's center of mass:
+    force closure, epsilon and volume.
+    """
     surface = surface_of(item)
     about = grasp.T_object_tcp.inv().apply(surface.center_of_mass)
     low, high = surface.bounds
@@ -133,8 +133,7 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
 def robustness(
     item: CollisionObject, hand: Hand, grasp: Grasp, noise: Noise = Noise(), trials: int = 40, seed: int = 0
 ) -> float:
-    """Return the fraction (0 to 1) of quality evaluations with random errors in which a grasp holds its
-    object.
+    """Return the fraction (0 to 1) of evaluations with random errors in which a grasp holds its object.
 
     A trial counts if the hand fits, the pads oppose each other within friction, and the force holds the
     weight.

@@ -41,8 +41,7 @@ _kept: OrderedDict[tuple, tuple[Rest, ...]] = OrderedDict()
 
 
 def rests(item: CollisionObject) -> tuple[Rest, ...]:
-    """Return the sides of an object's convex hull on which it can rest stably (resting sides), most stable
-    first.
+    """Return the sides of an object's convex hull on which the object can rest stably, most stable first.
 
     Round shapes are approximated by polygons and rest on their narrow sides, with almost no margin.
     """
@@ -83,7 +82,7 @@ def _simplex_areas(points: Array, simplices: NDArray[np.int32]) -> Array:
 
 
 def plane_axes(up: Array) -> tuple[Array, Array]:
-    """Return two unit directions (3,) that form a frame together with `up` as z axis, for a resting pose."""
+    """Return two unit directions (3,) that form a frame for a resting pose, in which `up` is the z axis."""
     x = np.asarray(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), dtype=np.float64)
     x /= np.linalg.norm(x)
     return x, np.asarray(np.cross(up, x), dtype=np.float64)

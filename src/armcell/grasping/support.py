@@ -21,8 +21,8 @@ Found = tuple[SE3, float, float]
 
 
 def support_surface(support: CollisionObject, steepest: float = LEVEL) -> Found:
-    """Return the surface of an object that supports other objects: its largest flat, upward-facing face,
-    preferably a level one.
+    """Return the surface of an object on which other objects can stand: its largest flat,
+    upward-facing face. Level faces are preferred.
 
     Args:
         steepest: [rad] maximum tilt from the horizontal.
@@ -136,8 +136,8 @@ def _tilted_faces(mesh: Mesh, T: SE3) -> Iterator[Found]:
 
 
 def _along_an_edge(corners: Array, normal: Array) -> Array:
-    """Return the direction (3,) of an edge of the smallest rectangle around the points (n, 3) of a support
-    face.
+    """Return the direction (3,) of one edge of the smallest rectangle
+    that contains the points (n, 3) of a support face.
     """
     ring = polygon(corners, normal)
     best, least = ring[1] - ring[0], np.inf

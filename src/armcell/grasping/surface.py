@@ -57,7 +57,7 @@ _kept: OrderedDict[tuple, Surface] = OrderedDict()
 
 
 def surface_of(item: CollisionObject) -> Surface:
-    """Return the outer surface of an object. It is cached by the object's shapes.
+    """Return the outer surface of an object. The result is cached for objects with the same shapes.
 
     Raises:
         InputError: the object is a plane or an empty point cloud and cannot be grasped.
@@ -72,7 +72,8 @@ def surface_of(item: CollisionObject) -> Surface:
 
 
 def cloud_surface(points: Array, key: tuple | None = None) -> Surface:
-    """Return the surface of a point cloud (n, 3) [m], with normals from planes fitted locally to the points.
+    """Return the surface of a point cloud (n, 3) [m].
+    Normals come from planes that are fitted locally to the points.
 
     Normals point away from the cloud's center, because a cloud seen from one side is a shell.
 

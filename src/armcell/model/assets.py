@@ -34,7 +34,7 @@ _UNIT = re.compile(rb"""<unit\b[^>]*\bmeter=["']([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9
 
 
 def installed_share() -> list[Path]:
-    """Return the folders with robot descriptions and meshes (robot assets) that pip has installed.
+    """Return the folders in which pip has installed robot descriptions and meshes.
 
     `example-robot-data`, for example, installs its files into `cmeel.prefix/share` of a `sys.path` entry.
     """
@@ -48,7 +48,7 @@ _PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
 
 @dataclass(frozen=True)
 class FoundPackage:
-    """ROS package that contains meshes or other robot assets and was found on disk.
+    """ROS package with meshes or other robot assets that was found on disk.
 
     Attributes:
         folder: folder where the search found the package.
@@ -61,8 +61,8 @@ class FoundPackage:
 
 
 def search_folders() -> list[Path]:
-    """Return the folders in which robot assets are searched: those in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH,
-    and pip's folders.
+    """Return the folders to search for robot assets:
+    those in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and pip's folders.
     """
     named = [
         Path(entry)
@@ -74,15 +74,15 @@ def search_folders() -> list[Path]:
 
 
 def package_above(path: Path) -> Path | None:
-    """Return the package folder above `path`, which a `package://` URI of a robot asset can refer to, or
-    None.
+    """Return the ROS package folder that contains `path`, or None.
+    A `package://` URI can refer to this folder.
     """
     return next((folder for folder in path.parents if (folder / PACKAGE_FILE).is_file()), None)
 
 
 def find_package(package: str, base: Path) -> FoundPackage:
-    """Find the package that the `package://` URI of a robot asset names: near `base`, in the search path, or
-    in pip's folders.
+    """Find the ROS package that a `package://` URI names: near `base`,
+    in the search path, or in pip's folders.
 
     The search starts with the folders above and beside `base`. There, only a folder with a package.xml counts
     as a package; otherwise a file below /home/me could claim /home as its package.
@@ -107,8 +107,7 @@ def find_package(package: str, base: Path) -> FoundPackage:
 
 
 def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders that may be the package named by the `package://` URI of a robot asset, nearest
-    first.
+    """Yield folders that can be the ROS package of a `package://` URI, nearest first.
 
     Each folder comes with a flag: whether it is from the ROS search path or from pip's folders.
     """
@@ -256,8 +255,8 @@ def _read_mesh(
 def _sound(
     vertices: ArrayLike, faces: ArrayLike, scale: tuple[float, float, float], path: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Check the arrays of a mesh that was read from a robot's asset file, and return the scaled vertices
-    (v, 3) [m] and the faces (f, 3).
+    """Check the arrays that were read from a robot's mesh file.
+    Return the scaled vertices (v, 3) [m] and the faces (f, 3).
 
     The mesh libraries do not check the arrays that they read.
 
@@ -290,7 +289,7 @@ DEFAULT_COLOR: Color = (0.75, 0.75, 0.77, 1.0)
 def load_visual_parts(
     path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> tuple[tuple[Mesh, Color], ...]:
-    """Load the visual mesh file of a robot asset as one mesh [m] with an RGBA color (0..1) for each material.
+    """Load the visual mesh file of a robot as meshes [m]: one for each material, with its RGBA color (0..1).
 
     Raises:
         InputError: the file is not readable as a mesh or has no triangles.
@@ -316,8 +315,8 @@ def load_visual_parts(
 
 
 def _own_color(part: trimesh.Trimesh) -> Color:
-    """Return the RGBA color of a mesh from a robot asset: that of its material, or the mean color of its
-    faces.
+    """Return the RGBA color of a robot's mesh: the color of its material,
+    or else the mean color of its faces.
     """
     source = getattr(part.visual, "material", None) or part.visual
     rgba = np.asarray(getattr(source, "main_color", ()), dtype=float)

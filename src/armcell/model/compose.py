@@ -24,8 +24,8 @@ class Part:
 
 
 def prefixed(model: RobotModel, prefix: str) -> RobotModel:
-    """Return a robot model with `prefix` before the name of every link, joint, group and gripper, so that it
-    can be composed with others.
+    """Return a robot model in which all names of links, joints, groups and grippers start with `prefix`,
+    for composing several robots.
     """
     if not prefix:
         return model

@@ -8,7 +8,8 @@ from armcell.model.robot import Gripper, RobotModel
 
 
 def hand_alone(model: RobotModel, gripper: Gripper) -> RobotModel:
-    """Return a robot model of the hand alone: the links of a gripper and their descendants, without the arm.
+    """Return a robot model of a hand without its arm.
+    It contains the gripper's links and all links below them.
 
     The root link is the lowest link above all links of the gripper. The new model has no planning groups, end
     effectors or named states; the gripper and its joints are unchanged.

@@ -30,8 +30,8 @@ class KnownRobot:
 
     @property
     def hint(self) -> str:
-        """Return a hint on how to get the ROS package with the robot's description; empty if it is
-        present.
+        """Return a hint on how to install the ROS package that describes a robot.
+        It is empty if the package is present.
         """
         if self.package is None or not self.description:
             return ""
@@ -44,12 +44,14 @@ def robot_names() -> list[str]:
 
 
 def installed_robots() -> list[str]:
-    """Return the names of those library robots whose descriptions are present on this machine."""
+    """Return the names of the robots in armcell's library whose
+    descriptions are installed on this machine.
+    """
     return [name for name in robot_names() if known_robot(name).package is None]
 
 
 def known_robot(name: str) -> KnownRobot:
-    """Return the entry of a robot in the library by name, without loading the robot's model."""
+    """Return a robot's entry in armcell's library, by name. The robot model is not loaded."""
     folder = LIBRARY / name
     data = read_yaml(folder / ROBOT_FILE)
     about = str(data.get("source", "")), str(data.get("description", ""))

@@ -36,8 +36,8 @@ _SWITCHES = {
 
 
 def with_joint_limits(model: RobotModel, path: Path) -> RobotModel:
-    """Return the robot with joint limits from a file joint_limits.yaml, which may only tighten existing
-    limits.
+    """Return the robot with joint limits from a file joint_limits.yaml.
+    The file can only tighten existing limits.
 
     Raises:
         InputError: wrong type, or a limit wider than the URDF's.

@@ -91,8 +91,8 @@ def _load_file(path: Path, allow_env: bool | None, xacro_args: XacroArgs) -> Rob
 
 
 def is_mjcf(path: Path) -> bool:
-    """Return whether a robot file is MJCF: its suffix is .mjcf, or it is an .xml file with the root element
-    <mujoco>.
+    """Return whether a robot file is MJCF.
+    Such a file has the suffix .mjcf, or the suffix .xml and the root element <mujoco>.
     """
     if path.suffix.lower() != ".xml":
         return path.suffix.lower() == ".mjcf"
@@ -177,8 +177,8 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
 
 
 def _with_frames(model: RobotModel, frames: Any, file: Path) -> RobotModel:
-    """Return the robot with the additional frames that robot.yaml gives as
-    `{name: {parent_link: LINK, pose: POSE}}`.
+    """Return the robot with additional frames from robot.yaml,
+    given as `{name: {parent_link: LINK, pose: POSE}}`.
     """
     if not isinstance(frames, dict):
         raise InputError("is not a mapping", file=file, element="frames")
@@ -207,8 +207,8 @@ def _with_ik_solvers(model: RobotModel, names: Any, file: Path) -> RobotModel:
 
 
 def rerooted(model: RobotModel, link: str) -> RobotModel:
-    """Return a loaded robot without the links above a given link, for example without the link "world" of a
-    URDF.
+    """Return the robot with a given link as its root.
+    All links above it are removed, such as the link "world" of a URDF.
     """
     keep = set(model.subtree(link))
     return replace(
@@ -229,8 +229,7 @@ def with_adjacent_disabled(model: RobotModel) -> RobotModel:
 
 
 def xacro_texts(value: Any, file: Path) -> dict[str, str]:
-    """Convert the xacro arguments of a robot to load from YAML values to text. Booleans become `true` and
-    `false`.
+    """Convert xacro arguments from YAML values to text. Booleans become `true` and `false`.
 
     Raises:
         InputError: `value` is not a mapping of names to numbers, texts or booleans.
@@ -281,7 +280,9 @@ def _part_robot(robot: str, folder: Path, file: Path, allow_env: bool | None) ->
 
 
 def _curve(rows: Any, where: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Check the rows of a gripper's curve: joint position, width, y and z, monotonic from closed to open."""
+    """Check a gripper's curve, with rows of joint position, width, y and z.
+    It must be monotonic from closed to open.
+    """
     try:
         table = np.array(rows, dtype=float)
         fits = table.ndim == 2 and table.shape[0] >= 2 and table.shape[1] == 4 and np.isfinite(table).all()

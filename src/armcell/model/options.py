@@ -20,7 +20,7 @@ _NAME = re.compile(r"[^\s:=]+")
 
 
 def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, str]:
-    """Parse options for xacro arguments, such as `dof:=7`, into a mapping.
+    """Parse command-line options such as `dof:=7` into a mapping of xacro arguments.
 
     Args:
         separator: ":=" or "=".
@@ -40,8 +40,8 @@ def assignments(words: Iterable[str], separator: str, what: str) -> dict[str, st
 
 
 def set_xacro_args(words: Iterable[str]) -> None:
-    """Set xacro arguments from the options `name:=value`, for all robot files that this process and its
-    children load.
+    """Set xacro arguments from options `name:=value`.
+    They apply to all robot files loaded by this process and its children.
     """
     _put(XACRO_ARGS, assignments(words, ":=", "--xacro-arg"))
 

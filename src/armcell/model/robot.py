@@ -35,8 +35,8 @@ class Collision:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """Visual geometry of a robot link: a mesh file, which is loaded when the link is drawn, or a primitive
-    shape.
+    """Visual geometry of a robot link: a primitive shape,
+    or a mesh file that is loaded when the link is drawn.
     """
 
     T_link_visual: SE3
@@ -166,7 +166,7 @@ class Group:
 
 @dataclass(frozen=True)
 class EndEffector:
-    """End effector of a robot model, as in the SRDF: a gripper group that is mounted on a link of the robot.
+    """End effector of a robot model, as in the SRDF. It is a gripper group mounted on a link of the robot.
 
     Attributes:
         group: planning group of the gripper.
@@ -183,7 +183,7 @@ class EndEffector:
 @dataclass(frozen=True)
 @checked()
 class Gripper:
-    """Gripper of a robot with two jaws that close along the y axis of the tcp frame.
+    """Gripper of a robot. Its two jaws close along the y axis of the tcp frame.
 
     The z axis of the tcp frame points out of the hand, between the fingertips. `width` [m] is the gap between
     the finger pads. With sliding fingers, `width = width_per_joint * q + width_offset`, with `q` the position
@@ -210,31 +210,35 @@ class Gripper:
 
     @cached_property
     def _table(self) -> Array:
-        """Return the `curve` of a robot's gripper as columns (4, k)."""
+        """Return the `curve` of a robot's gripper as a table with the columns (4, k)."""
         return np.array(self.curve, dtype=float).reshape(-1, 4).T
 
     def joint_position(self, width: float) -> float:
-        """Return the position of the joint that drives a robot's gripper for a gap [m] between the pads."""
+        """Return the position of a gripper's driven joint at which the
+        gap between the pads has a given width [m].
+        """
         if self.curve:
             return float(np.interp(width, self._table[1], self._table[0]))
         return (width - self.width_offset) / self.width_per_joint
 
     def width(self, joint_position: float) -> float:
-        """Return the gap [m] between the pads of a robot's gripper at a position of the driven joint."""
+        """Return the gap [m] between a gripper's pads for a given position of the driven joint."""
         if self.curve:
             ways = np.sign(self._table[0, -1] - self._table[0, 0])
             return float(np.interp(ways * joint_position, ways * self._table[0], self._table[1]))
         return joint_position * self.width_per_joint + self.width_offset
 
     def center(self, width: float) -> SE3:
-        """Return T_tcp_center, the center of the grip of a robot's gripper at a gap [m] between the pads."""
+        """Return T_tcp_center, the pose of the grip center of a robot's gripper,
+        for a gap [m] between the pads.
+        """
         if not self.curve:
             return SE3.identity()
         return SE3.from_xyz(0.0, *(float(np.interp(width, self._table[1], self._table[k])) for k in (2, 3)))
 
     def grip_center(self, width: float, opening: float) -> SE3:
-        """Return T_tcp_center of a robot's gripper for an object `width` [m] wide that it approaches with
-        `opening` [m].
+        """Return T_tcp_center for grasping an object of a given `width` [m]. The gripper approaches the
+        object with the gap `opening` [m].
 
         A single moving jaw approaches with the object centered between the jaws.
         """
@@ -243,8 +247,8 @@ class Gripper:
 
     @property
     def scale(self) -> float:
-        """Finger travel of a robot's gripper per unit of its driven joint; 1 for symmetric sliding
-        fingers.
+        """How far a gripper's finger moves when the driven joint moves by one unit.
+        It is 1 for symmetric sliding fingers.
         """
         return abs(self.width_per_joint) / 2
 
@@ -289,7 +293,7 @@ class RobotModel:
 
     @cached_property
     def _column(self) -> Mapping[str, int]:
-        """Return the index of each actuated joint in `joint_names` of the robot model, by joint name."""
+        """Return the index in `joint_names` for each actuated joint of the robot model, by joint name."""
         return {name: i for i, name in enumerate(self.joint_names)}
 
     @property
@@ -312,8 +316,8 @@ class RobotModel:
         return self.groups[name]
 
     def gripper(self, name: str | None = None, arm_group: str | None = None) -> Gripper:
-        """Return a gripper of the robot model by its name or by the arm group that carries it, or the only
-        gripper.
+        """Return a gripper of the robot model by its name or by the group of its arm.
+        If there is only one gripper, no name is needed.
 
         Raises:
             UnknownNameError: the robot has no gripper of that name.
@@ -363,8 +367,8 @@ class RobotModel:
         return np.array([getattr(self.joint(n).limits, kind) for n in joint_names])
 
     def neutral(self) -> Array:
-        """Return the zero positions (dof,) of the robot model. A joint whose limits exclude zero is at
-        mid-range.
+        """Return the zero positions (dof,) of the robot model.
+        If a joint's limits exclude zero, its position is mid-range.
         """
         low = np.where(np.isfinite(self.lower), self.lower, -np.inf)
         high = np.where(np.isfinite(self.upper), self.upper, np.inf)

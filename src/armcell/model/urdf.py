@@ -240,7 +240,7 @@ class _Reader:
         return Inertial(mass, self.origin(element), I)
 
     def check_inertia(self, element: etree._Element, mass: float, inertia: np.ndarray) -> None:
-        """Warn about an inertia matrix in a URDF that no body with the given mass can have.
+        """Warn if the inertia matrix of a URDF link is physically impossible for its mass.
 
         Planning does not need the inertia.
         """
@@ -313,7 +313,7 @@ class _Reader:
         return Visual(self.origin(element), shape=self.shape(element), color=color)
 
     def joint(self, element: etree._Element, links: dict[str, Link]) -> list[Joint]:
-        """Convert a joint element of a URDF to one joint, or to several for a planar or floating joint.
+        """Convert a URDF joint to one joint. A planar or floating joint becomes several joints.
 
         Massless links connect the joints of such a chain.
         """
@@ -427,7 +427,7 @@ FLOATING_STEPS = [
 
 
 def planar_steps(normal: np.ndarray) -> list[tuple[str, str, tuple]]:
-    """Return the three single joints that replace a planar joint of a URDF whose plane has a given normal.
+    """Return the three single joints that replace a planar joint of a URDF, given the normal of its plane.
 
     Returns:
         (suffix, type, axis) of two prismatic joints in the plane and one continuous joint about the normal.

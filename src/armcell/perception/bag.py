@@ -24,8 +24,8 @@ _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 @dataclass(eq=False)
 class CameraRecord:
-    """Newest camera images, point clouds and transforms in an MCAP file (bag), each by the name of
-    its frame.
+    """Newest camera images, point clouds and transforms from an MCAP file (bag).
+    Each is stored by the name of its frame.
     """
 
     file: Path
@@ -48,7 +48,7 @@ class CameraRecord:
         return T
 
     def image(self, frame: str | None = None) -> CameraImage:
-        """Return the newest image in an MCAP bag of the camera that has a given frame.
+        """Return the newest image in an MCAP bag from the camera with the given frame.
 
         By default, the camera is the only one.
 

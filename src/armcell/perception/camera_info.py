@@ -23,9 +23,7 @@ class CameraInfo:
     pinhole: Pinhole
 
     def rectified(self) -> Pinhole:
-        """Return the intrinsics of a calibrated camera without distortion, which apply to rectified
-        images.
-        """
+        """Return the intrinsics of a calibrated camera without distortion. They apply to rectified images."""
         p = self.pinhole
         return Pinhole(p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
@@ -97,8 +95,8 @@ def save_camera_info(path: str | Path, name: str, pinhole: Pinhole) -> None:
 
 
 def rectified(image: CameraImage) -> CameraImage:
-    """Return a camera image with its lens distortion removed by the camera calibration, at the same focal
-    length.
+    """Remove the lens distortion from an image of a calibrated camera and return the image.
+    The focal length does not change.
 
     The distortion model is Brown's, as in OpenCV.
 

@@ -13,7 +13,7 @@ F64 = NDArray[np.float64]
 
 
 def meters(depth: ArrayLike) -> F32:
-    """Convert a depth image (h, w) to meters, with 0 where depth is missing, as input for a point cloud.
+    """Convert a depth image (h, w) to meters for a point cloud. Missing depth becomes 0.
 
     Integers are millimeters (ROS's 16UC1).
     """

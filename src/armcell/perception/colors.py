@@ -17,8 +17,8 @@ DARK, BRIGHT = 0.2, 0.75  # HSV value limits of black and white
 
 
 def color_name(rgb: Sequence[float]) -> str:
-    """Return the name of the color in `HUES`, or black, grey or white, that is nearest to an RGB color in
-    0..1.
+    """Return the name of the color nearest to an RGB color in 0..1.
+    It is a color in `HUES`, or black, grey or white.
     """
     hue, saturation, value = colorsys.rgb_to_hsv(*_rgb(rgb).tolist())
     if value < DARK:

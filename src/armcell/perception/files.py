@@ -23,7 +23,8 @@ _SPLAT = 400  # [px] longer side of an image rendered from a point cloud
 
 
 def save_image(path: str | Path, image: CameraImage) -> list[Path]:
-    """Write a camera image with depth as NAME.yaml, NAME_rgb.png and NAME_depth.png, and return these files.
+    """Write a camera image with depth to NAME.yaml, NAME_rgb.png and NAME_depth.png.
+    Return the paths of these files.
 
     Depth is rounded to millimeters, up to 65 m.
     """
@@ -54,7 +55,7 @@ def load_image(
     depth: str | Path | None = None,
     T_world_camera: SE3 | None = None,
 ) -> CameraImage:
-    """Load a camera image from the files of its camera info, color and depth, and rectify it.
+    """Load a camera image from its camera info, color and depth files, and rectify it.
 
     Args:
         info: NAME.yaml. Without `rgb` and `depth`, NAME_rgb.png and NAME_depth.png are used.

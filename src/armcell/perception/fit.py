@@ -30,7 +30,8 @@ _LEAST = 0.002  # [m] smallest size of a fitted solid
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Camera evidence for fitting one object: points (n, 3) on the object, and rays that pass beside it.
+    """Camera evidence for fitting a solid to an object: points (n, 3) on the object,
+    and rays that pass beside it.
 
     The rays start at `eye`, have unit directions `rays` (m, 3), and are free up to `free_to` (m,) [m].
     """
@@ -42,8 +43,8 @@ class Evidence:
     scale: float  # [m] larger residuals have less and less weight
 
     def thinned(self, points: int, rays: int) -> Evidence:
-        """Return a subset of the evidence for fitting a solid that has about the given numbers of points and
-        rays.
+        """Return a subset of the camera evidence that has about the given
+        numbers of points and rays, to fit a solid faster.
 
         The subset is evenly distributed.
         """
@@ -118,7 +119,9 @@ def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
 
 @njit(cache=True)
 def _place(mode, p, base, R, t, size):
-    """Compute in place the pose (R, t) and the size of a fitted solid from the parameters of the fit."""
+    """Write the pose (R, t) and the size of a fitted solid,
+    computed from the parameters of the fit, into given arrays.
+    """
     size[:] = 0.0
     if mode == FREE:
         w = p[:3]
@@ -184,7 +187,8 @@ def _point_residuals(points, R, t, kinds, sizes, poses, grid, origin, step):
 
 @njit(cache=True)
 def _depth_of_ray(R, t, eye, ray, free_to, reach, kinds, sizes, poses, grid, origin, step, convex):
-    """Return how deep [m] the free part of a camera ray enters a fitted solid; 0 if the ray passes beside it.
+    """Return how deep [m] the free part of a camera ray penetrates a fitted solid.
+    It is 0 if the ray passes beside the solid.
 
     The distance to a convex solid is convex along a line, so golden section finds its minimum.
     """

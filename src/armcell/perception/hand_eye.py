@@ -28,8 +28,8 @@ LEVER = 0.3  # [m] weight of a rotation error of 1 rad
 
 @dataclass(frozen=True)
 class HandEye(Outcome):
-    """Camera pose found by a hand-eye calibration: T_hand_camera (eye in hand) or T_base_camera
-    (eye to hand).
+    """Result of a hand-eye calibration: the camera pose T_hand_camera
+    (eye in hand) or T_base_camera (eye to hand).
 
     Residuals are the deviations of each view's marker pose from the mean of all views.
     """
@@ -55,8 +55,8 @@ def calibrate_hand_eye(
     most_position: float = 0.005,
     most_rotation: float = 0.02,
 ) -> HandEye:
-    """Find the pose of a camera on the hand or beside the robot from several views of a marker (hand-eye
-    calibration).
+    """Find the pose of a camera from several views of a marker (hand-eye calibration).
+    The camera is on the hand or beside the robot.
 
     Args:
         hands: T_base_hand of each view.
@@ -101,7 +101,9 @@ def calibrate_hand_eye(
 
 
 def _refused(hands: Sequence[SE3]) -> str:
-    """Return the reason why the views do not suffice for a hand-eye calibration. Empty if they suffice."""
+    """Return the reason why the views are not sufficient for a hand-eye calibration.
+    It is empty if they are sufficient.
+    """
     if len(hands) < LEAST_POSES:
         return f"{len(hands)} views are too few (take {LEAST_POSES} or more, better 10 to 15)"
     turns = [(a.rotation.inv() @ b.rotation).log() for a, b in combinations(hands, 2)]
@@ -124,8 +126,8 @@ def _refused(hands: Sequence[SE3]) -> str:
 
 
 def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
-    """Solve A_i^-1 A_k X = X B_i B_k^-1 of a hand-eye calibration in closed form: first the rotation, then
-    the translation.
+    """Solve the hand-eye equation A_i^-1 A_k X = X B_i B_k^-1 in closed form:
+    first for the rotation, then for the translation.
     """
     pairs = [(A[i].inv() @ A[k], B[i] @ B[k].inv()) for i, k in combinations(range(len(A)), 2)]
     turns = [(b.rotation.log(), a.rotation.log()) for a, b in pairs]

@@ -52,8 +52,8 @@ def height_map(
 
 
 def _filled(heights: F64) -> F64:
-    """Fill each height-map cell that has no height with the height of its highest neighbor, from the rim
-    inwards.
+    """Fill each cell without a height in a height map with the height
+    of its highest neighbor, from the rim inward.
     """
     from scipy.ndimage import grey_dilation
 
@@ -69,7 +69,7 @@ def _filled(heights: F64) -> F64:
 def pieces(
     seen: HeightMap, where: NDArray[np.bool_], above: float, step: float = 0.010, smallest: int = 8
 ) -> NDArray[np.int64]:
-    """Label the separate pieces in a height map (nx, ny). Cells that belong to no piece get -1.
+    """Label each separate piece in a height map (nx, ny) with a number. Cells outside all pieces get -1.
 
     A height step between neighboring cells separates two pieces.
 

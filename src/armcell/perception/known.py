@@ -39,8 +39,8 @@ class Match:
 
 @lru_cache(maxsize=1)
 def cube_turns() -> tuple[SO3, ...]:
-    """Return the 24 rotations that map the coordinate axes onto each other, from which the pose search of a
-    known object starts.
+    """Return the 24 rotations that map the coordinate axes onto each other. They are start rotations for the
+    pose search of a known object.
     """
     found = []
     for order in permutations(range(3)):
@@ -56,7 +56,7 @@ def cube_turns() -> tuple[SO3, ...]:
 def rough_match(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], stands: bool = True
 ) -> Match | None:
-    """Estimate the pose of a known object roughly, from a subset of the camera evidence.
+    """Estimate a rough pose of a known object from a subset of the camera evidence.
 
     The result is None if the object's size does not match.
 
@@ -97,7 +97,8 @@ def match_known(
 def _starts(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], solid: Solid, stands: bool
 ) -> list[SE3]:
-    """Return start poses above the points for matching a known object, with each of its sides down.
+    """Return start poses for matching a known object.
+    They are above the center of the points, with each side of the object down in turn.
 
     The poses are above the center of the points and have matching yaw.
     """
@@ -129,8 +130,8 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
-    """Return that pose of a known object which is nearest to a prior pose, among all that equal T because of
-    symmetry.
+    """Return the pose of a known object nearest to a prior pose,
+    among all poses that are equal to T by symmetry.
 
     Considers single spheres, cylinders and boxes; other objects are treated as asymmetric.
     """
@@ -157,8 +158,8 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """Turn the rotation of a known object such that its z axis is parallel to that of another rotation, and
-    return it.
+    """Return the rotation of a known object turned such that its z axis
+    is parallel to the z axis of another rotation.
 
     The direction of the z axis may be opposite.
     """

@@ -76,7 +76,8 @@ class LookSettings:
 
 @dataclass(frozen=True)
 class SeenObject(Outcome):
-    """An object that `look` has detected, with its pose or the reason why its pose is unknown.
+    """An object that `look` has detected, with its pose.
+    If the pose is unknown, the object has the reason instead.
 
     Without a pose, `code` and `message` give the reason, and `points` remain.
     """
@@ -196,8 +197,8 @@ def _names(known: Sequence[CollisionObject]) -> tuple[str, ...]:
 def _without(
     flat: F64, valid: NDArray[np.bool_], scene: PlanningScene | None, settings: LookSettings
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of the points that `look` uses: those off the robot and fixed objects, and those above the
-    surface.
+    """Return masks of the points that `look` uses: points off the robot and fixed objects,
+    and points above the surface.
     """
     others, region = valid.copy(), np.ones(len(flat), bool)
     if scene is None:
@@ -220,8 +221,8 @@ def _without(
 
 
 def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the points from a camera image that are at or above the top of a support object, for
-    `look`.
+    """Return a mask of the camera points at or above the top of a support,
+    where `look` searches for objects.
     """
     low, high = item.bounds()
     corners = np.array(
@@ -258,7 +259,9 @@ def _plane(points: F64, settings: LookSettings) -> SupportPlane | None:
 
 @dataclass(frozen=True, eq=False)
 class _Thing:
-    """Cluster of points that `look` takes for one object, as evidence in the frame of its support."""
+    """Cluster of points that `look` treats as one object,
+    used as evidence in the frame of the object's support.
+    """
 
     T_world_support: SE3
     evidence: Evidence
@@ -287,8 +290,8 @@ class _Thing:
 def _beside(
     pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
 ) -> tuple[F64, F64, float]:
-    """Return the camera rays (m, 3) beside a cluster that `look` found, their free lengths, and how much of
-    the cluster is occluded.
+    """Return the camera rays (m, 3) beside a detected cluster of points, their free lengths,
+    and how much of the cluster is occluded.
 
     The occlusion is the fraction of the outline that a nearer object or the image border cuts off.
     """
@@ -313,8 +316,8 @@ def _beside(
 
 
 def _span(points: F64, pixels: NDArray[np.int64]) -> float:
-    """Return the largest distance [m] between points of a cluster that `look` found, estimated from
-    a subset.
+    """Return the largest distance [m] between any two points of a detected cluster,
+    estimated from a subset of the points.
     """
     some = points.reshape(-1, 3)[pixels[:: max(len(pixels) // 150, 1)]]
     return float(np.linalg.norm(some[:, None] - some[None], axis=-1).max())
@@ -326,8 +329,8 @@ def _named(
     settings: LookSettings,
     image_has_color: bool,
 ) -> tuple[SeenObject, ...]:
-    """Name the objects that `look` found: each cluster becomes the best-matching known object, or else a
-    primitive.
+    """Assign the best-matching known object to each cluster that `look` found.
+    If none matches, assign a primitive shape.
 
     Among equal shapes, the one with the matching color wins. A known object may consist of two clusters if
     its middle is hidden; a match of two clusters is preferred to a similar match of one.

@@ -102,13 +102,12 @@ class CameraMap:
         )  # fmt: skip
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the planning scene with the occupancy map from camera images as its octomap."""
+        """Return the planning scene in which this occupancy map from camera images is the octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)
 
 
 def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Return the pixel mask of a camera image without connected patches of fewer than `least` pixels, for the
-    occupancy map.
+    """Return the pixel mask of a camera image without patches of fewer than `least` connected pixels.
 
     Pixels are 8-connected.
 

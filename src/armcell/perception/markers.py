@@ -159,7 +159,9 @@ def marker_picture(family: str, number: int) -> NDArray[np.uint8]:
 
 
 def picture_size(family: str, size: float) -> float:
-    """Return the edge length [m] of an ArUco marker's whole image, given that of its black square."""
+    """Return the edge length [m] of an ArUco marker including its white border,
+    given the edge length of its black square.
+    """
     cells = _dictionary(family)[1].markerSize + 2
     return size * (cells + 2 * QUIET) / cells
 
@@ -230,7 +232,9 @@ def _line(points: F64) -> tuple[F64, float]:
 
 
 def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float, hidden: bool) -> SeenMarker:
-    """Estimate an ArUco marker's pose by IPPE (Collins and Bartoli, IJCV 109, 2014), then refine it."""
+    """Estimate an ArUco marker's pose with the method IPPE (Collins
+    and Bartoli, IJCV 109, 2014) and refine it.
+    """
     h = size / 2
     square = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
     K, distortion = image.pinhole.matrix, np.array(image.pinhole.distortion, float)

@@ -80,7 +80,9 @@ class Guess:
 
 
 def fit_primitives(evidence: Evidence) -> list[Guess]:
-    """Fit boxes, cylinders and spheres that rest on z = 0 to a point cluster. The best fit comes first."""
+    """Fit boxes, cylinders and spheres that rest on the plane z = 0 to a cluster of points.
+    The best fit comes first.
+    """
     rough = evidence.thinned(FIRST_POINTS, FIRST_RAYS)
     fits = sorted((_tried(rough, *start, iterations=12) for start in _starts(evidence.points)), key=_cost)
     fine, seen = evidence.thinned(POINTS, RAYS), set()
@@ -118,8 +120,8 @@ def _starts(points: F64) -> list[tuple[int, F64]]:
 
 
 def _ball(points: F64) -> tuple[float, float, float] | None:
-    """Fit a sphere that rests on z = 0 to a point cluster by linear least squares. Return its x, y and
-    radius.
+    """Fit a sphere that rests on the plane z = 0 to a cluster of points by linear least squares.
+    Return its x, y and radius.
 
     (x - a)^2 + (y - b)^2 + z^2 - 2 r z = 0.
     """

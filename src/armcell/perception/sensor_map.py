@@ -62,5 +62,5 @@ class SensorMap:
         return done, seen[~free]
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the planning scene with the occupancy map from all sensors as its octomap."""
+        """Return the planning scene in which this occupancy map from all sensors is the octomap."""
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)

@@ -53,8 +53,8 @@ class Solid:
         return float(np.linalg.norm(self.high - self.low))
 
     def distances(self, points: F64) -> F64:
-        """Return the signed distances (n,) [m] from points (n, 3), given in the solid's frame, to
-        the solid.
+        """Return the signed distances (n,) [m] from points (n, 3) to the solid.
+        The points are given in the solid's frame.
         """
         return _distances(points, self.kinds, self.sizes, self.poses, self.grid, self.origin, self.step)
 
@@ -118,7 +118,9 @@ def _part(shape: Shape) -> tuple[int, tuple[float, float, float]] | None:
 
 
 def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
-    """Return a triangle mesh of all shapes of an object to fit, in the object's frame."""
+    """Return a triangle mesh of all shapes of an object, in the object's frame.
+    The object is to be fitted to camera data.
+    """
     import trimesh
 
     from armcell.core import Capsule, Cone
@@ -195,7 +197,9 @@ def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
 
 @njit(cache=True)
 def part_distance(kind, size, x, y, z, grid, origin, step):
-    """Return the signed distance [m] from a point, given in the frame of a solid's part, to this part."""
+    """Return the signed distance [m] from a point to one part of a solid.
+    The point is given in the frame of the part.
+    """
     if kind == SPHERE:
         return np.sqrt(x * x + y * y + z * z) - size[0]
     if kind == BOX:
@@ -236,7 +240,9 @@ def _interpolated(x, y, z, grid, origin, step):
 
 @njit(cache=True)
 def solid_distance(x, y, z, kinds, sizes, poses, grid, origin, step):
-    """Return the signed distance [m] from a point, given in the frame of a fitted solid, to the solid."""
+    """Return the signed distance [m] from a point to a solid.
+    The point is given in the frame of the solid.
+    """
     least = np.inf
     for k in range(len(kinds)):
         P = poses[k]

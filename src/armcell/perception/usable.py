@@ -8,8 +8,8 @@ from armcell.core import CameraImage, ErrorCode, Outcome
 
 
 def stale(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is older than `max_age` [s] and therefore unusable, else
-    None.
+    """Return an error outcome if a camera image is older than `max_age` [s] and must not be used.
+    Otherwise return None.
     """
     if now is None or now - image.time <= max_age:
         return None
@@ -23,9 +23,7 @@ def stale(image: CameraImage, max_age: float, now: float | None) -> Outcome | No
 
 
 def unusable(image: CameraImage, max_age: float, now: float | None) -> Outcome | None:
-    """Return an error outcome if a camera image is unusable because it is too old or has no depth,
-    else None.
-    """
+    """Return an error outcome if a camera image is too old or has no depth. Otherwise return None."""
     old = stale(image, max_age, now)
     if old is not None:
         return old

@@ -195,8 +195,8 @@ def _known(value: Any) -> str:
 
 
 def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distance, ...]:
-    """Return how far each differing joint and object deviates between two compared runs, largest deviation
-    first.
+    """Return the deviation of each joint and object that differs
+    between two compared runs, largest deviation first.
     """
     found: dict[str, list[tuple[float, float]]] = {}
     for a, b in pairs:
@@ -244,7 +244,7 @@ def _data_divergence(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | N
 
 
 def _compared(event: Event) -> Mapping[str, Any]:
-    """Return the data of an event without search statistics, so that two runs can be compared.
+    """Return the data of an event without search statistics, which differ between runs, to compare two runs.
 
     Planners with a time limit evaluate varying numbers of samples; the motion itself is compared separately.
     """

@@ -91,13 +91,13 @@ def text(value: Any) -> str:
 
 
 def name(value: Any) -> str:
-    """Format a name as HTML for a report page, where it may break only after underscores."""
+    """Format a name as HTML for a report page. Line breaks are possible only after underscores."""
     return f'<span class="name">{text(value).replace("_", "_<wbr>")}</span>'
 
 
 def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> str:
-    """Format the number `value * scale` with its unit for an HTML page. Other values become text or
-    a dash.
+    """Format the number `value * scale` with its unit for an HTML page.
+    Values that are not numbers become text or a dash.
     """
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return text(value)
@@ -107,7 +107,7 @@ def number(value: Any, unit: str = "", scale: float = 1.0, digits: int = 2) -> s
 
 
 def millimeters(value: Any, digits: int = 2) -> str:
-    """Format a length in millimeters for an HTML page, given in meters."""
+    """Format a length, given in meters, as millimeters for an HTML page."""
     return number(value, "mm", 1000.0, digits)
 
 
@@ -154,8 +154,8 @@ def image(png: bytes, alt: str, css_class: str = "plot") -> str:
 
 
 def picture_png(rgb: NDArray[np.uint8]) -> bytes:
-    """Encode an image (h, w, 3) as PNG for embedding in an HTML page, reduced to at most `MAX_PICTURE_PX`
-    pixels in width.
+    """Encode an image (h, w, 3) as PNG for an HTML page.
+    Images wider than `MAX_PICTURE_PX` are reduced to this width.
     """
     picture = Image.fromarray(rgb)
     if picture.width > MAX_PICTURE_PX:

@@ -110,7 +110,9 @@ class McapWriter:
 
     # --- recording ---
     def write_state(self, sample: StateSample, q: ArrayLike) -> None:
-        """Write the cell's state at one time to the MCAP file, with the link transforms at q (dof,)."""
+        """Write the state of the cell at one time to the MCAP file,
+        with the link transforms for joint positions q (dof,).
+        """
         time, object_poses = sample.time, sample.object_poses
         stamp = self._stamp(time)
         self._write_joints("/joint_states", time, sample.joints)
@@ -271,8 +273,8 @@ class McapWriter:
         return self._topics[name]
 
     def _link_transforms(self, q: ArrayLike, joints: list[int], stamp: Any) -> list[Any]:
-        """Return the transforms from parent to child links at joint positions q (dof,), as TransformStamped
-        messages for the MCAP file.
+        """Convert the link transforms (parent to child) at joint positions q
+        (dof,) to TransformStamped messages for the MCAP file.
         """
         Ts = self._tree.link_transforms(q)
         found = []
@@ -327,7 +329,7 @@ def urdf_text(scene: PlanningScene) -> str | None:
 
 
 def _plain(value: Any) -> Any:
-    """Convert values that JSON does not support, so that they can be written to the MCAP file.
+    """Replace values that JSON does not support, so that the data can be written to the MCAP file.
 
     Arrays and numpy numbers become lists and numbers; objects, contacts, poses and mappings become
     dictionaries; other values become text.

@@ -20,7 +20,8 @@ FORMAT = 1
 def run_metadata(
     cell: Cell, seed: int | None, mode: str, values: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return the metadata of a run in a form that JSON supports. They suffice to execute the run again.
+    """Return the metadata of a run as data that JSON supports.
+    They contain everything needed to execute the run again.
 
     The metadata are the cell with changed values, the seed, mode, content hashes, versions and machine.
 
@@ -43,13 +44,13 @@ def run_metadata(
 
 
 def this_machine() -> str:
-    """Return the name and processor of this computer, which a record's metadata contain."""
+    """Return the name and the processor of this computer, for the metadata of a record."""
     return f"{platform.node()} {platform.machine()} {platform.processor()}".strip()
 
 
 def origin_of(metadata: Mapping[str, Any], file: Path) -> str:
-    """Describe from its metadata where a record comes from if another user or computer wrote it; otherwise
-    return an empty text.
+    """Describe the origin of a record that another user or computer wrote, from its metadata.
+    Return an empty text for other records.
 
     Args:
         metadata: run metadata of the record.
@@ -68,7 +69,7 @@ def _printable(text: str) -> str:
 
 
 def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
-    """Return the cell stored in the run metadata of a record, independent of the current cell file.
+    """Return the cell that is stored in the metadata of a record, even if the cell file has changed since.
 
     Meshes, scripts and robots in separate files are read in their current version; see `changed_since`.
 
@@ -82,8 +83,7 @@ def recorded_cell(metadata: Mapping[str, Any]) -> Cell:
 
 
 def changed_since(metadata: Mapping[str, Any], cell: Cell) -> list[str]:
-    """List the parts of a cell and the library versions that differ from those in the run metadata of a
-    record.
+    """List which parts of a cell and which library versions differ from those in the metadata of a record.
 
     An empty list means that executing the run again must give bit-identical results.
     """

@@ -181,7 +181,7 @@ def _finish(
 
 
 def _name_stages(ax: Axes, stages: Sequence[StageSpan], begin: float, end: float) -> None:
-    """Write the names of the stages, slanted, above the topmost axes of a plot for the run report.
+    """Write slanted stage names above the topmost axes of a plot for the run report.
 
     If two names would overlap, the name of the shorter stage is omitted.
     """

@@ -59,7 +59,7 @@ class RecordedState:
         return self.nanoseconds / NANO
 
     def sample(self) -> StateSample:
-        """Return a recorded state as the `StateSample` that observers receive."""
+        """Convert a state that was read from a record to the `StateSample` that observers receive."""
         t, g = self.time, self.grippers
         return StateSample(
             t,
@@ -93,9 +93,7 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """Return the duration [s, cell's clock] of a record that was read, from its first to its
-        last state.
-        """
+        """Return the duration [s] of a record from its first to its last state, by the cell's clock."""
         return self.states[-1].time - self.states[0].time if self.states else 0.0
 
     def index_at(self, time: float) -> int:
@@ -104,7 +102,7 @@ class Record:
 
 
 def record_file(run: str | Path) -> Path:
-    """Return the file to read the record from: the one in a run folder, or the given file itself.
+    """Return the file from which to read a record: the record in a run folder, or the given file itself.
 
     Raises:
         InputError: there is no record.
@@ -142,7 +140,7 @@ def read_record(run: str | Path) -> Record:
 
 
 class _Reading:
-    """State of the record reader, which assembles the record from the messages in its file."""
+    """Parser that assembles a record from the messages in its file."""
 
     def __init__(self, file: Path):
         self.file = file
@@ -159,9 +157,7 @@ class _Reading:
         self._poses: dict[str, Array] = {}
 
     def read(self) -> str:
-        """Read the file of a record. If the file is cut off, return the cause; otherwise return an empty
-        string.
-        """
+        """Read a record from its file. Return an empty string or, if the file is cut off, the cause."""
         from mcap.exceptions import InvalidMagic, McapError
         from mcap.stream_reader import StreamReader
         from rosbags.serde.errors import SerdeError
@@ -269,7 +265,8 @@ def _trajectory(message: Any) -> JointTrajectory:
 
 
 def scenes_of(record: Record, start: PlanningScene) -> list[tuple[float, PlanningScene]]:
-    """Read the scene of a recorded run at its start and after each change, with the times [s].
+    """Read the scenes of a recorded run with their times [s]:
+    the scene at the start and the scene after each change.
 
     The robot and the movable objects keep their initial poses; the recorded states contain their motion.
     """
@@ -303,14 +300,14 @@ class StageSpan:
 
 
 def stage_name(event: Event) -> str:
-    """Return the stage name in an event that was read from a record: `data["name"]` or `data["stage"]`, or
-    else the event's text.
+    """Return the stage name in a recorded event: the entry `name` or `stage` of its data,
+    or else the event's text.
     """
     return str(event.data.get("name") or event.data.get("stage") or event.text)
 
 
 def ends_stage(event: Event) -> bool:
-    """Return whether a stage event that was read from a record marks the end of the stage.
+    """Return whether a recorded stage event marks the end of the stage.
 
     The phase is `data["phase"]`, by default "begin".
     """

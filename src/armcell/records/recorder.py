@@ -62,8 +62,8 @@ class Series:
 
 
 def new_run_folder(root: Path, cell: str, now: datetime | None = None) -> Path:
-    """Create the folder for a recorded run, `root/<YYYYmmdd-HHMMSS>-<cell>/`, with the suffix "-2" if it
-    already exists.
+    """Create the folder `root/<YYYYmmdd-HHMMSS>-<cell>/` for a recorded run.
+    If it already exists, append the suffix "-2".
 
     Args:
         root: usually "runs"; created if missing.
@@ -191,8 +191,8 @@ class RunRecorder:
         self.close()
 
     def series(self) -> Series:
-        """Return the samples that the run recorder keeps, thinned evenly if there are more than
-        `MOST_SAMPLES`.
+        """Return the samples that the run recorder keeps.
+        If there are more than `MOST_SAMPLES`, return an evenly thinned subset.
         """
         with self._lock:
             samples, newest = list(self._samples), self._skipped or self._last
@@ -229,7 +229,7 @@ class RunRecorder:
             self._keep(self._skipped)
 
     def _keep_on_disk(self, write: Callable[[], None]) -> None:
-        """Call a function that writes to disk. A disk error ends the recording but not the run.
+        """Call a function that writes a record to disk. A disk error ends the recording but not the run.
 
         A real arm may be moving when the error occurs.
         """
@@ -289,7 +289,7 @@ def _series(joint_names: tuple[str, ...], samples: list[StateSample]) -> Series:
 
 
 def _in_order(joint_names: tuple[str, ...], state: JointState, kind: str) -> Array | None:
-    """Return recorded values of one kind in the given joint order, with NaN for missing joints."""
+    """Return recorded values of one kind in a given joint order. Missing joints get NaN."""
     values = getattr(state, kind)
     if values is None or state.joint_names == joint_names:
         return values

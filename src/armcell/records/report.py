@@ -100,8 +100,8 @@ def _footer(recorder: RunRecorder) -> str:
 
 # --- tables ---
 def _rows(result: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """Return a list from a run's result as mappings for the report. Entries of other types become {"what":
-    entry}.
+    """Return a list from a run's result as mappings for the report.
+    An entry that is not a mapping becomes {"what": entry}.
     """
     value = result.get(key) or []
     if not isinstance(value, list | tuple):
@@ -189,8 +189,8 @@ def _contacts(result: Mapping[str, Any]) -> str:
 
 
 def _column_title(key: str) -> str:
-    """Convert a JSON key to a heading with its unit for the run report, for example `force_n` to
-    "force [N]".
+    """Convert a JSON key to a heading with a unit for the run report.
+    For example, `force_n` becomes "force [N]".
     """
     stem, _, unit = key.rpartition("_")
     known = {"s": "s", "n": "N", "m": "mm", "rad": "rad"}
@@ -225,8 +225,8 @@ def _events(recorder: RunRecorder) -> str:
 
 
 def _event_words(event: Event) -> str:
-    """Return the text of an event for the run report. Stage events also get their name, phase and error if
-    these are missing.
+    """Return the text of an event for the run report.
+    For a stage event, add its name, phase and error if the text lacks them.
     """
     if event.kind != "stage":
         return event.text

@@ -29,7 +29,9 @@ def object_data(item: CollisionObject) -> dict[str, Any]:
 
 
 def object_of(name: str, data: dict[str, Any]) -> CollisionObject | None:
-    """Create a scene object from the JSON data of a record. Return None if no shapes were recorded."""
+    """Create a scene object from JSON data in a record.
+    Return None if the record contains no shapes for it.
+    """
     shapes = [
         (shape, SE3.from_mapping(each["pose"], "pose"))
         for each in data["shapes"]

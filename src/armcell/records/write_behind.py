@@ -57,7 +57,7 @@ class WriteBehindFile:
         return self._position
 
     def flush(self) -> None:
-        """Hand all buffered data to the background thread that writes the write-behind file.
+        """Pass all buffered data to the background thread, which writes it to the file (write-behind).
 
         Raises:
             OSError: an earlier write failed.
@@ -71,7 +71,7 @@ class WriteBehindFile:
                 self._wake.notify()
 
     def wait(self) -> None:
-        """Flush the write-behind file and wait until the background thread has written all data to disk.
+        """Pass all buffered data to the background thread and wait until it has written the data to disk.
 
         Raises:
             OSError: a write failed.
@@ -104,8 +104,8 @@ class WriteBehindFile:
         self._raise()
 
     def _failed(self, error: OSError) -> None:
-        """Store an error that occurred while the write-behind file was written, discard the waiting data and
-        end the thread.
+        """Store an error that occurred while the background thread was writing to disk.
+        Discard the waiting data and end the thread.
         """
         with self._wake:
             self._error, self._closing = error, True

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 
 def expanded(scene: PlanningScene) -> Mapping[frozenset[str], bool]:
-    """Return the allowed collision pairs of a scene, with the defaults of single bodies expanded to pairs of
-    bodies.
+    """Return the allowed collision pairs of a scene.
+    Defaults for single bodies are expanded to pairs of bodies.
 
     An entry for a pair takes precedence over defaults. If the defaults of two bodies disagree, their contact
     is not allowed, as in MoveIt's AllowedCollisionMatrix.

@@ -42,8 +42,8 @@ def scene_changes(before: PlanningScene, after: PlanningScene) -> dict[str, Any]
 
 
 def new_obstacles(before: PlanningScene, now: PlanningScene) -> list[str]:
-    """Return the world objects that are new, moved or reshaped in a changed scene. They may require
-    replanning.
+    """Return the world objects that are new, moved or reshaped in a changed scene.
+    They can make replanning necessary.
     """
     found = []
     for name, item in now.objects.items():

@@ -47,7 +47,8 @@ def load_obstacle(path: str | Path, radius: float | None = None) -> PointCloud |
 
 
 def load_points(path: str | Path) -> F64:
-    """Load the points (n, 3) [m] of a point cloud file. Points that are not finite are dropped.
+    """Load the points (n, 3) [m] from a point cloud file.
+    Points with infinite or NaN coordinates are dropped.
 
     Other points, which mark pixels without depth, are dropped and logged.
 
@@ -79,7 +80,7 @@ def _text(data: bytes, file: Path) -> str:
 
 
 def _table(lines: list[str], columns: list[int], first: int, file: Path) -> F64:
-    """Parse some columns of a point cloud's text file, whose numbers are separated by commas or white space.
+    """Parse selected columns of a point cloud in a text file. Commas or white space separate the numbers.
 
     `first` is the line number of the first line, for error messages.
     """
@@ -160,7 +161,9 @@ _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
 def _pcd(data: bytes, file: Path) -> F64:
-    """Parse the points of a point cloud in the Point Cloud Library's file format PCD, up to version 0.7."""
+    """Parse the points from a PCD file, the Point Cloud Library's
+    format for point clouds, up to version 0.7.
+    """
     header: dict[str, list[str]] = {}
     at, line = 0, 0
     while "DATA" not in header:

@@ -92,7 +92,7 @@ def _placed_object(
 # --- objects ---
 @dataclass(frozen=True, eq=False)
 class AddObject:
-    """A change in a scene diff that adds an object or replaces the object of the same name.
+    """A change in a scene diff that adds an object. An existing object with the same name is replaced.
 
     The object's pose is relative to `frame`.
     """
@@ -111,8 +111,8 @@ class AddObject:
 
 @dataclass(frozen=True, eq=False)
 class AppendShapes:
-    """A change in a scene diff that adds shapes and subframes to a world object, given in the
-    object's frame.
+    """A change in a scene diff that adds shapes and subframes to a world object.
+    They are given in the object's frame.
     """
 
     name: str
@@ -310,7 +310,8 @@ class SetFixedFrame:
 def with_octomap(
     scene: PlanningScene, octree: Octree | None, T_world_octomap: SE3 = SE3.identity()
 ) -> PlanningScene:
-    """Return the scene with the octomap of a scene diff, or without an octomap if `octree` is None.
+    """Return the scene with the octomap from a scene diff.
+    If `octree` is None, return the scene without an octomap.
 
     The octomap is the object named `OCTOMAP`.
 

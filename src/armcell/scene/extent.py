@@ -12,7 +12,8 @@ LARGE = 2.0  # [m] an object that extends farther from its origin counts as surr
 
 
 def extent(scene: PlanningScene) -> tuple[NDArray[np.float64], float]:
-    """Return the extent of a scene that a viewer shows first, as center (3,) [m, world frame] and radius [m].
+    """Return the extent of a scene for a viewer's initial view,
+    as center (3,) [m, world frame] and radius [m].
 
     The view covers the origins of all links and of all objects that extend less than 2 m from their origin;
     larger objects count as surroundings.

@@ -101,7 +101,7 @@ def _shape_lines(name: str, shape: Shape) -> list[str]:
 
 
 class _Reader:
-    """Reader that reads a .scene file word by word and knows the current line number.
+    """Reader for a .scene file. It reads one word at a time and keeps track of the line number.
 
     As in MoveIt's reader, line breaks only matter in object names.
     """
@@ -215,7 +215,7 @@ class _Reader:
         raise self.fail(f"{what} is a {kind!r}; known: {', '.join(sized)}, plane, mesh")
 
     def _plane(self, equation: list[float]) -> tuple[Shape, SE3]:
-        """Return the plane a x + b y + c z + d = 0 of a .scene file as a half-space with its pose."""
+        """Convert the plane a x + b y + c z + d = 0 in a .scene file to a half-space and its pose."""
         normal, d = np.array(equation[:3]), equation[3]
         length = float(np.linalg.norm(normal))
         if length == 0:

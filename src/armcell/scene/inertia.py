@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 
 
 def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
-    """Return the center of mass (3,) [m] and inertia (3, 3) [m^2] of a uniform solid shape of 1 kg.
+    """Return the center of mass (3,) [m] and the inertia (3, 3) [m^2] of
+    a shape with uniform density and a mass of 1 kg.
 
     The inertia is relative to the center of mass. A mesh that is not watertight counts as its convex hull.
     """

@@ -24,8 +24,8 @@ WALL_PIECES = 16  # number of flat segments of a mug's round wall
 @dataclass(frozen=True)
 @checked()
 class Kind:
-    """A kind of everyday object in the object library: a function that creates it from sizes, density,
-    friction and color.
+    """A type of everyday object in the object library, with a function that creates it from sizes,
+    density, friction and color.
     """
 
     solids: Callable[..., Solids]

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MovingObject:
-    """Moving obstacle: an object whose motion is known, given by its poses at times (k,) [s].
+    """Moving obstacle with a known motion: an object whose poses are given at times (k,) [s].
 
     Between two times the object moves in a straight line and turns evenly; before the first and after the
     last time it is at rest. `object.T_world_object` is ignored.
@@ -47,7 +47,9 @@ class MovingObject:
 
     @property
     def reach(self) -> float:
-        """Return an upper bound on the distance [m] from the origin of a moving obstacle to its points."""
+        """Return an upper bound on the distance [m] from the origin
+        of a moving obstacle to any of its points.
+        """
         found = 0.0
         for shape, T in self.object.shapes:
             center, half = local_bounds(shape)

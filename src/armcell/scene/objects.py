@@ -92,8 +92,8 @@ class ObjectType:
 @dataclass(frozen=True)
 @checked()
 class Thread:
-    """Screw thread of a collision object, which can only turn about its own z axis and thereby moves along
-    it.
+    """Screw thread of a collision object.
+    The object can only turn about its own z axis and moves along this axis as it turns.
 
     The thread is right-handed: turned clockwise, as seen from the tip of its z axis, the object moves along
     -z.
@@ -182,12 +182,12 @@ class CollisionObject:
         return CollisionObject(name, ((shape, SE3.identity()),), pose or SE3.identity(), **properties)
 
     def at(self, T_world_object: SE3) -> CollisionObject:
-        """Return the collision object at another pose. Its other fields are not validated again."""
+        """Return the collision object at a new pose. Its other fields are not validated again."""
         return self._copy(T_world_object=T_world_object)
 
     def colored(self, color: Color) -> CollisionObject:
-        """Return the collision object in another RGBA color (0 to 1). Its other fields are not validated
-        again.
+        """Return the collision object with a new RGBA color (0 to 1).
+        Its other fields are not validated again.
 
         Raises:
             InputError: the color is invalid.

@@ -32,9 +32,7 @@ MAX_CELLS = 1 << 28
 @dataclass(frozen=True)
 @checked()
 class SensorModel:
-    """Probabilities by which sensor data update an octomap (occupancy map). The defaults are those of
-    OctoMap.
-    """
+    """Probabilities with which sensor data update an octomap (occupancy map). The defaults are OctoMap's."""
 
     hit: float = 0.7  # probability that a voxel with a point is occupied
     miss: float = 0.4  # probability that a voxel on a ray is occupied
@@ -78,7 +76,7 @@ class OccupancyMap:
         max_range: float = np.inf,
         only_free: ArrayLike | None = None,
     ) -> OccupancyMap:
-        """Return the octomap after one more point cloud has been added.
+        """Return the octomap after adding one more point cloud.
 
         A voxel counts once per cloud: as occupied if the voxel contains a point, otherwise as free.
 
@@ -145,8 +143,8 @@ class OccupancyMap:
         return out
 
     def octree(self) -> Octree:
-        """Return the occupied voxels of the octomap as an octree obstacle, in which eight full neighbors form
-        one cell.
+        """Return the occupied voxels of the octomap as an octree obstacle.
+        Eight adjacent occupied voxels become one larger cell.
         """
         level = self.codes[self.values >= log_odds(self.sensor.occupied)]
         codes, sizes, edge = [], [], 1
@@ -205,7 +203,9 @@ def _trace(grid, low, ends, far, eye, size):
 
 @njit(cache=True)
 def _spread(v):
-    """Insert two zero bits after each of an integer's low 16 bits, for the Z-order codes of an octomap."""
+    """Insert two zero bits after each of the low 16 bits of an integer.
+    Used for the Z-order codes of an octomap.
+    """
     v &= 0xFFFF
     v = (v | (v << 16)) & 0x0000FF0000FF
     v = (v | (v << 8)) & 0x00F00F00F00F
@@ -224,8 +224,8 @@ def _gather(v):
 
 @njit(cache=True)
 def voxel_codes(keys):
-    """Return the Z-order codes (n,) of an octomap's voxels (n, 3), whose indices count from the
-    map's origin.
+    """Return the Z-order codes (n,) of an octomap's voxels (n, 3).
+    Voxel indices count from the origin of the map.
     """
     out = np.empty(len(keys), np.int64)
     for i in range(len(keys)):
@@ -239,8 +239,8 @@ def voxel_codes(keys):
 
 @njit(cache=True)
 def _keys(codes):
-    """Return the octomap voxels (n, 3) that have given Z-order codes (n,). Their indices count from the map's
-    lowest corner.
+    """Return the octomap voxels (n, 3) for given Z-order codes (n,).
+    Voxel indices count from the lowest corner of the map.
     """
     out = np.empty((len(codes), 3), np.int64)
     for i in range(len(codes)):
@@ -251,8 +251,8 @@ def _keys(codes):
 
 @njit(cache=True)
 def _seen(grid, low):
-    """Return the Z-order codes of the marked voxels in an octomap's grid, and whether each of them was hit by
-    a ray.
+    """Return the Z-order codes of the marked voxels in an octomap's grid.
+    For each voxel, also return whether a ray hit it.
     """
     count = 0
     for value in grid.ravel():
@@ -273,7 +273,8 @@ def _seen(grid, low):
 
 @njit(cache=True)
 def _merged(codes, values, seen, hit, plus, minus, lowest, highest):
-    """Merge the voxels of a point cloud into those of an octomap. Their log-odds change by `plus` or `minus`.
+    """Merge the voxels from a point cloud into an octomap.
+    The log-odds of hit voxels change by `plus`, those of crossed voxels by `minus`.
 
     The codes of both are sorted, and so is the result.
     """

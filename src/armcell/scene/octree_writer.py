@@ -69,8 +69,8 @@ def save_octree(octree: Octree, path: str | Path) -> None:
 
 
 def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
-    """Return the code of the first voxel (n,) and the number of voxels (n,) for each cell of an octree to
-    write.
+    """Return the code of the first voxel (n,) and the number of voxels (n,)
+    for each cell of an octree, to write it to a file.
     """
     edges = octree.sizes / resolution
     whole = 2.0 ** np.round(np.log2(edges))
@@ -91,8 +91,8 @@ def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
 
 
 def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
-    """Return the voxels (m, 3) that octree cells overlap which are not aligned with the grid of the octree to
-    write.
+    """Return the voxels (m, 3) that are overlapped by octree cells that do not fit the voxel grid,
+    to write the octree to a file.
 
     Args:
         low: lowest corners of the cells (n, 3) [voxels].
@@ -111,9 +111,7 @@ def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
 
 
 def _apart(starts: I64, numbers: I64) -> tuple[I64, I64]:
-    """Return only those octree cells that are not inside another cell, before the octree is written to a
-    file.
-    """
+    """Return the octree cells that are not inside another cell, to write the octree to a file."""
     order = np.lexsort((-numbers, starts))
     starts, numbers = starts[order], numbers[order]
     ends = np.maximum.accumulate(starts + numbers)

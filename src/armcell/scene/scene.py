@@ -77,7 +77,7 @@ class PlanningScene:
         return JointState(self.model.joint_names, self.positions)
 
     def with_positions(self, positions: ArrayLike) -> PlanningScene:
-        """Return the planning scene with other joint positions (dof,) [rad or m] of the robot.
+        """Return the planning scene with the robot at new joint positions (dof,) [rad or m].
 
         Raises:
             InputError: wrong length, a non-finite value, or a position outside the limits.
@@ -87,8 +87,8 @@ class PlanningScene:
         )
 
     def with_state(self, state: JointState) -> PlanningScene:
-        """Return the planning scene with the positions of a joint state. Joints that it does not name stay in
-        place.
+        """Return the planning scene with the positions from a joint state. Joints that the joint state does
+        not name keep their positions.
 
         Mimic joints, as ROS's /joint_states names them, follow their own joints and are ignored here.
         """
@@ -112,7 +112,7 @@ class PlanningScene:
         raise UnknownNameError("object", name, [*self.objects, *self.attached])
 
     def with_object(self, item: CollisionObject) -> PlanningScene:
-        """Return the planning scene with one more object. It replaces any object with the same name.
+        """Return the planning scene with one more object. An existing object with the same name is replaced.
 
         Raises:
             InputError: a link, a fixed frame or an attached object has the same name.
@@ -120,7 +120,8 @@ class PlanningScene:
         return self.with_objects((item,))
 
     def with_objects(self, items: Iterable[CollisionObject]) -> PlanningScene:
-        """Return the planning scene with several objects added. They replace objects with the same names.
+        """Return the planning scene with several more objects.
+        Existing objects with the same names are replaced.
 
         Raises:
             InputError: a link, a fixed frame or an attached object has the name of one of them.
@@ -131,8 +132,8 @@ class PlanningScene:
         return replace(self, objects={**self.objects, **added})
 
     def check_new_name(self, name: str) -> None:
-        """Raise an InputError if a link, a fixed frame or an attached object of the planning scene already
-        has a name.
+        """Raise an InputError if a name is already used in the planning scene, by a link,
+        a fixed frame or an attached object.
         """
         if name in self.model.links or name == WORLD:
             raise InputError(f"object {name!r} has the name of a link", hint="give it another name")
@@ -216,8 +217,8 @@ class PlanningScene:
         return replace(self, allowed_pairs={**self.allowed_pairs, **pairs})
 
     def with_default_allowed(self, name: str, allow: bool | None) -> PlanningScene:
-        """Return the planning scene with a default that allows or forbids a body's contact with all other
-        bodies.
+        """Return the planning scene with a new default for a body,
+        which allows or forbids contact with all other bodies.
 
         The default applies to pairs without an entry of their own, including bodies added later. If the
         defaults of two bodies disagree, their contact is not allowed, as in MoveIt.
@@ -255,7 +256,8 @@ class PlanningScene:
 
     def with_padding(self, padding: float | None = None, link_padding: Mapping[str, float] | None = None,
                      link_scale: Mapping[str, float] | None = None) -> PlanningScene:  # fmt: skip
-        """Return the planning scene in which links are enlarged for collision checks against objects.
+        """Return the planning scene with padded links.
+        The padding applies only to collision checks against objects.
 
         Args:
             padding: padding of all links [m]; None keeps the current value.
@@ -281,7 +283,7 @@ class PlanningScene:
 
     # --- frames ---
     def with_fixed_frame(self, name: str, T_parent_frame: SE3, parent: str = WORLD) -> PlanningScene:
-        """Return the planning scene with a named frame added that is fixed in the world.
+        """Return the planning scene with one more named frame, which is fixed in the world.
 
         Args:
             name: name of the frame.

@@ -27,8 +27,8 @@ BEYOND = 0.05  # [m] assumed largest overshoot of a slide joint beyond its limit
 
 
 class Apart:
-    """Pairs of bodies that are far apart, with bounds on their motion. MuJoCo skips a pair as long as its
-    bodies cannot touch.
+    """Pairs of bodies that are far apart, with bounds on their motion. MuJoCo skips the contact tests of a
+    pair until its bodies could touch.
 
     `stepping.take_steps` reads and updates the arrays.
 
@@ -86,7 +86,9 @@ class Apart:
         self.forget()
 
     def forget(self) -> None:
-        """Forget how far apart bodies are, so that MuJoCo tests every pair for contact again."""
+        """Discard the stored distances between bodies,
+        so that MuJoCo tests all body pairs for contact again.
+        """
         model = self._model
         self._left[:], self._shut[:], self._open[:] = -1.0, False, self._looked_at
         model.geom_conaffinity[self._bit > 0] = ALL
@@ -99,8 +101,8 @@ def _geoms(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    """Return the pairs of body ids that MuJoCo tests for contact and that may be skipped while the bodies are
-    far apart.
+    """Return the pairs of body ids for which MuJoCo's contact tests
+    can be skipped while the bodies are far apart.
     """
     excluded = {(s >> 16, s & 0xFFFF) for s in model.exclude_signature.tolist()}
     weld = model.body_weldid.tolist()
@@ -116,8 +118,8 @@ def _comparable(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _plain(model: mujoco.MjModel, body: int) -> bool:
-    """Return whether pairs with a body may be skipped while far apart: its geoms have the default masks and
-    known distance functions.
+    """Return whether contact tests of a body can be skipped while other bodies are far away. Its geoms need
+    default masks and known distance functions.
 
     A body without geoms yields False.
     """
@@ -127,8 +129,8 @@ def _plain(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
-    """Return bounds (p, nq) [m] on the relative motion of body pairs per unit of each qpos value, to skip
-    pairs that are far apart.
+    """Return bounds (p, nq) [m] on how far the bodies of a pair move
+    relative to each other when one qpos value changes by 1.
 
     Entry [i, j] bounds how far a point of one body of pair i can move against the other body when qpos[j]
     changes by one unit.
@@ -146,8 +148,8 @@ def _reach(model: mujoco.MjModel, pairs: NDArray[np.int64]) -> Array:
 
 
 def _way_up(model: mujoco.MjModel, body: int) -> dict[int, list[tuple[int, tuple[float, ...]]]]:
-    """Return the joints of a body and its ancestors with bounds on the body's motion, to skip body pairs that
-    are far apart.
+    """Return all joints that move a body, with bounds on how far each moves it.
+    Used to skip contact tests of distant bodies.
 
     Returns:
         The joints by body id, from the given body up to the world. Each joint is a tuple: start index in

@@ -11,13 +11,13 @@ from armcell.model.robot import MjcfPart
 
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
-    """Return for each robot link that comes from an MJCF file the MJCF part to attach in physics."""
+    """Return for each robot link from an MJCF file the part of the file to attach to the simulation."""
     return {link: part for part in model.mjcf for link in part.links if link in model.links}
 
 
 def attach_part(spec: Any, parent: Any, model: RobotModel, link: str, T_parent_link: SE3) -> dict[str, Any]:
-    """Attach the bodies of an MJCF part, from a given link down, to a MuJoCo spec. Return the attached bodies
-    by link.
+    """Attach the bodies of an MJCF part to a MuJoCo spec, starting at a given link.
+    Return the attached bodies by link.
 
     The bodies keep their inertias, contact parameters, joint parameters, equalities, tendons and excludes;
     names get the part's prefix.

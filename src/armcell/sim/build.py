@@ -26,7 +26,7 @@ RENDER_CAMERA = "render"
 
 
 def scene_objects(scene: PlanningScene) -> dict[str, CollisionObject]:
-    """Return the objects of a planning scene by name at their current poses, for building a MuJoCo model.
+    """Return the objects of a planning scene by name, at their current poses, to build a MuJoCo model.
 
     Attached objects are included, because they are free bodies in physics.
     """

@@ -38,8 +38,8 @@ class GripperIndex:
     tcp_body: int
 
     def length(self, qpos: Array) -> float:
-        """Return the length [m] of the tendon that drives a gripper in a built MuJoCo model at a state
-        `qpos`.
+        """Return the length [m] of the tendon that drives a gripper
+        in a MuJoCo model, given the state `qpos`.
 
         MuJoCo's own tendon length is one step old after a step.
         """

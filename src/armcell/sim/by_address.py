@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 
 
 def addresses_of(arrays: Sequence[NDArray], dtypes: Sequence[DTypeLike]) -> NDArray[np.int64]:
-    """Return a table (n, 3) with the addresses and shapes of arrays, for use in compiled functions.
+    """Return a table (n, 3) with the memory addresses and shapes of arrays, for use in compiled functions.
 
     The second size of a vector is 1. The caller must keep the arrays alive.
 
@@ -49,11 +49,11 @@ def _pointer(typingctx, dtype, address):
 
 @njit(cache=True, forceinline=True)
 def vector(table, k, dtype):
-    """Return the array (n,) whose address is in row k of a table, for use in compiled functions."""
+    """Return the array (n,) whose memory address is in row k of a table, for use in compiled functions."""
     return carray(_pointer(dtype, table[k, 0]), table[k, 1])
 
 
 @njit(cache=True, forceinline=True)
 def matrix(table, k, dtype):
-    """Return the array (n, m) whose address is in row k of a table, for use in compiled functions."""
+    """Return the array (n, m) whose memory address is in row k of a table, for use in compiled functions."""
     return carray(_pointer(dtype, table[k, 0]), (table[k, 1], table[k, 2]))

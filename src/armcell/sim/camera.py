@@ -14,7 +14,7 @@ from armcell.core.checks import checked, float_array
 @dataclass(frozen=True)
 @checked()
 class DepthNoise:
-    """Noise in the depth images of a simulated camera. If all values are zero, the camera is perfect.
+    """Noise in the depth images of a simulated camera. With all values at zero, the images have no noise.
 
     Stereo and structured-light cameras measure disparity, so their noise and depth resolution grow with the
     square of the distance (Khoshelham and Elberink, Sensors 12(2), 2012). `for_stereo` approximates an Intel
@@ -67,8 +67,8 @@ class DepthNoise:
 
 
 def _edges(z: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of the depth pixels of a simulated camera that are next to a jump in depth of 3 % and 1
-    cm.
+    """Return a mask of the pixels next to a jump in the depth image of a simulated camera. A jump is more
+    than 3 % of the depth and 1 cm.
     """
     jump = np.zeros(z.shape, bool)
     for axis in (0, 1):

@@ -63,8 +63,8 @@ class CompiledSteps:
         self, targets: Array, steps: int, tolerance: float, controls: Controls,
         columns: NDArray[np.int64], monitor: ContactMonitor,
     ) -> tuple[int, Array]:  # fmt: skip
-        """Track joint targets with the compiled stepper until the targets end or a joint leaves the
-        tolerance.
+        """Track joint targets with the compiled stepper until the targets
+        end or a joint deviates by more than the tolerance.
 
         Args:
             targets: (k, 2j) positions, then velocities, of j joints; one row for every `steps` physics steps.
@@ -85,8 +85,8 @@ class CompiledSteps:
         self, n: int, monitor: ContactMonitor, period: int, targets: Array, where: NDArray[np.int64],
         columns: NDArray[np.int64], limit: float, worst: Array,
     ) -> int:  # fmt: skip
-        """Take up to n steps with the compiled stepper, until a joint deviates too far. Return the number of
-        steps.
+        """Take up to n steps with the compiled stepper. Stop if a joint deviates too far.
+        Return the number of steps taken.
         """
         taken, off = 0, False
         model, data = self._engine
@@ -113,8 +113,8 @@ def compiled_steps(
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return a live view (1,) of MuJoCo's number of contacts for the compiled stepper. It follows the timers
-    in mjData.
+    """Return a view (1,) of MuJoCo's current number of contacts for the compiled stepper.
+    It is stored after the timers in mjData.
     """
     timers = data.timer.duration
     address = timers.__array_interface__["data"][0] + timers.shape[0] * timers.strides[0]
@@ -123,8 +123,8 @@ def _count(data: mujoco.MjData) -> NDArray[np.int32]:
 
 @cache
 def _count_is_found() -> bool:
-    """Return whether a test model confirms where mjData stores MuJoCo's number of contacts, on which the
-    compiled stepper relies.
+    """Return whether a test model confirms where mjData stores the number of contacts.
+    The compiled stepper relies on this location.
 
     The test places three boxes on a floor, in the air, and on the floor again.
     """

@@ -36,7 +36,7 @@ class PhysicsContact:
 
 @dataclass(frozen=True)
 class UnwantedContact:
-    """A pair of bodies that touched in physics although the contact monitor forbids it."""
+    """A pair of bodies that touched in the physics simulation although the contact monitor forbids this."""
 
     body_a: str
     body_b: str
@@ -113,12 +113,12 @@ class ContactMonitor:
         self._change(a, b, True)
 
     def forbid(self, a: str, b: str | Iterable[str]) -> None:
-        """Forbid contact between a body and other bodies in the contact monitor, which reverses `allow`."""
+        """Forbid contact between a body and other bodies in the contact monitor. This reverses `allow`."""
         self._change(a, b, False)
 
     def watch(self, item: str, supports: Iterable[str] = ()) -> None:
-        """Make the contact monitor treat all contacts of an object as unwanted, except those with its
-        supports.
+        """Treat all contacts of an object as unwanted in the contact monitor,
+        except contacts with its supports.
 
         Contact with the supports stays allowed until `forbid` revokes it.
         """
@@ -155,7 +155,8 @@ class ContactMonitor:
             self._fine.add(seen)
 
     def _attach(self, data: mujoco.MjData) -> None:
-        """Give the contact monitor a live array view of MuJoCo's list of contacts.
+        """Give the contact monitor an array view of MuJoCo's list of contacts,
+        which always shows the current contacts.
 
         The list starts at the arena's base, whatever its length.
         """

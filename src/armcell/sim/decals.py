@@ -42,7 +42,9 @@ class Decal:
             raise InputError(f"decal {self.name!r} needs a square picture of grey")
 
     def brightness(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return the brightness (m,) of a decal, from 0 to 1, at points (m, 2+) [m, decal frame]."""
+        """Return the brightness (m,) of a decal (a flat image), from 0 to 1,
+        at points (m, 2+) [m, decal frame].
+        """
         n = len(self.picture)
         column = np.clip(np.floor((points[:, 0] / self.size + 0.5) * n), 0, n - 1).astype(int)
         row = np.clip(np.floor((0.5 - points[:, 1] / self.size) * n), 0, n - 1).astype(int)
@@ -54,7 +56,7 @@ def geom_name(decal: Decal) -> str:
 
 
 def add_decals(spec: mujoco.MjSpec, bodies: dict[str, Any], decals: Iterable[Decal]) -> None:
-    """Add decals to the bodies of a MuJoCo spec, as meshes with a texture.
+    """Add decals (flat images such as markers) to the bodies of a MuJoCo spec, as textured meshes.
 
     Raises:
         UnknownNameError: a decal's frame does not exist.

@@ -32,8 +32,8 @@ def gains_names() -> list[str]:
 
 
 def gain_values(gains: str | Path, model: RobotModel, folder: Path = Path()) -> dict[str, Any]:
-    """Read a set of joint gains or a gain file, and return its physics settings as the `physics` block of a
-    cell.
+    """Read a joint gain set or a gain file.
+    Return its physics settings in the format of a cell's `physics` block.
 
     A ros_control controller file yields `arm_control: torque` and `joint_gains`: like a ros_control
     controller, the simulation computes the efforts once per step from the tracking error. Entries without an
@@ -86,7 +86,8 @@ def with_gains(
 
 
 def with_gains_file(physics: Mapping[str, Any], model: RobotModel, folder: Path) -> dict[str, Any]:
-    """Merge the joint gains of the gain file named by the key `gains` into the `physics` block of a cell.
+    """Read the gain file that the key `gains` in a cell's `physics` block names,
+    and merge its joint gains into the block.
 
     Other keys of the block override the file, and `joint_gains` are merged joint by joint.
 

@@ -32,7 +32,8 @@ Sides = tuple[float, float, float, float]
 
 @lru_cache(maxsize=1)
 def gl_backend() -> str | None:
-    """Return the OpenGL backend that can render offscreen on this machine ("egl" or "osmesa"), or None.
+    """Return the OpenGL backend ("egl" or "osmesa") that can render offscreen on this machine.
+    Return None if there is none.
 
     The environment variable MUJOCO_GL selects a backend, or disables OpenGL with "off". The test runs in a
     separate process, because a broken driver may end the process.
@@ -97,7 +98,8 @@ class GLRenderer:
         return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
 
     def depth(self, data: mujoco.MjData, camera: int, sides: Sides | None = None) -> NDArray[np.float32]:
-        """Render a depth image (height, width) [m], measured along the camera's optical axis, in OpenGL.
+        """Render a depth image (height, width) [m] with OpenGL.
+        Depth is measured along the camera's optical axis.
 
         Pixels beyond the far plane are 0.
         """

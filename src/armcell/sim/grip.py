@@ -48,7 +48,7 @@ class GripperState:
 
 @dataclass(frozen=True)
 class WeldEvent:
-    """Record of the moment when the simulation fixed an object to a gripper by a weld.
+    """Record of a weld: the moment when the simulation fixed an object to a gripper.
 
     A weld replaces friction, so every report must list it.
     """
@@ -106,8 +106,8 @@ class GripperDrive:
         self._law[TARGET], self._law[LEAD] = target, lead
 
     def closing(self, data: mujoco.MjData) -> bool:
-        """Return whether a simulated gripper is to close: its target width is smaller than its
-        current width.
+        """Return whether a simulated gripper is commanded to close:
+        its target width is smaller than its current width.
         """
         width = self.index.gripper.width
         return width(self._law.item(TARGET)) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
@@ -140,12 +140,12 @@ class Fingers:
                 self.joints[row, k], self.weights[row, k] = joint, weight
 
     def update(self, data: mujoco.MjData) -> None:
-        """Write the set points of all simulated gripper servos to `data.ctrl` for the next physics step."""
+        """Write the setpoints of all simulated gripper servos to `data.ctrl` for the next physics step."""
         drive_fingers(self.law, self.joints, self.weights, data.qpos, data.ctrl)
 
 
 def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
-    """Return the contact force [N] on each finger along the closing axis of a simulated gripper.
+    """Return the contact force [N] on each finger of a simulated gripper along its closing axis.
 
     The closing axis is the tcp's y axis.
 
@@ -187,7 +187,7 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperS
 
 
 def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
-    """Return the pose T_a_b between two MuJoCo bodies after the last step, to check a grip.
+    """Return the pose T_a_b between two MuJoCo bodies after the last physics step.
 
     Both poses come from the same instant.
     """
@@ -195,14 +195,14 @@ def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
 
 
 def body_pose(data: mujoco.MjData, body: int) -> SE3:
-    """Return the pose T_world_body of a MuJoCo body after the last step, to check a grip."""
+    """Return the pose T_world_body of a MuJoCo body after the last physics step."""
     return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())
 
 
 @dataclass(frozen=True)
 class _Grip:
-    """State of one gripper's grip in the weld modes: the held object, the reference pose for slip, and the
-    active weld.
+    """State of one gripper that can weld objects: the held object,
+    the reference pose for measuring slip, and the active weld.
     """
 
     item: str | None = None

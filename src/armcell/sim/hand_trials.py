@@ -43,8 +43,8 @@ CONTROL = sum(
 @dataclass(frozen=True)
 @checked()
 class TrialSettings:
-    """Durations and motions in a grasp trial of a hand without an arm: close, settle, lift, shake
-    and hold.
+    """Durations and motions in a simulated grasp trial, in which a hand without an arm closes,
+    settles, lifts, shakes and holds.
     """
 
     timestep: float = 0.004  # [s]
@@ -61,8 +61,8 @@ class TrialSettings:
 @dataclass(frozen=True, eq=False)
 @checked()
 class Trial:
-    """One grasp trial of a hand without an arm: the hand's pose, opening and force, and the object's
-    properties.
+    """One simulated grasp trial of a hand without an arm: its pose, opening and force,
+    and the properties of the object.
     """
 
     T_object_tcp: SE3

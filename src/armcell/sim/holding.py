@@ -39,7 +39,7 @@ HOLDING = (_F8, _F8, _I8, _I8, _I8, _I8, _I8, _B, _F8, _I8, _F8, _F8, _F8, _F8)
 
 
 class Holding:
-    """Correction for the creep and drift of held objects that MuJoCo's soft contacts cause.
+    """Correction of the creep and drift of held objects. MuJoCo's soft contacts cause these errors.
 
     Call `carry` after each step.
 
@@ -82,13 +82,13 @@ class Holding:
         self._qpos = data.qpos
 
     def forget(self) -> None:
-        """Forget the last poses of hands that hold objects, because the state changed without a
-        physics step.
+        """Discard the stored poses of hands that hold objects,
+        because the state has changed without a physics step.
         """
         self._past[:, 0] = 0.0
 
     def update(self, count: int, pairs: NDArray[np.int32]) -> None:
-        """Correct the creep and drift of held objects after a physics step that was taken from Python.
+        """Correct the creep and drift of held objects after Python code has taken a physics step.
 
         Args:
             count: number of contacts.
@@ -119,8 +119,8 @@ def lag(settings: PhysicsSettings) -> float:
 
 
 def _impratio(mj: mujoco.MjModel) -> Array:
-    """Return a live view (1,) of MuJoCo's option `impratio`, which changes while the pose of held objects is
-    corrected.
+    """Return a view (1,) of MuJoCo's option `impratio`, through which it can be changed.
+    Used to correct the creep of held objects.
 
     The result is a private array if the memory layout is unknown.
     """
@@ -134,8 +134,8 @@ def _view(address: int) -> Array:
 
 @cache
 def _offset() -> int:
-    """Return where `impratio` is stored relative to `gravity` in MuJoCo's options. The correction of held
-    objects changes it there.
+    """Return the memory offset between `impratio` and `gravity` in MuJoCo's options,
+    to change `impratio` for held objects.
 
     The result is 0 if the memory layout is unknown.
 
@@ -151,8 +151,8 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """Return `Holding.arrays`, the arrays for correcting held objects, from a table of addresses that starts
-    at row k.
+    """Return the arrays for correcting held objects (`Holding.arrays`).
+    Row k of a table contains the address of the first one.
     """
     return (
         vector(fixed, k, _F8), vector(fixed, k + 1, _F8), matrix(fixed, k + 2, _I8),
@@ -165,8 +165,8 @@ def holding(fixed, k):
 
 @njit(cache=True)
 def _partner(owner, pairs, i, finger):
-    """Return the owner index of the link or object that touches a finger of the holding hand in contact i, or
-    -1.
+    """Return the index of the link or object that touches a given finger in contact i, or -1.
+    Used to find held objects.
     """
     a, b = owner[pairs[i, 0]], owner[pairs[i, 1]]
     if a == finger:
@@ -184,8 +184,8 @@ def _touches(count, pairs, owner, finger, item):
 
 @njit(cache=True)
 def _in_hand(count, pairs, owner, free, fingers):
-    """Return the owner index of the object that all fingers (f,) of a hand touch and therefore
-    hold, or -1.
+    """Return the index of the object that a hand holds, or -1.
+    All fingers (f,) of the hand touch this object.
     """
     for i in range(count):
         item = _partner(owner, pairs, i, fingers[0])
@@ -201,8 +201,8 @@ def _in_hand(count, pairs, owner, free, fingers):
 
 @njit(cache=True)
 def _move(qpos, start, R, shift, turn):
-    """Correct the pose of a held object: shift its body [m] and turn it by a small rotation vector [rad],
-    along the world axes.
+    """Correct the pose of a held object by a shift [m] and a small rotation vector [rad],
+    both along the world axes.
 
     Args:
         start: index of x, y, z, qw, qx, qy, qz in qpos.

@@ -89,7 +89,7 @@ class GainTable(Mapping[str, JointGains]):
         return cls({str(joint): gains_of(entry, f"{what}/{joint}") for joint, entry in value.items()})
 
     def plain(self) -> dict[str, dict[str, Any]]:
-        """Return the joint gains as a plain mapping by joint, from which default values are omitted.
+        """Return the joint gains as a plain mapping by joint. Values that equal the default are omitted.
 
         `from_setting` reads this mapping.
         """
@@ -130,7 +130,7 @@ class Drive(NamedTuple):
 
 
 def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
-    """Return the effective PID gains that the simulation uses for a joint of an arm."""
+    """Return the PID gains after scaling that the simulation uses for an arm joint."""
     effort = joint.limits.effort
     most = INTEGRAL_SHARE * effort if np.isfinite(effort) else np.inf
     own = settings.joint_gains.get(joint.name)
@@ -150,8 +150,8 @@ def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
 
 
 def arm_joints(model: RobotModel) -> list[str]:
-    """Return the joints that have arm gains, in model order: all actuated joints that belong to no
-    gripper.
+    """Return the joints that have arm gains, in model order.
+    They are all actuated joints outside the grippers.
     """
     fingers = {gripper.joint_name for gripper in model.grippers.values()}
     return [name for name in model.joint_names if name not in fingers]

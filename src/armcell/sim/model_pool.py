@@ -69,7 +69,9 @@ class _PooledModel:
         self, scene: PlanningScene, objects: dict[str, CollisionObject], loose: list[CollisionObject],
         settings: PhysicsSettings,
     ) -> ModelLease | None:  # fmt: skip
-        """Lease the copy of a pooled MuJoCo model for a scene. Return None if it is already leased."""
+        """Lease the copy of a MuJoCo model from the model pool for a scene.
+        Return None if the copy is already leased.
+        """
         if self._lease() is not None:
             return None
         mj, data = self._free or self._copied()
@@ -126,8 +128,8 @@ def _new(built: BuiltModel) -> ModelLease:
 
 
 def _seen(item: CollisionObject, loose: bool) -> Hashable:
-    """Return the properties of an object that `build` reads. They are part of the key in the pool of MuJoCo
-    models.
+    """Return the properties of an object that affect the MuJoCo model.
+    They are part of its key in the model pool.
 
     For a free object, the result leaves out the values that `_put_in` writes.
     """

@@ -50,7 +50,7 @@ def add_object(
 
 
 def add_free_body(parent: Any, item: CollisionObject, T_parent_object: SE3) -> Any:
-    """Add a body for a scene object, with free joint and inertia but without geoms, to a MuJoCo spec."""
+    """Add a body for a scene object to a MuJoCo spec. The body has a free joint and inertia but no geoms."""
     body = parent.add_body(name=item.name, pos=T_parent_object.translation, quat=T_parent_object.quat_wxyz)
     body.add_freejoint(name=f"{item.name}:free")
     _set_inertia(body, item)
@@ -71,8 +71,7 @@ def sliding(item: CollisionObject) -> list[float]:
 
 
 def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> None:
-    """Add a slide joint along the direction of motion to the MuJoCo body of an object that is a conveyor
-    belt.
+    """Add a slide joint to the MuJoCo body of a conveyor belt, along the belt's direction of motion.
 
     Before every step, the world resets the joint's position to zero and its velocity to the belt speed. The
     belt therefore does not move, but the objects in contact with it see a moving surface.
@@ -85,8 +84,8 @@ def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> Non
 
 
 def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> None:
-    """Add a slide joint and a hinge joint for a screwed-in object to MuJoCo. The pitch of the thread couples
-    them.
+    """Add a slide joint and a hinge joint to MuJoCo for a screwed-in object.
+    The pitch of the thread couples the two joints.
     """
     per_radian = thread.pitch / (2 * np.pi)
     turns, axis = thread.travel / per_radian, [0.0, 0.0, 1.0]

@@ -28,11 +28,13 @@ class Pacer:
         self._zero: float | None = None  # wall time of simulation time 0
 
     def reset(self) -> None:
-        """Restart the wall clock of a paced simulation. It begins at the next `wait_until`."""
+        """Reset the wall clock for pacing a simulation. It starts again at the next `wait_until`."""
         self._zero = None
 
     def wait_until(self, sim_time: float) -> float:
-        """Sleep until the wall clock reaches a time [s] of the paced simulation. Return the time slept."""
+        """Sleep until the wall clock has caught up with a time [s] of the paced simulation.
+        Return the time slept [s].
+        """
         if self.time_scale is None:
             return 0.0
         now = self._clock()

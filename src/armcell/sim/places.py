@@ -14,17 +14,15 @@ Poses = tuple[Array, Array]
 
 
 def write_free(data: mujoco.MjData, start: int, T_world_object: SE3) -> None:
-    """Write the place (pose) of a free object into MuJoCo's qpos, where the object's joint starts
-    at `start`.
+    """Write the pose of a free object into MuJoCo's qpos.
+    The entries of the object's joint begin at index `start`.
     """
     data.qpos[start : start + 3] = T_world_object.translation
     data.qpos[start + 3 : start + 7] = T_world_object.quat_wxyz
 
 
 class FixedPlaces:
-    """Places (poses) of the fixed bodies in a compiled MuJoCo model, which can be changed until the next
-    reset.
-    """
+    """Poses of the fixed bodies in a compiled MuJoCo model. They can be changed until the next reset."""
 
     def __init__(self, model: mujoco.MjModel):
         self._model = model
@@ -35,8 +33,8 @@ class FixedPlaces:
         self._model.body_quat[body] = T_world_body.quat_wxyz
 
     def elsewhere(self, body: int) -> bool:
-        """Return whether the place (pose) of a fixed body differs from the one in the compiled
-        MuJoCo model.
+        """Return whether the current pose of a fixed body differs
+        from its pose in the compiled MuJoCo model.
         """
         position, quaternion = self._first
         moved = (self._model.body_pos[body] != position[body]).any()

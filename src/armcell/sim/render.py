@@ -39,8 +39,8 @@ def has_gl() -> bool:
 
 
 def render_depth(world: SimWorld, camera: Camera) -> NDArray[np.float32]:
-    """Render the depth image (height, width) [m] of a simulated camera, along its optical axis, by ray
-    casting.
+    """Render the depth image (height, width) [m] of a simulated camera by ray casting.
+    Depth is measured along the optical axis.
 
     Pixels where the rays hit nothing are 0. Links appear as their collision shapes, which enclose the visual
     meshes. The function never needs OpenGL.
@@ -195,8 +195,8 @@ class _DrawnScene:
         return SE3.identity() if name == WORLD else body_pose(self.data, self.built.body[name])
 
     def _checker(self, camera: Camera, distance: NDArray, seen: NDArray, plane: int) -> NDArray:
-        """Return the brightness (n,) of points on an infinite plane, which has a checkerboard pattern in
-        rendered images.
+        """Return the brightness (n,) of points on an infinite plane.
+        Rendered images show the plane with a checkerboard pattern.
 
         The checkerboard fades with the distance from the camera.
         """

@@ -38,7 +38,7 @@ WORKER = "armcell.sim.render_worker"
 
 @dataclass(frozen=True, eq=False)
 class PhysicsState:
-    """Copy of the state of a simulated world at one instant, to be sent to a render process."""
+    """Copy of the state of a simulated world at one instant. It is sent to a render process."""
 
     time: float  # [s]
     qpos: NDArray[np.float64]  # (nq,) MuJoCo's generalized positions
@@ -51,7 +51,9 @@ class PhysicsState:
             return PhysicsState(data.time, data.qpos.copy(), (model.body_pos.copy(), model.body_quat.copy()))
 
     def put_into(self, world: SimWorld) -> None:
-        """Set a simulated world with the same scene and settings to the copied state, in a render process."""
+        """Apply the copied state to a simulated world with the same
+        scene and settings, in a render process.
+        """
         model, data = world.mj_model, world.mj_data
         data.time, data.qpos[:] = self.time, self.qpos
         model.body_pos[:], model.body_quat[:] = self.bodies
@@ -60,8 +62,8 @@ class PhysicsState:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredState:
-    """Measured joint positions and object poses of a robot that is not simulated, to be sent to a render
-    process.
+    """Measured joint positions and object poses of a robot that is not simulated.
+    They are sent to a render process.
     """
 
     positions: NDArray[np.float64]  # (dof,) [rad or m] in the model's order

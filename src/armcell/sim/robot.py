@@ -73,8 +73,8 @@ def add_robot(
 
 
 def _finger_scales(model: RobotModel) -> dict[str, float]:
-    """Return how far [m] each turning gripper joint of the simulated robot moves its finger per unit of the
-    joint, by joint name.
+    """Return how far [m] each rotating gripper joint of the simulated robot
+    moves its finger when it turns by one unit, by joint name.
     """
     return {
         name: gripper.scale
@@ -85,8 +85,8 @@ def _finger_scales(model: RobotModel) -> dict[str, float]:
 
 
 def _add_joint(body: Any, joint: Joint, settings: PhysicsSettings, scale: float = 1.0) -> None:
-    """Add a joint to the body of a simulated robot. `scale` converts the settings of sliding fingers to a
-    turning finger.
+    """Add a joint to the body of a simulated robot. `scale` converts
+    settings for sliding fingers to those for a rotating finger.
     """
     types = mujoco.mjtJoint
     limited = bool(np.isfinite(joint.limits.lower) and np.isfinite(joint.limits.upper))
@@ -142,7 +142,9 @@ def _set_inertia(body: Any, link: Link, carrier: bool) -> None:
 
 
 def _group_geoms(body: Any, link: Link) -> None:
-    """Put the geoms of a robot's MJCF body into the group that armcell uses for collision geoms."""
+    """Assign the geoms of a robot's MJCF body to the MuJoCo geom
+    group that armcell uses for collision geoms.
+    """
     for geom in body.geoms:
         geom.group = COLLISION_GROUP if link.visuals else OBJECT_GROUP
 
@@ -170,7 +172,8 @@ def _add_visuals(adder: GeomAdder, body: Any, link: Link) -> None:
 
 
 def add_excludes(spec: mujoco.MjSpec, scene: PlanningScene) -> None:
-    """Exclude contacts in MuJoCo between robot links that may touch or that one joint connects.
+    """Exclude contacts in MuJoCo between robot links that may touch,
+    and between links that one joint connects.
 
     The allowed pairs come from the scene and its model. The hulls of neighboring links overlap at their
     joint, so a contact there would be meaningless.
@@ -217,8 +220,8 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return the driven finger joint of a robot's gripper and the joints that mimic it, with weights, for
-    MuJoCo.
+    """Return the driven finger joint of a robot's gripper and its mimic joints,
+    with their weights for MuJoCo.
 
     The weighted sum of their positions is the mean finger position.
     """
@@ -238,7 +241,8 @@ def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
 
 
 def servo_gains(gripper: Gripper, settings: PhysicsSettings) -> tuple[float, float]:
-    """Return the gains kp and kv of a robot's gripper servo in MuJoCo, per unit of its driven joint.
+    """Return the gains kp and kv of a robot's gripper servo in MuJoCo.
+    They are in the unit of the gripper's driven joint.
 
     The settings are those of sliding fingers; a turning joint gets the gains with the same effect there.
     """

@@ -41,7 +41,9 @@ commands positions, whose gains ros_control ignores.
 
 @dataclass(frozen=True)
 class _Entry:
-    """Gains of one joint, with their path in a controller file of ros_control and their rank."""
+    """Gains of one joint from a controller file of ros_control,
+    with their path in the file and their priority.
+    """
 
     place: str
     gains: JointGains
@@ -90,7 +92,7 @@ class _Reader:
                 self.walk(value, (*path, str(key)))
 
     def joint_entries(self, node: Mapping) -> dict[str, Any]:
-        """Return the gains that a controller of ros_control gives under `pid`, by joint."""
+        """Return the gains under the key `pid` of a ros_control controller, by joint."""
         if isinstance(node.get("joint"), str) and "pid" in node:
             return {node["joint"]: node["pid"]}
         names = node.get("joints")
@@ -100,8 +102,8 @@ class _Reader:
         return {n: entry["pid"] for n, entry in own.items() if isinstance(entry, Mapping) and "pid" in entry}
 
     def rank(self, place: str, kind: str, node: Mapping) -> int | None:
-        """Return the rank of the gains of a ros_control controller, or None if it is a velocity
-        controller.
+        """Return the priority of the gains of a ros_control controller.
+        Return None if it is a velocity controller.
         """
         interfaces = node.get("command_interfaces") or node.get("command_interface") or []
         interfaces = [interfaces] if isinstance(interfaces, str) else interfaces
@@ -248,8 +250,8 @@ def _nested(data: Any) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Convert a gain of ros_control from text to a number if possible, because YAML 1.1 reads
-    10e-10 as text.
+    """Convert a gain in a ros_control file from text to a number if possible.
+    YAML 1.1 reads numbers such as 10e-10 as text.
     """
     try:
         return float(value) if isinstance(value, str) else value

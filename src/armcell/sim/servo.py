@@ -53,7 +53,7 @@ class ArmServo:
         return at, self._pos[at], self._vel[at]
 
     def command(self, data: mujoco.MjData, controls: Controls, q: Array, v: Array) -> None:
-        """Set target positions and velocities of the arm servo for those joints that `controls` refers to.
+        """Set target positions and velocities of the arm servo for the joints at the indices `controls`.
 
         Args:
             q: (n,) positions [rad or m].
@@ -68,8 +68,8 @@ class ArmServo:
                 data.ctrl[velocity] = v
 
     def apply(self, controls: Controls, torque: Array) -> None:
-        """Make the arm servo apply efforts (n,) [Nm or N] until the next target. Meanwhile its PID control is
-        off.
+        """Apply efforts (n,) [Nm or N] to arm joints until the next target is set.
+        Meanwhile the servo's PID control is off.
 
         Raises:
             InputError: the arm control is not "torque".

@@ -118,7 +118,9 @@ class PhysicsSettings:
             raise InputError("physics setting gravity must be three finite numbers [m/s^2]")
 
     def _check_servo(self) -> None:
-        """Reject physics settings with integral or feedforward gains, which MuJoCo's servos do not have."""
+        """Reject physics settings with integral or feedforward gains,
+        because MuJoCo's servos do not support them.
+        """
         if self.arm_ki > 0:
             raise InputError(
                 f"physics setting arm_ki is for arm_control 'torque', this is {self.arm_control!r}"

@@ -32,7 +32,7 @@ _PRIMITIVES: dict[type, tuple[Any, Callable[[Any], list[float]]]] = {
 
 
 class GeomAdder:
-    """Builder that converts shapes to geoms in a MuJoCo spec. Each mesh becomes one shared asset."""
+    """Builder that converts shapes to geoms in a MuJoCo spec. Geoms with the same mesh share one asset."""
 
     def __init__(self, spec: mujoco.MjSpec):
         self.spec = spec
@@ -69,7 +69,7 @@ class GeomAdder:
     def add_mesh(
         self, body: Any, mesh: Mesh, T_body_mesh: SE3, name: str, convex: bool = False, **values: Any
     ) -> Any:
-        """Add one mesh geom to a MuJoCo body. A mesh that is not `convex` is a visual shape only."""
+        """Add a mesh geom to a MuJoCo body. If the mesh is not `convex`, it is only visual."""
         asset = self._assets.get(id(mesh))
         if asset is None:
             asset = self._assets[id(mesh)] = f"mesh{len(self._assets)}"
@@ -90,7 +90,7 @@ class GeomAdder:
 
 
 def cone_mesh(cone: Cone, edges: int = _CONE_EDGES) -> Mesh:
-    """Return a cone shape as a closed convex mesh for MuJoCo, with vertices on the circle of its base."""
+    """Convert a cone to a closed convex mesh for MuJoCo. The vertices of its base are on a circle."""
     angle = 2 * np.pi * np.arange(edges) / edges
     base = np.stack(
         [cone.radius * np.cos(angle), cone.radius * np.sin(angle), 0 * angle - cone.length / 2], 1

@@ -22,8 +22,8 @@ RESTS = 0.005  # [m/s] it rests when one contact is slower; a firm grasp creeps 
 
 
 class SlidingFriction:
-    """Switch between static and dynamic friction for objects that have both coefficients, depending on
-    whether they are slipping.
+    """Controller that switches objects between static and dynamic friction,
+    depending on whether they are slipping.
 
     Attributes:
         owners: (k,) indices of these objects in `BuiltModel.owners`.
@@ -43,11 +43,13 @@ class SlidingFriction:
         return bool(self.owners)
 
     def reset(self) -> None:
-        """Set all objects to static friction, because none of them slips."""
+        """Reset all objects to static friction, as if none of them were slipping."""
         self.set_state((False,) * len(self.owners))
 
     def get_state(self) -> tuple[bool, ...]:
-        """Return for each object with two friction coefficients whether it slips in physics."""
+        """Return whether each object with static and dynamic friction
+        is slipping in the physics simulation.
+        """
         return tuple(self._slides)
 
     def set_state(self, slides: tuple[bool, ...]) -> None:
@@ -59,8 +61,8 @@ class SlidingFriction:
         self._mj.geom_friction[self._geoms[k], 0] = self._dynamic[k] if slides else self._static[k]
 
     def update(self, data: mujoco.MjData) -> None:
-        """Choose static or dynamic friction for the next physics step, depending on which objects are
-        slipping in the last contacts.
+        """Select static or dynamic friction for the next physics step, depending on which objects are
+        slipping in the current contacts.
 
         Call this after each step.
         """
@@ -76,8 +78,8 @@ class SlidingFriction:
                 self._put(k, True)
 
     def _slips(self, data: mujoco.MjData) -> tuple[NDArray[np.int64], Array]:
-        """Return the owners (n, 2) and slip speeds (n,) [m/s] of all contacts that transmit a force in
-        physics.
+        """Return the pairs of bodies (n, 2) and slip speeds (n,) [m/s] of all
+        contacts that transmit a force in the physics simulation.
         """
         contact = data.contact
         loaded = contact.efc_address >= 0

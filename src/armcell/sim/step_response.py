@@ -35,8 +35,8 @@ class StepResponse:
 
 
 def sag(scene: PlanningScene, settings: PhysicsSettings, duration: float = 1.0) -> dict[str, float]:
-    """Return how far [rad or m] each joint sags under gravity while it holds its position in physics, for the
-    report of step responses.
+    """Return how far [rad or m] each joint sags under gravity while it
+    holds its position in the physics simulation.
 
     The joints hold the scene's positions under gravity for `duration` [s].
     """
@@ -52,7 +52,7 @@ def step_responses(
     scene: PlanningScene, joints: tuple[str, ...], settings: PhysicsSettings, size: float = 0.1,
     duration: float = 2.0,
 ) -> list[StepResponse]:  # fmt: skip
-    """Measure how each joint responds to a step of its target in physics, one joint at a time.
+    """Measure how each joint responds to a step of its target in the physics simulation, one joint at a time.
 
     Each response starts from the scene's state at rest.
 

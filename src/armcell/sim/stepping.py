@@ -48,7 +48,7 @@ ALL = 0x7FFFFFFF  # all bits of MuJoCo's contact masks
 
 @njit(cache=True)
 def drive_fingers(law, joints, weights, qpos, ctrl):
-    """Compute the set points of all gripper servos for the next step of the compiled stepping kernel.
+    """Compute the setpoints of all gripper servos for the next physics step in the compiled stepping kernel.
 
     Args:
         law: (g, 7) one row per gripper, changed in place.
@@ -76,8 +76,8 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 
 @njit(cache=True)
 def _before(qpos, apart):
-    """Make MuJoCo test those body pairs that may no longer be apart, before the stepping kernel takes a step.
-    Return whether there are any.
+    """Make MuJoCo test body pairs that may no longer be apart, before a compiled physics step.
+    Return whether there are such pairs.
     """
     columns, reach, reference, begins, limit, left, shut, old, most, last = apart[:10]
     bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, _ = apart[10:]
@@ -115,8 +115,8 @@ def _before(qpos, apart):
 
 @njit(cache=True)
 def _after(model, data, places, apart):
-    """Measure the distance of those body pairs that may have used up their motion bounds, after a step of the
-    stepping kernel.
+    """Measure the distances of body pairs that may have moved as far as their bounds allow,
+    after a compiled physics step.
 
     MuJoCo skips a pair again if the bodies are far enough apart.
     """
@@ -153,7 +153,9 @@ def _after(model, data, places, apart):
 
 @njit(cache=True)
 def _apart(fixed, k):
-    """Return `Apart.arrays` from a table of addresses that starts at row k, for the stepping kernel."""
+    """Return the arrays of body pairs that are far apart (`Apart.arrays`).
+    Row k of a table contains the address of the first one.
+    """
     return (
         vector(fixed, k, _I8), vector(fixed, k + 1, _F8), vector(fixed, k + 2, _F8),
         vector(fixed, k + 3, _I8),
@@ -170,8 +172,8 @@ def take_steps(
     model, data, begin, end, fixed, pairs, readable, unwanted, period, targets, controls, columns, limit,
     worst,
 ):  # fmt: skip
-    """Take physics steps in the compiled stepping kernel until the last step, an unwanted contact, or a joint
-    too far off its target.
+    """Take compiled physics steps.
+    Stop after the last step, at an unwanted contact, or when a joint is too far off its target.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -228,8 +230,8 @@ def take_steps(
     cache=True,
 )  # fmt: skip
 def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
-    """Add up the contact forces on each finger along an axis, separately for each link or object, in the
-    stepping kernel.
+    """Add up the contact forces on each finger along an axis,
+    separately for each link or object, in compiled code.
 
     Contacts between two fingers do not count.
 
@@ -268,8 +270,8 @@ def add_finger_forces(model, data, geoms, frames, owner, fingers, axis, forces):
     cache=True,
 )  # fmt: skip
 def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first_object):
-    """Return the sum of the finger forces [N] along an axis and the object that the fingers grip, in the
-    stepping kernel.
+    """Return the sum of the finger forces [N] along an axis and the
+    object between the fingers, in compiled code.
 
     The object is the one that all fingers press, or -1.
 
@@ -300,8 +302,8 @@ def grip_between(model, data, geoms, frames, owner, fingers, axis, owners, first
     cache=True,
 )  # fmt: skip
 def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
-    """Collect the contacts between a hand and other bodies with their wrenches, after steps of the stepping
-    kernel.
+    """Collect the contacts between a hand and other bodies, with their wrenches,
+    after a compiled physics step.
 
     Args:
         model, data: addresses of MuJoCo's mjModel and mjData.
@@ -332,7 +334,7 @@ def hand_contacts(model, data, geoms, owner, hand, which, signs, wrenches):
     cache=True,
 )
 def add_about(which, places, origin, wrenches, total):
-    """Add up the wrenches of a hand's contacts about one point, after steps of the stepping kernel.
+    """Add up the wrenches of a hand's contacts about one point, after a compiled physics step.
 
     Args:
         which: (k,) numbers of the contacts.

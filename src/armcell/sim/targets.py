@@ -34,8 +34,8 @@ class Targets:
         self._rows = np.zeros((0, 0))
 
     def between(self, now: float, until: float) -> Array:
-        """Return the joint targets (k, 2n) of a simulated motion for all ticks that begin in [`now`, `until`)
-        [s].
+        """Return the joint targets (k, 2n) of a simulated motion for all
+        ticks that start in the interval [`now`, `until`) [s].
 
         Each row holds the positions, then the velocities. The result has at least one row.
         """

@@ -55,7 +55,8 @@ _DIVERGED = tuple(
 
 @dataclass(frozen=True, eq=False)
 class WorldSnapshot:
-    """Full state and records of a `SimWorld` at one time. Only the same world can restore it.
+    """Full state and records of a `SimWorld` at one time.
+    Only the world that created the snapshot can restore it.
 
     It contains all data that the next step depends on, and all that the world has recorded.
     """
@@ -236,7 +237,7 @@ class SimWorld:
         self.check()
 
     def _look_at_all(self, forget: bool = True) -> None:
-        """Let the simulated world test all body pairs again, before steps that are not compiled.
+        """Make the simulated world test all body pairs again, before steps that do not run in compiled code.
 
         Args:
             forget: also forget the last poses of hands that hold objects, because the state changes.
@@ -264,7 +265,8 @@ class SimWorld:
     def follow(
         self, joint_names: Sequence[str], targets: Targets, until: float, tolerance: float
     ) -> tuple[float, int]:
-        """Track joint targets in the simulated world until a time or until a joint leaves the tolerance.
+        """Track joint targets in the simulated world until a given time or
+        until a joint deviates by more than the tolerance.
 
         Equivalent to calling `set_arm_target` and `step` alternately, with less overhead. The world advances
         by at least one tick.
@@ -299,7 +301,9 @@ class SimWorld:
         return errors.item(worst), worst
 
     def _run_belts(self, data: mujoco.MjData) -> None:
-        """Reset all conveyor belt joints in the simulated world to position zero and to the belt's speed."""
+        """Reset all conveyor belts in the simulated world: joint positions to zero,
+        and joint speeds to the belt speeds.
+        """
         for position, velocity, speed in self.built.belts:
             data.qpos[position], data.qvel[velocity] = 0.0, speed
 
@@ -402,7 +406,8 @@ class SimWorld:
         return gripper_state(self.built, self.mj_data, gripper)
 
     def wrench(self, gripper: str) -> Array:
-        """Return the wrench (6,) on a gripper about the tcp in the simulated world, in N and Nm.
+        """Return the wrench (6,) on a gripper in the simulated world, in N and Nm.
+        The reference point is the tcp.
 
         The wrench has world axes and includes all contacts of the gripper's links.
         """
@@ -420,7 +425,8 @@ class SimWorld:
         return body_pose(self.mj_data, self.built.body[link])
 
     def set_positions(self, q: ArrayLike) -> None:
-        """Place the robot in the simulated world at positions q (dof,), at rest, without a motion.
+        """Place the robot in the simulated world at positions q (dof,) and at rest,
+        instead of moving it there.
 
         The joint targets are set to the positions, too.
 
@@ -532,7 +538,7 @@ class SimWorld:
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def block(self, joint: str) -> None:
-        """Block a joint in the simulated world against any motor torque, by strong damping.
+        """Block a joint in the simulated world by strong damping, so that no motor torque can move it.
 
         The joint stays blocked after a reset to the same scene.
         """
@@ -541,7 +547,8 @@ class SimWorld:
         self.mj_model.dof_damping[self.built.joint_dof[joint]] = BLOCKED
 
     def fix_in_hand(self, item: str, gripper: str) -> None:
-        """Weld an object to a gripper of the simulated world at its relative pose; `welds` records it.
+        """Weld an object to a gripper in the simulated world at its current relative pose.
+        The weld appears in `welds`.
 
         Raises:
             UnknownNameError: the gripper or the movable object does not exist.
@@ -561,7 +568,9 @@ class SimWorld:
         return tuple(self._welder.events)
 
     def watch_slip(self, item: str, gripper: str) -> None:
-        """Store the pose of an object in a gripper of the simulated world, from which `slip` measures."""
+        """Store the current pose of an object in a gripper of the simulated world,
+        so that `slip` can measure from it.
+        """
         self._object(item)
         index = self._gripper(gripper)
         self._watches[gripper] = (item, relative_pose(self.mj_data, index.tcp_body, self.built.body[item]))
@@ -584,7 +593,7 @@ class SimWorld:
 
     # --- time travel ---
     def snapshot(self) -> WorldSnapshot:
-        """Return the full state of the simulated world, including targets and records."""
+        """Return a snapshot of the simulated world: its full state, including targets and records."""
         physics = np.empty(mujoco.mj_stateSize(self.mj_model, _STATE))
         mujoco.mj_getState(self.mj_model, self.mj_data, physics, _STATE)
         return WorldSnapshot(

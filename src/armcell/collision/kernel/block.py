@@ -43,8 +43,8 @@ AT_I, AT_F, AT_D, AT_W, AT_STATE, AT_S, AT_SLACK, AT_SLACK_PAIR, AT_CHECK, AT_SE
 
 @inner_njit
 def _check_arrays(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
-    """Check a block of 16 configurations, one per SIMD lane. Return a bit mask of those that are not
-    collision-free.
+    """Check a block of 16 configurations (one per SIMD lane).
+    Return a bit mask of those that are not collision-free.
 
     The positions of joint j are at w[j * L:], one per lane.
 
@@ -93,8 +93,8 @@ def check_address() -> int:
 
 @lru_cache(maxsize=1)
 def free_check_address() -> int:
-    """Return the address of a dummy block check that reports all lanes as collision-free, with which callers
-    compile quickly.
+    """Return the address of a dummy block check that always reports no collision.
+    Code that calls it compiles quickly.
     """
     return int(cfunc(types.int64(types.int64, types.int64, types.int64))(_free_check).address or 0)
 
@@ -120,19 +120,23 @@ def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 @inner_njit(forceinline=True)
 def check_block(k, lanes, mode):
-    """Check a block of 16 configurations for collisions in one call, given a kernel handle."""
+    """Check a block of 16 configurations for collisions in one call, given a handle to the kernel's data."""
     return call(k[AT_CHECK], k[AT_SELF], lanes, mode)
 
 
 @inner_njit(forceinline=True)
 def ints(k):
-    """Return a pointer to the kernel's integer array I, given a block check's handle."""
+    """Return a pointer to the integer array of the collision kernel,
+    given the handle to the kernel's data.
+    """
     return at_address(np.int32, k[AT_I])
 
 
 @inner_njit(forceinline=True)
 def lanes_of(k):
-    """Return a pointer to the workspace w of the SIMD lanes, given a block check's handle."""
+    """Return a pointer to the workspace for the SIMD lanes,
+    given the handle to the collision kernel's data.
+    """
     return at_address(np.float32, k[AT_W])
 
 

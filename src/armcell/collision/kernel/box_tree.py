@@ -28,7 +28,8 @@ def box_tree(low: F64, high: F64) -> tuple[F32, I32]:
 
 
 def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
-    """Build a tree of bounding boxes over boxes (n, 3) that are already in a spatially compact order.
+    """Build a tree of bounding boxes over boxes (n, 3) that are already
+    ordered such that neighbors are close in space.
 
     Args:
         content: (n,) content index of each box.
@@ -55,14 +56,18 @@ def tree_of(low: F64, high: F64, content: NDArray[np.int64]) -> tuple[F32, I32]:
 
 
 def _blocks(rows: F64, empty: float) -> F64:
-    """Arrange the rows (3, n) of a box tree in blocks (3, b, L). The last block is padded with `empty`."""
+    """Arrange the rows (3, n) of a bounding-box tree in blocks of L
+    boxes (3, b, L). `empty` fills up the last block.
+    """
     blocks = np.full((3, max(-(-rows.shape[1] // L), 1) * L), empty)
     blocks[:, : rows.shape[1]] = rows
     return blocks.reshape(3, -1, L)
 
 
 def z_order(low: F64, high: F64) -> NDArray[np.int64]:
-    """Return the order of boxes (n, 3) along a Z-order curve, for a box tree. Unbounded boxes come first."""
+    """Return the order of boxes (n, 3) along a Z-order curve, to build a bounding-box tree.
+    Unbounded boxes come first.
+    """
     usual = np.logical_and.reduce([high[:, k] - low[:, k] < HUGE for k in range(3)])
     bounded = usual if usual.any() and not usual.all() else slice(None)
     code = np.zeros(len(low), np.int64)  # Morton numbers, 10 bits an axis
@@ -83,7 +88,7 @@ def z_order(low: F64, high: F64) -> NDArray[np.int64]:
 
 
 def _spread() -> NDArray[np.int64]:
-    """Insert two zero bits after each bit of integers from 0 to 1023, for the Z-order codes of a box tree."""
+    """Insert two zero bits after each bit of integers from 0 to 1023. Used for Z-order codes."""
     numbers = np.arange(1024)
     return sum(((numbers >> bit) & 1) << 3 * bit for bit in range(10))  # pyright: ignore
 

@@ -10,8 +10,8 @@ from armcell.collision.kernel.simd import L, fma, load, mask_lt, splat
 
 @inner_njit(forceinline=True)
 def into(F, m, cx, cy, cz):
-    """Transform points from the world frame to the frame whose 3x4 matrix is at F[m:], to test them against
-    boxes there.
+    """Transform points from the world frame to the frame whose 3x4 matrix starts at F[m],
+    to test them against boxes in that frame.
     """
     x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
     y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
@@ -21,8 +21,8 @@ def into(F, m, cx, cy, cz):
 
 @inner_njit(forceinline=True)
 def turned(F, m, cx, cy, cz):
-    """Rotate vectors from the world frame to the frame whose 3x4 matrix is at F[m:], to test them against
-    boxes there.
+    """Rotate vectors from the world frame to the frame whose 3x4 matrix starts at F[m],
+    to test them against boxes in that frame.
     """
     x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), cz * splat(F[m + 2])))
     y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), cz * splat(F[m + 6])))
@@ -32,8 +32,8 @@ def turned(F, m, cx, cy, cz):
 
 @inner_njit(forceinline=True)
 def boxes_hit(F, at, lx, ly, lz, hx, hy, hz):
-    """Test the 16 bounding boxes of a tree at F[at:] against a given box. Return a bit mask of those that
-    overlap it.
+    """Test the 16 bounding boxes that start at F[at] against a given box.
+    Return a bit mask of those that overlap it.
     """
     mask = mask_lt(load(F, at), splat(hx)) & mask_lt(load(F, at + L), splat(hy))
     mask &= mask_lt(load(F, at + 2 * L), splat(hz)) & mask_lt(splat(lx), load(F, at + 3 * L))

@@ -89,8 +89,8 @@ class KernelChecker:
         )
 
     def relax_margins(self, q: ArrayLike) -> None:
-        """Reduce the kernel checker's padding for pairs that do not touch at q (n,) but are within the
-        padding.
+        """Reduce the kernel checker's padding for body pairs whose distance
+        at q (n,) is smaller than the padding but not zero.
 
         See `ExactChecker.relax_margins`.
         """
@@ -108,8 +108,8 @@ class KernelChecker:
         self._take_hold()
 
     def with_clearance_between(self, sides: Mapping[str, int], distance: float) -> KernelChecker:
-        """Return a copy of the kernel checker that also requires a clearance [m] between bodies of different
-        sides, such as two arms.
+        """Return a copy of the kernel checker that also keeps bodies of
+        different sides (such as two arms) a clearance [m] apart.
 
         Args:
             sides: side of each body (link or attached object) by name; bodies without a side have no
@@ -129,13 +129,13 @@ class KernelChecker:
         return other
 
     def is_free(self, q: ArrayLike) -> bool:
-        """Check with the SIMD kernel that no body that the group moves touches another body, with padding
-        included.
+        """Check with the SIMD kernel that no body that the group moves touches another body.
+        The check includes padding.
         """
         return not touches(self.handle, EXACT | PADDED, self._configuration(q))
 
     def touches(self, q: ArrayLike) -> bool:
-        """Check with the SIMD kernel whether any two bodies are in contact, with padding ignored."""
+        """Check with the SIMD kernel whether any two bodies are in contact. The check ignores padding."""
         return bool(touches(self.handle, EXACT, self._configuration(q)))
 
     def _configuration(self, q: ArrayLike) -> Array:
@@ -153,7 +153,7 @@ class KernelChecker:
         return np.ascontiguousarray(points if len(points) > 1 else np.vstack([points, points]))
 
     def clearance(self, waypoints: ArrayLike, most: float = 0.25, tolerance: float = 5e-4) -> float:
-        """Return the clearance [m] that the kernel checker certifies for a piecewise linear motion (k, n).
+        """Return a clearance [m] that the kernel checker can prove along a piecewise linear motion (k, n).
 
         Parts of neighboring links that cannot meet at any joint positions are ignored, however near they are.
         The clearance of `with_clearance_between` is ignored, too.

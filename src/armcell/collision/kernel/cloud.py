@@ -71,13 +71,15 @@ DONE = np.int64(-1)
 
 @inner_njit(forceinline=True)
 def _cloud_of(I, o):
-    """Return the position in the kernel's integer array at which the data of a cloud starts."""
+    """Return the index in the kernel's integer array where the data of
+    a cloud (spheres, cubes or triangles) starts.
+    """
     return I[CLOUD] + 4 * I[I[SHAPE_CLOUD] + o]
 
 
 @inner_njit(forceinline=True)
 def _side(F, at, u, v, x, y, z):
-    """Return the vectors to a point from the nearest points on one edge of each of a cloud's 16 triangles.
+    """Return the vectors from the nearest points on one edge of 16 triangles to a given point.
 
     The triangles are at F[at:]; their edges lead from corner u to corner v. Also returns on which side of the
     edge the point is, positive on the inner side.
@@ -101,8 +103,8 @@ def _side(F, at, u, v, x, y, z):
 
 @inner_njit(forceinline=True)
 def _apart(F, kind, at, x, y, z):
-    """Return the distances from a point to 16 parts of a cloud, and the vectors from the nearest points on
-    those parts.
+    """Return the distances from a point to 16 spheres, cubes or triangles of a cloud,
+    and the vectors from their nearest points.
 
     The parts are at F[at:]. All these distances are convex functions of the point. The length of a vector is
     the distance, except for balls, where the vector begins at the center.
@@ -140,14 +142,16 @@ def _apart(F, kind, at, x, y, z):
 
 @inner_njit(forceinline=True)
 def _block_at(I, c, block):
-    """Return the position in the kernel's float array at which a block of a cloud's parts starts."""
+    """Return the index in the kernel's float array where a block of 16 spheres,
+    cubes or triangles of a cloud starts.
+    """
     rows = 12 if I[c] == gjk.TRIANGLE else 4
     return I[CLOUD_PARTS] + I[c + 2] + block * rows * L
 
 
 @inner_njit
 def _local(I, F, w, state, o, g, f, mode):
-    """Transform the sphere centers of a sphere group to a cloud's frame, in all SIMD lanes.
+    """Transform the sphere centers of a group of spheres to the frame of a cloud, in all SIMD lanes.
 
     The centers of group g in the frame of shape o are written to w[local_at:]. In a proof, the velocities are
     written as well.
@@ -170,7 +174,8 @@ def _local(I, F, w, state, o, g, f, mode):
 
 @inner_njit
 def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
-    """Test a group of spheres in one SIMD lane against 16 parts of a cloud, with a coarse test first.
+    """Test a group of spheres in one SIMD lane against 16 spheres, cubes or triangles of a cloud,
+    with a coarse test first.
 
     The group's bounding ball is tested before its spheres. The parts are at F[at:]. `more` is the margin that
     a gap must exceed in addition to the radius and, in a proof, to the motion in half the interval.
@@ -238,7 +243,9 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
 
 @inner_njit
 def _keep_ball(I, w, state, x, y, z, reach):
-    """Store the bounding ball of a sphere group for the cloud test, before its spheres are transformed."""
+    """Store the bounding ball of a group of spheres before the spheres
+    are transformed to test them against a cloud.
+    """
     ball = ball_at(I)
     store(w, ball, x)
     store(w, ball + L, y)
@@ -249,8 +256,8 @@ def _keep_ball(I, w, state, x, y, z, reach):
 
 @inner_njit
 def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
-    """Descend the bounding-box tree of a cloud with one ball per SIMD lane, and test the parts that it
-    reaches.
+    """Traverse the bounding-box tree of a cloud with one ball per SIMD lane, and test the cloud's parts in
+    the boxes that a ball overlaps.
 
     The balls have radius `reach` around (x, y, z), in shape o's frame.
 
@@ -299,8 +306,8 @@ def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
 
 @inner_njit(forceinline=True)
 def _grown(I, w, i, radius, more, mode):
-    """Return a ball's radius for a cloud test, enlarged by the body's margin and by its motion in the
-    interval.
+    """Return the radius of a ball for the test against a cloud,
+    enlarged by the body's margin and by its motion in the interval.
 
     The ball is around center i.
     """
@@ -310,8 +317,8 @@ def _grown(I, w, i, radius, more, mode):
 
 @inner_njit
 def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
-    """Test a body against the cloud of a world shape. Return a bit mask of the undecided SIMD
-    lanes, or DONE.
+    """Test a body against a cloud of spheres, cubes or triangles.
+    Return a bit mask of the SIMD lanes that need an exact test, or DONE.
     """
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
     more_at = need_at(I) + L
@@ -336,7 +343,8 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
 
 @inner_njit
 def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
-    """List the next parts of a cloud that need an exact test because a sphere is not clear of them.
+    """List the next spheres, cubes or triangles of a cloud that need an
+    exact test because they may touch a sphere of the body.
 
     Call the function repeatedly with its own last result; begin with the body's first group, 0 and 0. It
     writes the index in F of each part to state[LISTED:].
@@ -390,8 +398,8 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
 
 @inner_njit(forceinline=True)
 def _turns(F, at, u, v, x, y):
-    """Return whether an edge of each of a cloud's 16 triangles passes a point counterclockwise (1), clockwise
-    (-1) or not at all (0), seen along z.
+    """Return how an edge of each of 16 triangles passes a point when seen along z:
+    1 = counterclockwise, -1 = clockwise, 0 = not at all.
 
     Edges lead from corner u to corner v. 1 is counter-clockwise. Each edge is computed from its lower end, so
     that the two triangles at an edge agree to the last bit.
@@ -409,8 +417,8 @@ def _turns(F, at, u, v, x, y):
 
 @inner_njit
 def encloses(I, F, state, o, px, py, pz):
-    """Return whether a point (in the shape's frame) is inside the closed triangle mesh that is stored as a
-    cloud.
+    """Return whether a point (in the shape's frame) is inside a closed triangle mesh.
+    The kernel stores the mesh as a cloud of triangles.
 
     The triangles above the point decide.
     """

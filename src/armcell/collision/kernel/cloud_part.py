@@ -37,8 +37,8 @@ ROWS = {gjk.BALL: 4, gjk.CELL: 4, gjk.TRIANGLE: 12}
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Cloud in the kernel's data: spheres, cubes or triangles, stored in blocks under a tree of bounding
-    boxes.
+    """Spheres, cubes or triangles that represent a world shape in the kernel,
+    stored in blocks under a tree of bounding boxes.
 
     The leaves of the tree are blocks of parts. `box` at the pose `T_shape_box` (4, 4) encloses all parts.
     `closed` is True if the triangles enclose a solid.
@@ -100,7 +100,7 @@ def _cloud(
     high: F64,
     closed: bool = False,
 ) -> Cloud:
-    """Build the kernel data of a cloud from n parts: spheres, cubes or triangles.
+    """Build the kernel data of a cloud from n spheres, cubes or triangles.
 
     Args:
         parts: values of the parts, a row (n,) or a number for each of `ROWS`.

@@ -63,8 +63,8 @@ def _holds(e, p, x, y, z, reach2):
 
 @njit(cache=True)
 def _greedy(e, centers, reach2):
-    """Choose the balls of a sphere cover greedily, until they contain every surface element that any
-    candidate ball contains.
+    """Choose balls for a sphere cover greedily, until they contain all parts
+    of the surface that the candidate balls can contain.
 
     Elements are (9, n). The balls have squared radii `reach2`. Returns the chosen balls and which elements
     they contain.
@@ -143,7 +143,7 @@ def fit(shape: Shape, overshoot: float) -> Cover:
 
 
 def _neighbors_together(centers: Array) -> NDArray[np.int64]:
-    """Order the centers of a sphere cover such that each run of `GROUP` centers is spatially compact.
+    """Order the sphere centers of a cover such that each run of `GROUP` centers is close together in space.
 
     The function splits the centers in halves along the longest axis.
     """
@@ -172,8 +172,8 @@ def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def _shrink(centers, radii, start):
-    """Shrink a cover's bounding sphere in 60 steps from the center `start` (3,). Return its center and
-    radius.
+    """Shrink a sphere around all spheres of a cover in 60 steps, starting with the center `start` (3,).
+    Return its center and radius.
     """
     x, y, z = start
     step = 0.05

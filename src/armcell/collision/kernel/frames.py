@@ -54,8 +54,8 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def workspace(flat: Flat) -> Workspace:
-    """Allocate the kernel's workspace of link frames for one thread: lanes (float32), state (int64) and
-    scratch (float64).
+    """Allocate the kernel's workspace for one thread: SIMD lanes (float32),
+    state (int64) and scratch memory (float64).
 
     The lanes are 64-byte aligned and hold, in this order:
 
@@ -75,15 +75,15 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return where in the kernel's workspace of frames the motion of a joint per unit of the motion's edge is
-    stored.
+    """Return the workspace index at which the kernel stores how far a
+    joint moves along the current edge of the motion.
     """
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def half_at(I):
-    """Return where in the kernel's workspace of frames half the interval width of each lane is stored.
+    """Return the workspace index at which the kernel stores half the interval width of each SIMD lane.
 
     The joints' summed rotation follows it.
     """
@@ -92,15 +92,17 @@ def half_at(I):
 
 @inner_njit(forceinline=True)
 def need_at(I):
-    """Return where in the kernel's workspace of frames the 8 vectors with a body pair's margins for exact
-    tests are stored.
+    """Return the workspace index of the 8 vectors in which the kernel
+    stores a body pair's margins for exact tests.
     """
     return (2 * I[DOF] + 2) * L
 
 
 @inner_njit(forceinline=True)
 def frame_at(I, f):
-    """Return where in the kernel's workspace a frame is stored, as 12 vectors: the rows of its 3x4 matrix."""
+    """Return the workspace index at which the kernel stores a frame as 12 vectors,
+    which are the rows of its 3x4 matrix.
+    """
     return (2 * I[DOF] + 10 + 12 * f) * L
 
 
@@ -111,8 +113,7 @@ def twist_at(I, f):
 
 @inner_njit(forceinline=True)
 def center_at(I, i):
-    """Return where in the kernel's workspace of frames the center of a body, sphere group or sphere is
-    stored.
+    """Return the workspace index at which the kernel stores the center of a body, sphere group or sphere.
 
     Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
     """
@@ -121,8 +122,8 @@ def center_at(I, i):
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Return where in the kernel's workspace of frames the velocity of a sphere center is stored, followed by
-    its speed.
+    """Return the workspace index at which the kernel stores the
+    velocity of a sphere center, followed by its speed.
 
     Both are per unit of the edge.
     """
@@ -131,8 +132,8 @@ def velocity_at(I, i):
 
 @inner_njit(forceinline=True)
 def more_at(I, body):
-    """Return where in the kernel's workspace of frames the margin from a body to the world in a motion proof
-    is stored.
+    """Return the workspace index of the extra margin that a body keeps
+    from the world while the kernel proves a motion.
 
     The margin does not include the speed (see `bend`).
     """
@@ -141,8 +142,8 @@ def more_at(I, body):
 
 @inner_njit(forceinline=True)
 def local_at(I):
-    """Return where in the kernel's workspace the sphere centers and velocities of a group, in a cloud's
-    frame, are stored.
+    """Return the workspace index of a sphere group's centers and velocities,
+    transformed to the frame of a cloud.
 
     Each sphere has 6 vectors.
     """
@@ -151,9 +152,7 @@ def local_at(I):
 
 @inner_njit(forceinline=True)
 def ball_at(I):
-    """Return where in the kernel's workspace the bounding ball of a sphere group, in a cloud's frame, is
-    stored.
-    """
+    """Return the workspace index of a sphere group's bounding ball, transformed to the frame of a cloud."""
     return local_at(I) + 6 * GROUP * L
 
 
@@ -217,7 +216,7 @@ def fk_block(I, F, w):
 
 @inner_njit
 def twist_block(I, F, w):
-    """Compute the twists of all link frames of 16 configurations, per unit of a motion's edge.
+    """Compute how fast all link frames of 16 configurations move (twists) along the current edge of a motion.
 
     A twist is the angular velocity and the velocity of the origin. Run `fk_block` before. The function also
     sums up the rotation of all revolute joints, which bounds the change of the velocities.
@@ -255,8 +254,8 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def center(I, F, w, state, i, f, sphere, mode):
-    """Return where in the kernel's workspace of frames the center of a sphere is stored. It is computed on
-    the first use per block.
+    """Return the workspace index of a sphere center.
+    The kernel computes the center the first time that a block uses it.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """
@@ -289,8 +288,8 @@ def center(I, F, w, state, i, f, sphere, mode):
 
 @inner_njit
 def bend(I, F, w, reach, slack):
-    """Return the margin that a motion proof adds to the spheres of a body, for the body's slack and for
-    changes of velocity in an interval.
+    """Return the margin by which a motion proof enlarges the spheres of a body,
+    to allow for deviations and changes of velocity.
 
     A proof needs this margin in addition to half width times speed. The accelerations of a body's points are
     at most the joints' summed rotation times `reach` (index in F: meters per unit of each joint), doubled for

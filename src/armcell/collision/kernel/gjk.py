@@ -41,8 +41,8 @@ TOUCHING = 2e-6
 
 @inner_njit
 def _farthest(F, first, count, dx, dy, dz):
-    """Return the index of the point of a convex hull that is farthest along a direction, as the support for
-    GJK.
+    """Return the index of the convex hull's vertex that is farthest along a direction.
+    GJK uses it as support point.
 
     The points are in F, in blocks of L points (x, y, z).
     """
@@ -60,7 +60,7 @@ def _farthest(F, first, count, dx, dy, dz):
 
 @inner_njit
 def _part_support(kind, dx, dy, dz, s, out):
-    """Compute the support point of a cloud's part (sphere, cube or triangle) along a direction, for GJK.
+    """Compute the support point of a sphere, cube or triangle along a direction, for GJK.
 
     The numbers of the part are at s[PART:].
     """
@@ -138,7 +138,7 @@ def _copy(s, src, dst):
 
 @inner_njit
 def _segment(s, v):
-    """Compute the point of a segment that is nearest to the origin, for the simplex of GJK.
+    """Compute the point of a line segment that is nearest to the origin. GJK uses it for its simplex.
 
     The segment is s[0:3], s[3:6]; the point is written to s[v:]. Returns the number of points in the reduced
     simplex.
@@ -160,7 +160,7 @@ def _segment(s, v):
 
 @inner_njit
 def _triangle(s, o, v):
-    """Compute the point of a triangle that is nearest to the origin, for the simplex of GJK.
+    """Compute the point of a triangle that is nearest to the origin. GJK uses it for its simplex.
 
     The triangle starts at s[o]; otherwise the function is like `_segment`.
     """
@@ -216,8 +216,8 @@ def _triangle(s, o, v):
 
 @inner_njit
 def _outside(s, i, j, k, o):
-    """Return whether the plane through points i, j and k separates the origin from point o, for the simplex
-    of GJK.
+    """Return whether the plane through points i, j and k separates the origin from point o.
+    GJK uses it for its simplex.
     """
     abx, aby, abz = s[j] - s[i], s[j + 1] - s[i + 1], s[j + 2] - s[i + 2]
     acx, acy, acz = s[k] - s[i], s[k + 1] - s[i + 1], s[k + 2] - s[i + 2]

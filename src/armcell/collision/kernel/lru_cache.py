@@ -11,7 +11,7 @@ Value = TypeVar("Value")
 
 
 class LruCache(Generic[Value]):
-    """Thread-safe LRU cache that keeps the `most` most recently used values."""
+    """Thread-safe LRU cache that keeps at most `most` values: those that were used last."""
 
     def __init__(self, most: int):
         self.most = most

@@ -72,8 +72,8 @@ def edge_free(k, p, a, b, step):
 
 @inner_njit
 def prove(k, p, first, last, count, at, mode, finest):
-    """Prove in the kernel that the straight edges of a motion are collision-free. Return the number of edges
-    without proof.
+    """Prove in the kernel that the straight edges of a motion are collision-free.
+    Return how many edges could not be proven.
 
     Each edge is divided into intervals. Every body is enlarged, around the middle of an interval, by the
     largest motion of its points in half the interval; if the enlarged bodies are free, the interval is free.
@@ -151,8 +151,8 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 @inner_njit
 def loosen(k, room):
-    """Compute the slack [m] of bodies and body pairs in a motion proof: how far they may deviate, given each
-    joint's largest deviation.
+    """Compute how far [m] bodies may deviate from the motion that a proof checks,
+    given the largest deviation of each joint.
 
     The deviations are room (dof,).
     """
@@ -173,8 +173,8 @@ def loosen(k, room):
 
 @njit(cache=True, nogil=True)
 def free_edge(handle, ends, step):
-    """Return whether the straight motion between two configurations, given as `ends` (2, dof), is
-    collision-free.
+    """Return whether the straight motion in joint space between two
+    configurations `ends` (2, dof) is collision-free.
 
     See `edge_free`.
     """

@@ -24,8 +24,8 @@ BEYOND = 0.02  # [rad, m] extension of the joint ranges beyond the limits
 
 @njit(cache=True)
 def _place(branch, fixed, kind, multiplier, offset, column, q, out):
-    """Compute the last frame (3, 4) of a kinematic branch relative to its first, to find sphere groups that
-    never come near each other.
+    """Compute the pose (3, 4) of the last frame of a kinematic branch relative to the first. Used to find
+    sphere groups that never meet.
     """
     for i in range(3):
         for j in range(4):
@@ -70,9 +70,7 @@ _known: dict[str, NDArray[np.bool_]] = {}
 
 
 def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
-    """Return which sphere groups of two bodies may come near each other. The result is read from disk or
-    computed.
-    """
+    """Return which sphere groups of two bodies can come near each other. The result is cached on disk."""
     key = key_of(str(VERSION), *arguments)
     if key not in _known:
         stored = recall("near", key)
@@ -86,8 +84,8 @@ def which_meet(*arguments: NDArray) -> NDArray[np.bool_]:
 @njit(cache=True)
 def meeting_groups(branch_i, branch_j, fixed, kind, multiplier, offset, column, lower, upper, reach_i,
                    reach_j, groups_i, starts_i, spheres_i, groups_j, starts_j, spheres_j):  # fmt: skip
-    """Return a mask (groups of i, groups of j) of the sphere groups of two bodies that may come near each
-    other.
+    """Return a mask (groups of i, groups of j) of the sphere groups that
+    can come near each other, for two bodies i and j.
 
     It is False for two groups only if they are proven more than `APART` apart at all joint positions.
 

@@ -100,7 +100,8 @@ def pack(scene: PlanningScene, robot: RobotPart, world: World) -> tuple[Pack, Na
 
 
 def _ignored(scene: PlanningScene, bodies: tuple[str, ...], objects: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Return a mask (bodies, objects) of the pairs in a `Pack` whose contact the scene allows.
+    """Return a mask (bodies, objects) of the pairs for which the scene allows contact,
+    so that the kernel ignores them.
 
     Contact is ignored only for pairs that the scene names.
     """

@@ -29,8 +29,8 @@ CHUNK = 4096  # samples between two calls of `progress`
 
 @njit(cache=True, nogil=True)
 def _ask_pairs(handle, pairs, q, masks):
-    """Fill a mask (pairs, blocks): each entry's bits are the sampled configurations (SIMD lanes) in which a
-    body pair is close.
+    """Fill a mask (pairs, blocks) for body pairs.
+    The bits of each entry mark the sampled configurations in which the pair is close.
 
     A block has 16 rows of q.
     """

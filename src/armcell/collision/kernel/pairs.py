@@ -46,8 +46,8 @@ DONE = np.int64(-1)
 
 @inner_njit(forceinline=True)
 def _near(I, w, state, i, j, radii, more, mode):
-    """Return a bit mask of the SIMD lanes in which the balls around two centers of a body pair are not clear
-    of each other.
+    """Return a bit mask of the SIMD lanes in which two balls may overlap.
+    Each ball encloses one body of a pair.
 
     In a proof, the balls are clear if their distance, shrinking at its rate (the relative velocity along the
     connecting line), lasts for half the interval; the distance of two points is a convex function of either
@@ -69,7 +69,7 @@ def _near(I, w, state, i, j, radii, more, mode):
 
 @inner_njit(forceinline=True)
 def _far(I, F, w, state, i, j, radii):
-    """Return whether a cheap test shows that two bodies are clear of each other in all SIMD lanes.
+    """Return whether a cheap test shows in all SIMD lanes that two bodies do not touch.
 
     The test ignores the directions of motion.
     """
@@ -85,8 +85,8 @@ def _far(I, F, w, state, i, j, radii):
 
 @inner_njit
 def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
-    """Test the spheres of two sphere groups of a body pair against each other. Return a bit mask of touching
-    lanes, or DONE.
+    """Test two sphere groups of a body pair sphere by sphere.
+    Return a bit mask of the SIMD lanes in which they touch, or DONE.
 
     The groups are g and h. Lanes are bits. Spheres whose inner balls are at most `close` apart are certainly
     too near.
@@ -154,7 +154,8 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
 
 @inner_njit
 def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Test all pairs of robot bodies against each other in 16 SIMD lanes. Return True if the check can stop.
+    """Test all pairs of robot bodies against each other in 16 SIMD lanes.
+    Return True if no further test is needed.
 
     See `_check_arrays`.
     """

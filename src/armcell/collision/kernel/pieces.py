@@ -24,8 +24,8 @@ Splitter = Callable[[Mesh], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Convex-hull vertices of exact pieces: the number of vertices per piece (e,), and all vertices
-    (n, 3).
+    """Vertices of the convex pieces that represent a body exactly:
+    vertices per piece (e,), and all vertices (n, 3).
     """
 
     count: I32
@@ -33,8 +33,8 @@ class Corners:
 
     @cached_property
     def lanes(self) -> dict[str, NDArray]:
-        """Return the hull vertices of the exact pieces in the format of a `Pack`, padded to whole SIMD
-        vectors.
+        """Return the hull vertices of convex pieces as SIMD vectors for the collision kernel.
+        The last vector is padded.
         """
         padded = -(-self.count // L) * L  # the kernel reads L points at once
         first = np.cumsum(padded) - padded
@@ -51,7 +51,7 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Exact pieces of bodies as arrays: convex solids in one common frame.
+    """Convex pieces that represent bodies exactly, as arrays in one common frame.
 
     Kinds (e,), sizes (e, 3), poses (e, 12) as rows of a 3x4 matrix, bounding spheres (e, 4), and the vertices
     of the solids that are convex hulls.
@@ -65,7 +65,7 @@ class Pieces:
 
     @property
     def tables(self) -> dict[str, NDArray]:
-        """Return the exact pieces as tables in the format of a `Pack`."""
+        """Return the convex pieces as tables in the array format of the collision kernel."""
         return {
             "piece_kind": self.kind,
             "piece_size": self.size,
@@ -75,7 +75,7 @@ class Pieces:
         }
 
     def moved(self, T: F64) -> Pieces:
-        """Return a copy of the exact pieces whose poses are premultiplied by T (4, 4)."""
+        """Return a copy of the convex pieces whose poses are multiplied from the left by T (4, 4)."""
         pose = np.empty((len(self.kind), 3, 4))
         own = self.pose.reshape(-1, 3, 4)
         pose[:, :, :3] = T[:3, :3] @ own[:, :, :3]
@@ -84,7 +84,7 @@ class Pieces:
 
 
 def pieces_of(shapes: Sequence[tuple[Shape, F64]], split: Splitter = convex_pieces) -> Pieces:
-    """Return the exact (convex) pieces of shapes that have the poses (4, 4).
+    """Return the convex pieces that represent the given shapes exactly at their poses (4, 4).
 
     `split` divides a nonconvex mesh into several pieces.
     """
@@ -118,19 +118,19 @@ def concatenate(parts: Iterable[Pieces]) -> Pieces:
 
 
 def join_pieces(robot: dict[str, NDArray], world: dict[str, NDArray]) -> dict[str, NDArray]:
-    """Concatenate the tables of exact pieces of the robot and the world."""
+    """Concatenate the tables of the robot's convex pieces and those of the world."""
     joined = {name: np.concatenate([table, world[name]]) for name, table in robot.items()}
     joined["piece_points"][len(robot["piece_points"]) :, 0] += len(robot["points"])
     return joined
 
 
 def convex_parts(shape: Shape, split: Splitter = convex_pieces) -> tuple[Shape, ...]:
-    """Return the exact pieces of a shape: convex shapes whose union contains it."""
+    """Return convex shapes whose union contains a shape, to represent the shape in exact tests."""
     return split(shape) if isinstance(shape, Mesh) and not is_convex(shape) else (shape,)
 
 
 def solid(shape: Shape) -> tuple[int, list[float]]:
-    """Return the kind and the three size values of a convex exact piece, as the kernel's GJK needs them."""
+    """Return the type of a convex piece and its three size values, as the kernel's GJK needs them."""
     match shape:
         case Mesh():
             return gjk.POINTS, [0.0, 0.0, 0.0]
@@ -150,8 +150,8 @@ def solid(shape: Shape) -> tuple[int, list[float]]:
 
 
 def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
-    """Return the kind, size, bounding sphere (4,) in the shape's frame and hull vertices (n, 3) of an exact
-    piece.
+    """Return the data of a convex piece: its type, size,
+    bounding sphere (4,) in the shape's frame and hull vertices (n, 3).
     """
     kind, size = solid(shape)
     points: F64 = hull_points(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
@@ -164,7 +164,7 @@ def _piece(shape: Shape) -> tuple[int, list[float], F64, F64]:
 
 @lru_cache(maxsize=1024)
 def hull_points(mesh: Mesh) -> F64:
-    """Return the vertices (n, 3) of a mesh's convex hull, which represents the mesh as an exact piece."""
+    """Return the vertices (n, 3) of a mesh's convex hull, which represents the mesh in exact tests."""
     from scipy.spatial import ConvexHull
 
     return mesh.vertices[ConvexHull(mesh.vertices).vertices]

@@ -42,7 +42,9 @@ BODY_VERSION = 1  # increase when `_new_body` returns other spheres or pieces, t
 
 @dataclass(frozen=True, eq=False)
 class RobotPart:
-    """Robot arrays of a `Pack`, which do not depend on the world, with names and exact pieces."""
+    """The kernel's arrays for the robot, which do not depend on the world,
+    with body names and convex pieces.
+    """
 
     bodies: tuple[str, ...]
     arrays: dict[str, Any]
@@ -51,7 +53,8 @@ class RobotPart:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """Sphere cover and exact pieces of a robot body (link or held object) in its own frame, for the kernel.
+    """Sphere cover and convex pieces of a robot body (a link or held
+    object) in the body's own frame, for the kernel.
 
     Spheres (s, 5), their groups (g, 4) with sizes (g,), and one sphere around all.
     """
@@ -63,7 +66,8 @@ class _Body:
     pieces: Pieces
 
     def placed(self, T: F64) -> _Placed:
-        """Transform the kernel's sphere cover and exact pieces of a robot body to a frame of the group.
+        """Transform the kernel's sphere cover and convex pieces of a
+        robot body to a frame of the planning group.
 
         T (4, 4) is the pose of the body in this frame.
         """
@@ -83,7 +87,9 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Sphere cover and exact pieces of a robot body, transformed to a group's frame, in a `Pack`'s format."""
+    """Sphere cover and convex pieces of a robot body, transformed to a frame of the planning group,
+    in the kernel's array format.
+    """
 
     around: F32
     sphere: F32
@@ -93,7 +99,8 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """Kinematic chain of a planning group in the kernel: frames that its joints move; others are fixed.
+    """Kinematic chain of a planning group in the kernel.
+    It contains the frames that the group's joints move; all others are fixed.
 
     Attributes:
         above: for each frame, the frames from the world's child down to it.
@@ -283,7 +290,7 @@ class _Builder:
     def _near_pairs(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
     ) -> tuple[I32, dict[str, I32]]:
-        """Return the pairs of robot bodies that can meet, and the kernel's tables of their sphere groups.
+        """Return the pairs of robot bodies that can touch, and the kernel's tables of their sphere groups.
 
         The result is cached for all poses of bodies that are not placed for good.
         """
@@ -307,7 +314,9 @@ class _Builder:
     def _near(
         self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32
     ) -> list[NDArray[np.bool_]]:
-        """Return for each pair of robot bodies a mask (g, h) of the kernel's sphere groups that can meet."""
+        """Return a mask (g, h) for each pair of robot bodies:
+        the sphere groups in the kernel that can touch each other.
+        """
         found = []
         for i, j in pairs:
             branch_i, branch_j = self._branches(bodies[i][1], bodies[j][1])
@@ -321,7 +330,8 @@ class _Builder:
         return found
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
-        """Return the kernel's frames from the nearest common frame of two robot bodies down to each body.
+        """Return the kernel's frames from the last common ancestor of two
+        robot bodies down to each of the two bodies.
 
         The common frame itself is not included.
         """
@@ -358,7 +368,8 @@ class _Builder:
         return near.which_meet(*arguments)
 
     def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
-        """Return upper bounds (groups, columns) on how far the kernel's sphere groups move per joint unit.
+        """Return upper bounds (groups, columns) on how far each sphere group
+        in the kernel moves when a joint moves by one unit.
 
         The bounds are like those of `_reach`.
 
@@ -381,7 +392,9 @@ class _Builder:
 
     # --- motion bounds ---
     def _reach(self, bodies: list[tuple[str, int]]) -> F64:
-        """Return upper bounds (bodies, dof) on how far the kernel's robot bodies move per joint unit."""
+        """Return upper bounds (bodies, dof) on how far each robot body in
+        the kernel moves when a joint moves by one unit.
+        """
         reach = np.zeros((len(bodies), self.dof))
         for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
             reach[k] = _reaches.get((self.chain, frame, body), partial(self._reach_of, frame, body.around))
@@ -407,7 +420,8 @@ class _Builder:
         return max(abs(limits.lower), abs(limits.upper))
 
     def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
-        """Return upper bounds (pairs, dof) on the relative motion of two robot bodies, for the kernel.
+        """Return upper bounds (pairs, dof) on how far the bodies of a pair move
+        relative to each other when a joint moves by one unit.
 
         Only joints above exactly one of the two bodies move them relative to each other.
         """
@@ -417,7 +431,9 @@ class _Builder:
         return np.where(moves, reach[i] + reach[j], 0.0)
 
     def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
-        """Return a mask (pairs, dof): joints that move the kernel's robot bodies relative to each other."""
+        """Return a mask (pairs, dof) of the joints that move the two
+        robot bodies of a pair relative to each other.
+        """
         above = np.zeros((len(frames), len(self.parent)), bool)
         for k, frame in enumerate(frames):
             above[k, self.chain.above[frame]] = True
@@ -432,14 +448,16 @@ def _ends(sizes: Iterable[int]) -> I32:
 
 @lru_cache
 def _turned_to_z(x: float, y: float, z: float) -> F64:
-    """Return the transform (4, 4) that rotates the z axis to a robot joint's axis, for kernel frames."""
+    """Return the transform (4, 4) that rotates the z axis to the axis of a robot joint.
+    In the kernel all joints act about or along z.
+    """
     A = np.eye(4)
     A[:3, :3] = SO3.between((0.0, 0.0, 1.0), (x, y, z)).matrix
     return A
 
 
 def _near_tables(body_groups: I32, pairs: I32, meeting: list[NDArray[np.bool_]]) -> dict[str, I32]:
-    """Return the kernel's tables of the robot's sphere groups that can meet, in the format of a `Pack`."""
+    """Return the kernel's tables of those sphere groups of the robot that can touch each other."""
     first, groups, counts, others = [0], [], [], []
     for (i, j), meets in zip(pairs.tolist(), meeting, strict=True):
         count = meets.sum(axis=1)
@@ -467,7 +485,8 @@ def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> _Body:
-    """Return the kernel's cover and exact pieces of a robot body from its shapes, poses and overshoots [m].
+    """Return the kernel's sphere cover and convex pieces of a robot body from its shapes,
+    their poses and the allowed overshoots [m].
 
     The result is cached on disk, so that later starts need no mesh library.
     """
@@ -494,7 +513,9 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
 
 
 def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
-    """Return all data on which the kernel's cached cover and pieces of a robot body depend, as a key."""
+    """Return a cache key for the kernel data of a robot body.
+    It contains all values that determine the sphere cover and the pieces.
+    """
     if isinstance(shape, Mesh):
         return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
     return (T, repr((overshoot, shape)))
@@ -535,6 +556,6 @@ def _object_overshoot(shape: Shape) -> float:
 
 
 def _size(shape: Shape) -> float:
-    """Return the longest side [m] of a shape's bounding box, for the robot part of the kernel data."""
+    """Return the longest side [m] of a shape's bounding box, to prepare a robot's shapes for the kernel."""
     _, half = local_bounds(shape)
     return 2 * float(half.max())

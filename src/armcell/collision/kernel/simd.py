@@ -155,7 +155,7 @@ def store(typingctx, at, index, value):
 
 @intrinsic
 def splat(typingctx, value):
-    """Return a SIMD vector that holds one number in every lane."""
+    """Return a SIMD vector that has the same number in every lane."""
 
     def codegen(context, builder, signature, args):
         number = context.cast(builder, args[0], signature.args[0], types.float32)
@@ -240,7 +240,7 @@ def vmax(typingctx, a, b):
 
 @intrinsic
 def select_lt(typingctx, a, b, x, y):
-    """Return a SIMD vector with `x if a < b else y`, evaluated in each lane."""
+    """Select `x` or `y` in each lane of SIMD vectors: the result is `x if a < b else y`."""
 
     def codegen(context, builder, signature, args):
         return builder.select(_compare(builder, args[0], args[1]), args[2], args[3])

@@ -16,8 +16,8 @@ SECTIONS = 48  # number of facets around round shapes
 
 
 def triangulated(shape: Shape) -> tuple[Array, NDArray[np.int64], float]:
-    """Return the vertices (v, 3) and faces (f, 3) of a shape's triangulated surface, and their gap to the
-    true surface [m].
+    """Return the vertices (v, 3) and faces (f, 3) of a triangulated shape,
+    and the largest gap [m] to the shape's true surface.
 
     The gap is the largest distance by which the true surface is outside the triangles.
     """
@@ -123,8 +123,8 @@ def depths(points: Array, skin: Array) -> Array:
 
 
 def interior_points(vertices: Array, faces: NDArray[np.int64], spacing: float) -> Array:
-    """Return grid points (m, 3) in the interior of a solid, away from its surface, that its sphere cover must
-    contain.
+    """Return grid points (m, 3) inside a solid and away from its surface.
+    The solid's sphere cover must contain them.
     """
     low, high = vertices.min(0), vertices.max(0)
     axes = [np.arange(a + (b - a) % spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]

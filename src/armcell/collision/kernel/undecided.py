@@ -67,8 +67,8 @@ INSIDE = np.int64(1) << 40
 
 @inner_njit
 def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
-    """Queue the SIMD lanes in which a body is undecided against a world shape or another body, for an exact
-    test.
+    """Queue a body for an exact test against a world shape or another body in
+    those SIMD lanes where the sphere test gave no answer.
 
     `other` is the index of the world shape, or -1 - pair for a pair of bodies. With `INSIDE` added to
     `other`, the exact tier only tests whether the body is inside the shape's mesh. Returns True if all lanes
@@ -84,7 +84,9 @@ def wait(I, F, D, w, state, s, slack, slack_pair, body, other, lanes, mode):
 
 @inner_njit
 def decide(I, F, D, w, state, s, slack, slack_pair, mode):
-    """Decide all undecided pairs of bodies in the queue by exact tests. Return True if the check can stop."""
+    """Run the exact tests for all queued body pairs that the sphere test left undecided.
+    Return True if no further test is needed.
+    """
     waiting = state[WAITING]
     state[WAITING] = 0
     for k in range(waiting):
@@ -113,7 +115,8 @@ def decide(I, F, D, w, state, s, slack, slack_pair, mode):
 
 @inner_njit
 def _needs(I, F, w, slack, slack_pair, body, other, mode):
-    """Compute the distance that an undecided pair of bodies must exceed to be free, in each SIMD lane.
+    """Compute the distance that two bodies in an exact test must exceed
+    to count as collision-free, in each SIMD lane.
 
     The part of the distance that does not depend on speed is also stored.
     """
@@ -161,7 +164,7 @@ def _needs(I, F, w, slack, slack_pair, body, other, mode):
 
 @inner_njit
 def _world_piece(I, D, w, e, frame, lane, s, out):
-    """Compute the transform from an exact piece of an undecided body to the world, in one SIMD lane.
+    """Compute the transform from a convex piece of a body in an exact test to the world, in one SIMD lane.
 
     The 12 numbers are written to s[out:].
     """
@@ -176,7 +179,8 @@ def _world_piece(I, D, w, e, frame, lane, s, out):
 
 @inner_njit
 def _relative(s):
-    """Compute the transform from the frame of exact piece A to that of B, for an undecided pair of bodies.
+    """Compute the transform from the frame of convex piece A to that of convex piece B,
+    for an exact test in the kernel.
 
     The result is written to s[AT_RELATIVE:].
     """
@@ -190,8 +194,8 @@ def _relative(s):
 
 @inner_njit
 def _piece_distance(I, F, D, a, b, enough, warm, s):
-    """Return the distance [m] of two exact pieces of an undecided pair. A distance above `enough` may be a
-    lower bound only.
+    """Return the distance [m] between two convex pieces in an exact test.
+    If it exceeds `enough`, it may be only a lower bound.
 
     The transforms of pieces a and b are at s[AT_A:] and s[AT_B:].
     """
@@ -221,8 +225,8 @@ def _piece_distance(I, F, D, a, b, enough, warm, s):
 
 @inner_njit
 def _directed_need(I, D, w, s, body, a, lane):
-    """Return the distance that an undecided exact piece must exceed to be free, along a given normal and in
-    one SIMD lane.
+    """Return the distance that a convex piece must exceed along a given
+    normal to count as collision-free, in one SIMD lane.
 
     The normal is in s[NORMAL:]. Along a fixed direction n, the nearest point of piece a approaches by |n .
     velocity| times half the interval. The velocity is that of the piece's center plus the contribution of its
@@ -250,7 +254,7 @@ def _directed_need(I, D, w, s, body, a, lane):
 
 @inner_njit
 def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
-    """Test the exact pieces of an undecided body against a world shape or another body, in one SIMD lane.
+    """Test the convex pieces of a body against a world shape or another body exactly, in one SIMD lane.
 
     Returns FREE, UNPROVEN or CONTACT.
     """
@@ -282,7 +286,9 @@ def _exact_lane(I, F, D, w, s, body, other, lane, warm, mode):
 
 @inner_njit
 def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
-    """Test an undecided body exactly against the cloud of a world shape, in one SIMD lane."""
+    """Test a body exactly against the spheres, cubes or triangles
+    that represent a world shape, in one SIMD lane.
+    """
     group, end = np.int64(I[I[BODY_GROUPS] + body]), I[I[BODY_GROUPS] + body + 1]
     top = np.int64(0)
     while group < end:
@@ -296,7 +302,8 @@ def _cloud_lane(I, F, D, w, state, s, body, other, lane, mode):
 
 @inner_njit
 def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
-    """Test the exact pieces of an undecided body against the listed parts of a cloud, in one SIMD lane.
+    """Test the convex pieces of a body exactly against the listed spheres,
+    cubes or triangles of a cloud, in one SIMD lane.
 
     The list has `count` parts at state[LISTED:]. Otherwise the function is like `_exact_lane`.
     """
@@ -348,7 +355,7 @@ def _listed_parts(I, F, D, w, state, s, body, other, lane, count, mode):
 
 @inner_njit
 def _is_inside(I, F, D, w, state, s, body, other, lane):
-    """Return whether an exact piece of an undecided body is inside a world shape that is a closed mesh.
+    """Return whether a convex piece of a body is inside a world shape that is a closed mesh.
 
     No piece of the body may touch the mesh's surface.
     """

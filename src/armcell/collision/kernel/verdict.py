@@ -10,8 +10,8 @@ FREE, UNPROVEN, CONTACT = 0, 1, 2
 
 @inner_njit
 def fail(state, lanes, mode):
-    """Record the verdict that configurations (SIMD lanes) are not collision-free. Return True if the check
-    can stop.
+    """Record that the configurations in some SIMD lanes are not collision-free.
+    Return True if the collision check can stop early.
     """
     state[ALIVE] &= ~lanes
     return mode & PROVE == 0 or state[ALIVE] == 0
@@ -19,8 +19,8 @@ def fail(state, lanes, mode):
 
 @inner_njit
 def touch(state, lanes, mode):
-    """Record the verdict that configurations (SIMD lanes) are in contact. Return True if the collision check
-    can stop.
+    """Record that the configurations in some SIMD lanes are in contact.
+    Return True if the collision check can stop early.
     """
     state[TOUCHING] |= lanes
     return fail(state, lanes, mode) or mode & FIRST != 0

@@ -80,16 +80,16 @@ class World:
 
     @cached_property
     def shape_pieces(self) -> NDArray[np.int32]:
-        """Return for each world shape the index (shapes + 1,) of its first exact piece in the kernel's world
-        arrays.
+        """Return the index (shapes + 1,) at which the convex pieces of
+        each world shape start in the kernel's arrays.
         """
         of_shape = np.repeat(np.arange(len(self.objects)), self.counts[:, SHAPES])
         return self._ends("pieces_end", PIECES, of_shape)
 
     @cached_property
     def pieces(self) -> dict[str, NDArray]:
-        """Return the exact pieces of all world objects in the world arrays, as tables in the format of a
-        `Pack`.
+        """Return the convex pieces of all world objects as tables in
+        the array format of the collision kernel.
         """
         names = ("piece_kind", "piece_size", "piece_pose", "piece_ball", "points", "points32")
         first = np.repeat(self.starts[:-1, POINTS], self.counts[:, PIECES])
@@ -125,7 +125,8 @@ def world_of(objects: Mapping[str, CollisionObject]) -> World:
 
 
 def _similar(items: tuple[CollisionObject, ...]) -> World:
-    """Return cached kernel arrays of another world that shares many objects with the given one.
+    """Return the cached kernel arrays of a similar world,
+    which has many objects in common with the given world.
 
     It is the first world with at least half of the objects, or else the one with the most of them.
     """
@@ -140,7 +141,7 @@ def _similar(items: tuple[CollisionObject, ...]) -> World:
 
 
 def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, ...]) -> World:
-    """Update the kernel's arrays to a changed world; the rows of unchanged objects are copied."""
+    """Update the kernel's arrays for a changed world. The rows of unchanged objects are copied."""
     known = np.fromiter((last.index.get(item, -1) for item in items), np.int64, len(items))
     begin, end = _runs(known)
     first, count = known[begin], end - begin
@@ -160,8 +161,8 @@ def _updated(last: World, names: tuple[str, ...], items: tuple[CollisionObject, 
 
 
 def _runs(known: I64) -> tuple[I64, I64]:
-    """Split the object indices of the world arrays, in which -1 is a new object, into runs of neighbors.
-    Return the ends of the runs.
+    """Split object indices into runs of consecutive indices, to copy the rows of world objects.
+    An index of -1 marks a new object.
     """
     new = known < 0
     joins = np.where(new[1:], new[:-1], ~new[:-1] & (np.diff(known) == 1))

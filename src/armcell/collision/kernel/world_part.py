@@ -48,7 +48,9 @@ class ObjectTables(NamedTuple):
 
 
 class _Solid(NamedTuple):
-    """Convex shape of a world object in the kernel. A cloud counts as one shape: its bounding box."""
+    """Convex shape of a world object in the kernel.
+    A point cloud or nonconvex mesh is represented by its bounding box.
+    """
 
     owner: int
     shape: Shape
@@ -102,8 +104,8 @@ def object_tables(items: Sequence[CollisionObject]) -> ObjectTables:
 
 
 def _within(owner: I64, sizes: I64 | Sequence[int]) -> I64:
-    """Return for each entry of a world table the summed sizes of the earlier entries that belong to the same
-    object.
+    """Return for each entry of a table the total size of all earlier
+    entries that belong to the same world object.
 
     The owners are sorted.
     """
@@ -149,7 +151,9 @@ NO_CLOUDS: dict[str, NDArray] = {
 
 @lru_cache(maxsize=1024)
 def _hull_planes(mesh: Mesh) -> F64:
-    """Return the hull planes (n, 4) of a mesh in the world, as outward normals and offsets for the kernel."""
+    """Return the planes (n, 4) of a world mesh's convex hull as outward normals and offsets,
+    for the collision kernel.
+    """
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(mesh.vertices).equations  # n x + d <= 0 inside

@@ -26,7 +26,7 @@ DEPTHS = (0.008, 0.02, 0.035)  # [m] depths of the TCP below the point
 
 @generators.register("cloud")
 def cloud_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Propose grasps for a point cloud from local frames at its points, which are given with normals."""
+    """Propose grasps for a point cloud with normals, each from a local frame at one of its points."""
     found, rng = Proposals(), np.random.default_rng(0)
     points, normals = surface.points, surface.normals
     for n, i in enumerate(_far_apart(points, SAMPLES, rng)):
@@ -52,8 +52,8 @@ def cloud_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array)
 
 
 def _far_apart(points: Array, count: int, rng: np.random.Generator) -> list[int]:
-    """Choose cloud points that are far from each other, as places for grasps, by farthest point sampling.
-    Return their indices.
+    """Choose points of a cloud that are far from each other, by farthest point sampling,
+    to propose grasps there. Return their indices.
 
     The first point is random.
     """

@@ -26,8 +26,8 @@ TIP_INSIDE = 0.002  # [m] minimum depth of the TCP inside the object
 
 @generators.register("primitive")
 def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
-    """Propose grasps for an object that is one primitive shape. For other objects, their bounding box is
-    used.
+    """Propose grasps for an object that is a single primitive shape.
+    For other objects, use the bounding box.
     """
     shape, T = item.shapes[0]
     R, found = T.rotation.matrix, Proposals()
@@ -48,8 +48,8 @@ def primitive_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
 
 
 def _depth(half: float, hand: Hand) -> float:
-    """Return how deep [m] the tcp of a grasp goes below a primitive's near face, limited by the length of the
-    fingers.
+    """Return how far [m] the tcp of a grasp goes below the near face of a primitive.
+    The finger length limits this depth.
 
     Without the limit, the tcp is at the object's center.
     """

@@ -31,7 +31,8 @@ LINEAR = 0.05  # largest deviation from a line that is not reported, as a fracti
 
 @dataclass
 class Couplings:
-    """Linear couplings between MJCF joints, stored by joint id: q[joint] = multiplier * q[driver] + offset.
+    """Linear couplings between MJCF joints: q[joint] = multiplier * q[driver] + offset.
+    They are stored by joint id.
 
     Attributes:
         actuated: joints that an actuator drives, directly or by a tendon.
@@ -134,7 +135,7 @@ def _tendon_equality(model: Any, i: int, found: Couplings) -> None:
 
 
 def _driven_tendon(model: Any, tendon: int, found: Couplings) -> None:
-    """Couple those joints as mimic joints that one actuator drives through a fixed tendon.
+    """Couple the joints that one actuator drives through a fixed tendon, as mimic joints.
 
     All joints move through their ranges together.
     """
@@ -159,8 +160,8 @@ def _range(model: Any, joint: int) -> tuple[float, float]:
 
 
 def _close_linkages(model: Any, found: Couplings, name: str) -> None:
-    """Couple each passive joint of a closed linkage to a driving joint as mimic joint, by fitting a linear
-    rule.
+    """Couple each passive joint of a closed linkage to a driving joint as a mimic joint,
+    with a fitted linear rule.
     """
     from scipy.optimize import least_squares  # imported late: few models have linkages
 
@@ -209,7 +210,9 @@ def _close_linkages(model: Any, found: Couplings, name: str) -> None:
 
 
 def _rest(model: Any, joints: list[int]) -> tuple[Array, Array]:
-    """Return the rest positions and the spring weights (n,) of MJCF joints, to find how they are coupled."""
+    """Return the rest positions (n,) and the spring weights (n,) of MJCF joints,
+    from which their couplings are fitted.
+    """
     stiffness = np.array([float(np.ravel(model.jnt_stiffness[j])[0]) for j in joints])
     strongest = max(float(stiffness.max()), 1e-12)
     weight = REST_WEIGHT + SPRING_WEIGHT * np.sqrt(stiffness / strongest)
@@ -240,8 +243,8 @@ def _middle(model: Any, joint: int) -> float:
 
 
 def _equality_rows(model: Any, data: Any) -> Any:
-    """Return a function that computes the residuals [m] of a model's connect and weld equalities, to find
-    joint couplings.
+    """Return a function that computes the residuals [m] of a model's
+    connect and weld constraints, to find coupled joints.
     """
 
     def rows() -> Array:

@@ -62,7 +62,7 @@ class MjcfText:
 
 
 def read_mjcf(file: Path) -> MjcfText:
-    """Read an MJCF file and all files that it includes. Textures are removed.
+    """Read an MJCF file and all files that it includes. References to textures are removed.
 
     armcell needs no textures, because it draws links in plain colors; a missing image would be an error.
 

@@ -96,8 +96,8 @@ class _Reader:
         )
 
     def disabled(self) -> dict[frozenset[str], str]:
-        """Read from an MJCF file the robot's link pairs without collision check: adjacent bodies and those
-        that it excludes.
+        """Read from an MJCF file the link pairs without collision checks: adjacent bodies,
+        and pairs that the file excludes.
 
         Contact masks do not count: a model whose links never touch each other in MuJoCo may still collide.
         """
@@ -107,8 +107,8 @@ class _Reader:
         return {frozenset((m.body(a).name, m.body(b).name)): why for why, a, b in pairs if a and b and a != b}
 
     def root(self) -> str:
-        """Read the name of the root link from MJCF: a fixed base body at the origin of the robot, or else a
-        new name.
+        """Return the name of the root link of an MJCF robot.
+        It is a fixed base body at the robot's origin, or else a new name.
         """
         m = self.m
         bases = [b for b in range(1, m.nbody) if m.body_parentid[b] == 0]
@@ -127,7 +127,7 @@ class _Reader:
         return SE3(SO3.from_quat_wxyz(quats[i]), np.array(positions[i], dtype=float))
 
     def below(self, body: int, link: str, links: dict[str, Link], joints: dict[str, Joint]) -> None:
-        """Read the MJCF bodies below a body and convert them to links and joints, depth first."""
+        """Convert all MJCF bodies below a given body to links and joints, depth first."""
         m = self.m
         for child in range(body + 1, m.nbody):
             if m.body_parentid[child] != body:
@@ -152,8 +152,8 @@ class _Reader:
         joints[joint] = Joint(joint, "fixed", parent, child, T)
 
     def chain(self, body: int, parent: str, links: dict[str, Link], joints: dict[str, Joint]) -> None:
-        """Read the joints of an MJCF body and convert them to a chain of joints and links that ends at the
-        body's link.
+        """Convert the joints of an MJCF body to a chain of joints and links.
+        The chain ends at the link of the body.
 
         MuJoCo applies the joints in order, each about its anchor in the frame that the joints before it
         moved.
@@ -199,8 +199,8 @@ class _Reader:
         )
 
     def servo(self, joint: int) -> tuple[Servo | None, float]:
-        """Read the position servo of an MJCF joint (or None) from its actuator, and the largest effort of the
-        joint.
+        """Return the position servo of an MJCF joint, read from its actuator,
+        and the joint's maximum effort. The servo may be None.
 
         An actuator with gear g and gain k on the length g q acts on the joint as a servo of gain g^2 k.
         """
@@ -224,8 +224,8 @@ class _Reader:
         return found, min((v for v in limits if v > 0), default=np.inf)
 
     def gear(self, actuator: int, joint: int) -> float:
-        """Return how much the length of an MJCF actuator changes per unit of a joint; 0 if it drives another
-        joint.
+        """Return the change in length of an MJCF actuator for a unit of joint motion.
+        It is 0 if the actuator drives another joint.
         """
         m = self.m
         kind, target = int(m.actuator_trntype[actuator]), int(m.actuator_trnid[actuator, 0])

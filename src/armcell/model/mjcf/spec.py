@@ -42,7 +42,7 @@ def _log_warning(message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class RobotSpec:
-    """Normalized MuJoCo spec of a robot, with the compiled model and the elements that were removed.
+    """Normalized MuJoCo spec of a robot, with its compiled model and the elements that normalization removed.
 
     All bodies and joints have names. Every link of the robot model has a body: each named site, and each
     joint frame that is not its body's frame, gets an empty body that moves with the body.
@@ -120,8 +120,8 @@ def _keyframes(spec: Any) -> dict[str, dict[str, float]]:
 
 
 def _remove_objects(spec: Any) -> tuple[str, ...]:
-    """Delete mocap bodies and free objects from the MuJoCo spec of a robot, and fix the robot's base if it is
-    free.
+    """Delete mocap bodies and free objects from a robot's MuJoCo spec.
+    If the robot's base is free, fix it.
     """
     found = []
     for body in list(spec.worldbody.bodies):
@@ -164,13 +164,13 @@ def _unused(name: str, taken: set[str]) -> str:
 
 
 def joints_of(model: Any, body: int) -> range:
-    """Return the ids of the joints of a body in a robot's MuJoCo spec, in the order in which they apply."""
+    """Return the joint ids of a body in a robot's MuJoCo spec, in the order in which the joints act."""
     first = int(model.body_jntadr[body])
     return range(first, first + int(model.body_jntnum[body])) if first >= 0 else range(0)
 
 
 def _add_joint_frames(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
-    """Add an empty body to the MuJoCo spec of a robot for each MJCF joint that needs a link of its own.
+    """Add an empty body to a robot's MuJoCo spec for each MJCF joint that needs a separate link.
 
     MuJoCo's bodies may have several joints, and joints with an anchor off the body's origin; a link of a
     robot model has one joint at its origin.
@@ -188,9 +188,7 @@ def _add_joint_frames(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
 
 
 def _add_sites(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
-    """Add an empty body to the MuJoCo spec of a robot at each named site, because tool frames in MJCF are
-    sites.
-    """
+    """Add an empty body to a robot's MuJoCo spec at each named site. Tool frames in MJCF are sites."""
     found = {}
     for i in range(model.nsite):
         name, body = model.site(i).name, int(model.site_bodyid[i])
@@ -204,7 +202,7 @@ def _add_sites(spec: Any, model: Any, taken: set[str]) -> dict[str, str]:
 
 @lru_cache(maxsize=16)
 def physics_spec(text: str) -> Any:
-    """Return the normalized MuJoCo spec of a robot, to be attached to the model of the physics simulation.
+    """Return the normalized MuJoCo spec of a robot, ready to be attached to the model of a simulated world.
 
     Geoms that collide with nothing are removed, because armcell adds its own visuals; inertias are those of
     the compiled model, which may come from geoms. Actuators are removed, because armcell's servos take over

@@ -123,8 +123,8 @@ def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
 
 
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
-    """Return the movable joints in series from a given joint on, and the joints after the next branch, to
-    detect an arm chain.
+    """Return the movable joints in series from a given joint to the next branch,
+    and the first joints after the branch.
     """
     row = [first]
     while len(ends := _next_movable(model, row[-1].child)) == 1:
@@ -133,7 +133,7 @@ def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
 
 
 def _next_movable(model: RobotModel, link: str) -> list[Joint]:
-    """Return the first movable joints below a link, behind any fixed joints, to detect arm chains."""
+    """Return the first movable joints below a link. Fixed joints in between are skipped."""
     found: list[Joint] = []
     rigid = {link}
     for joint in model.joints.values():
@@ -146,14 +146,14 @@ def _next_movable(model: RobotModel, link: str) -> list[Joint]:
 
 
 def _depth(model: RobotModel, joint: Joint) -> int:
-    """Return how many actuated joints the longest branch from a joint has, including that joint, to detect
-    arm chains.
+    """Return the number of actuated joints in the longest branch that
+    starts with a joint, to detect arm chains.
     """
     return int(joint.actuated) + max((_depth(model, j) for j in _next_movable(model, joint.child)), default=0)
 
 
 def _rigid_below(model: RobotModel, link: str) -> list[str]:
-    """Return a link and all links rigidly fixed below it, to detect arm chains and grippers."""
+    """Return a link and all links below it that are rigidly fixed to it, to detect arms and grippers."""
     rigid = [link]
     for joint in model.joints.values():
         if not joint.movable and joint.parent in rigid:
@@ -162,7 +162,9 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
 
 
 def _common_link(model: RobotModel, links: list[str]) -> str:
-    """Return the lowest link that is, or is above, every link of a gripper, to detect arm chains."""
+    """Return the lowest common ancestor of all links of a gripper, to detect arm chains.
+    It can be one of these links.
+    """
     trails = []
     for link in links:
         trail = [link]
@@ -173,7 +175,8 @@ def _common_link(model: RobotModel, links: list[str]) -> str:
 
 
 def _fixed_hand(model: RobotModel, last: str) -> str | None:
-    """Return the palm of a gripper at the end of an arm chain whose fingers are fixed in the URDF, or None.
+    """Return the palm of a gripper whose fingers are fixed in the URDF, or None.
+    The gripper is at the end of an arm chain.
 
     The palm is the first link fixed below `last` with at least two branches that have collision geometry.
     """
@@ -189,9 +192,7 @@ def _fixed_hand(model: RobotModel, last: str) -> str | None:
 
 
 def _tip(model: RobotModel, last: str, palm: str | None) -> str:
-    """Return the tip link of a detected arm chain: a tool frame or, if there is none, the palm or the last
-    link.
-    """
+    """Return the tip link of a detected arm: a tool frame, or else the palm, or else the last link."""
     rigid = _rigid_below(model, last)
     frames = [n for n in rigid if n != last and not model.links[n].collisions and TOOL.search(n)]
     if palm is not None:
@@ -221,8 +222,8 @@ def _names(chains: list[Chain], robots: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _prefix(joints: tuple[str, ...], robots: Sequence[str]) -> str:
-    """Return the name prefix of the robot to which a detected arm chain belongs, or the common beginning of
-    its joint names.
+    """Return the name prefix of the robot that a detected arm belongs to,
+    or else the common prefix of its joint names.
     """
     for robot in sorted(robots, key=len, reverse=True):
         if robot and joints[0].startswith(robot):

@@ -21,8 +21,8 @@ MANAGER = "moveit_simple_controller_manager/MoveItSimpleControllerManager"
 
 
 def joint_limits(model: RobotModel) -> dict[str, Any]:
-    """Return a default joint_limits.yaml for MoveIt, with velocities from the URDF and MoveIt's
-    accelerations.
+    """Return a default joint_limits.yaml for MoveIt,
+    with velocities from the URDF and MoveIt's default accelerations.
 
     URDF has no acceleration limits. Joint limits that the model does have take precedence over the defaults.
     """
@@ -111,7 +111,8 @@ def moveit_controllers(model: RobotModel) -> dict[str, Any]:
 
 
 def _own(model: RobotModel, group: Group) -> bool:
-    """Return whether a planning group gets default entries of its own, because it contains no smaller group.
+    """Return whether a planning group gets separate default entries.
+    It gets them only if it contains no smaller group.
 
     Such groups get a controller of their own.
     """

@@ -15,7 +15,7 @@ from armcell.core import InputError
 
 
 def check_folder(folder: Path, force: bool = False) -> None:
-    """Check in advance whether a folder can be written atomically; raise an error if not.
+    """Check in advance that a folder can be written atomically. Raise an error if it cannot.
 
     Raises:
         InputError: the folder is not empty (without `force`), is a file, has no parent folder, or its parent
@@ -71,9 +71,7 @@ def write_folder(folder: Path, files: Mapping[str, str], force: bool = False) ->
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML writer for the files of a generated folder in MoveIt's style, with indented lists and without
-    aliases.
-    """
+    """YAML writer that formats generated files as MoveIt does, with indented lists and without aliases."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)

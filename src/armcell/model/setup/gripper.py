@@ -61,7 +61,7 @@ def find_grippers(model: RobotModel, tips: bool = False) -> RobotModel:
 
 
 def reasons(model: RobotModel) -> dict[str, str]:
-    """Return the reasons why robot setup recognized no gripper, by the name of the end effector."""
+    """Return the reason why robot setup did not recognize a gripper, for each end effector by name."""
     found = {}
     for end in model.end_effectors.values():
         if end.name not in model.grippers:
@@ -74,7 +74,7 @@ def reasons(model: RobotModel) -> dict[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class _Jaws:
-    """The two jaws of a detected gripper, toward +y and toward -y, with the axes of the hand.
+    """The two jaws of a detected gripper, on the +y side and on the -y side, with the axes of the hand.
 
     Attributes:
         plus, minus: links of the jaws, each fixed to each other.
@@ -107,8 +107,8 @@ def _with_gripper(model: RobotModel, end: EndEffector) -> RobotModel:
 
 
 class _Hand:
-    """Hand that may be a gripper, at any position of its driven joint, with points on the surfaces of its
-    links.
+    """Candidate for a gripper, with points on the surfaces of its
+    links at any position of its driven joint.
     """
 
     def __init__(self, model: RobotModel, driver: Joint):
@@ -123,14 +123,18 @@ class _Hand:
         }
 
     def pose(self, link: str, q: float) -> SE3:
-        """Return T_palm_link of a possible gripper with its driven joint at `q` and all others at zero."""
+        """Return T_palm_link of a candidate for a gripper when the driven
+        joint is at `q` and all other joints are at zero.
+        """
         T = SE3.identity()
         for joint in self.model.chain(self.palm, link):
             T = T @ joint.T_parent_joint @ _motion(joint, _value(self.model, joint, self.driver.name, q))
         return T
 
     def at(self, links: tuple[str, ...], q: float) -> Array:
-        """Return the surface points (n, 3) [m] of links of a possible gripper in the palm's frame."""
+        """Return surface points (n, 3) [m] on links of a candidate for a gripper,
+        in the frame of the palm.
+        """
         parts = [self.pose(n, q).apply(p) for n in links if len(p := self.points.get(n, np.zeros((0, 3))))]
         return np.concatenate(parts) if parts else np.zeros((0, 3))
 
@@ -173,7 +177,9 @@ class _Hand:
         return self._ordered(a, b, self._axes(y, out), low, high)
 
     def _single(self, jaw: tuple[str, ...], low: float, high: float) -> _Jaws:
-        """Find the jaws of a gripper of which only one jaw moves. The fixed jaw is the links of the palm."""
+        """Find the jaws of a gripper that has only one moving jaw.
+        The links of the palm form the fixed jaw.
+        """
         fixed = self.rigid[self.palm]
         if not len(self.at(fixed, low)):
             raise NotRecognized(f"the fixed jaw {self.palm} has no collision geometry")
@@ -221,7 +227,9 @@ class _Hand:
         return self._axes(axes[1] - (axes[1] @ z) * z, z)
 
     def _last_axis(self) -> Array | None:
-        """Return the axis of the last arm joint above a gripper in the palm's frame; None without an arm."""
+        """Return the axis of the last arm joint above a gripper, in the frame of the palm.
+        It is None if there is no arm.
+        """
         link = self.palm
         while (joint := self.model.parent_joint.get(link)) is not None and not joint.movable:
             link = joint.parent
@@ -239,13 +247,15 @@ class _Hand:
         return float(np.linalg.norm(others - tip, axis=1).min())
 
     def _branch(self, part: tuple[str, ...]) -> str:
-        """Return the first joint on the path from the palm of a possible gripper to given links."""
+        """Return the first joint on the path from the palm to given links, in a candidate for a gripper."""
         top = min(part, key=lambda n: len(self.model.chain(self.palm, n)))
         return next(j.name for j in self.model.chain(self.palm, top) if j.movable)
 
     @staticmethod
     def _axes(y: Array, out: Array) -> Array:
-        """Return the axes (3, 3) of a gripper as rows, from its closing direction and outward direction."""
+        """Return the axes (3, 3) of a gripper's frame as rows,
+        given its closing direction and its outward direction.
+        """
         y = _snapped(y / np.linalg.norm(y))
         z = out - (out @ y) * y
         if np.linalg.norm(z) < 1e-6:
@@ -265,7 +275,8 @@ class _Hand:
     def _gap(
         self, a: tuple[str, ...], b: tuple[str, ...], axes: Array, q: float
     ) -> tuple[float, Array, Array, Array]:
-        """Compare the facing surfaces of the two jaws of a possible gripper on a grid in x and z.
+        """Compare the facing surfaces of two jaws on a grid in x and z,
+        to decide whether they form a gripper.
 
         Returns:
             The smallest gap [m] (infinite if the jaws face each other nowhere), and the cells (n, 2), the
@@ -373,8 +384,8 @@ class _Hand:
         return {n: p[p[:, 3] < front + FLAT, :3] for n, p in found.items() if (p[:, 3] < front + FLAT).any()}
 
     def _curve(self, jaws: _Jaws, pads: list[dict[str, Array]]) -> Array:
-        """Return the curve (k, 4) of a detected gripper as rows: joint position, opening [m], y and z [m] of
-        the grip center.
+        """Return the curve of a detected gripper with rows (k, 4): joint position, opening [m],
+        and y and z [m] of the grip center.
 
         The rows begin at the closed end; they end where the opening stops growing, or a jaw has turned too
         far to hold an object.
@@ -413,8 +424,8 @@ class _Hand:
         return float(min((self.at(p, q) @ jaws.axes[2]).max() for p in (jaws.plus, jaws.minus))) - z
 
     def _existing(self, T_palm_tcp: SE3, reach: float) -> tuple[str | None, SE3, float]:
-        """Return a frame that can be the tcp of a gripper, T_frame_tcp, and 1, or -1 if its y axis is
-        reversed.
+        """Return a frame that can serve as a gripper's tcp, T_frame_tcp, and 1,
+        or -1 if the frame's y axis is reversed.
         """
         model, rigid = self.model, self.rigid[self.palm]
         for name in rigid:
@@ -454,7 +465,9 @@ class _Hand:
 
 
 def with_frame(model: RobotModel, name: str, parent: str, T_parent_frame: SE3) -> RobotModel:
-    """Return the robot with an additional link without geometry, such as a gripper's tcp, fixed to a link."""
+    """Return the robot with an additional frame, such as a gripper's tcp.
+    It is a link without geometry that is fixed to another link.
+    """
     joint = Joint(f"{name}_joint", "fixed", parent, name, T_parent_frame)
     return replace(
         model,
@@ -465,8 +478,8 @@ def with_frame(model: RobotModel, name: str, parent: str, T_parent_frame: SE3) -
 
 
 def with_tip(model: RobotModel, group: str, link: str) -> RobotModel:
-    """Return the robot with another tip link, such as a detected gripper's tcp, for a planning
-    group (chain).
+    """Return the robot with a new tip link for a planning group (chain),
+    such as the tcp of a detected gripper.
     """
     old = model.groups[group]
     chain = model.chain(str(old.base_link), link)
@@ -482,7 +495,9 @@ def _driver(model: RobotModel, joint: Joint) -> str:
 
 
 def _value(model: RobotModel, joint: Joint, driver: str, q: float) -> float:
-    """Return the position of a gripper's joint if the driving joint is at `q` and all others are at zero."""
+    """Return the position of a gripper's joint when the driving joint
+    is at `q` and all other joints are at zero.
+    """
     if joint.mimic is None:
         return q if joint.name == driver else 0.0
     return (
@@ -501,6 +516,8 @@ def _motion(joint: Joint, value: float) -> SE3:
 
 
 def _snapped(direction: Array) -> Array:
-    """Return the frame axis within 3 degrees of a gripper's direction, or else that direction."""
+    """Return the frame axis that is within 3 degrees of a gripper's direction,
+    or else the direction itself.
+    """
     k = int(np.argmax(np.abs(direction)))
     return np.sign(direction[k]) * np.eye(3)[k] if abs(direction[k]) > SNAP else direction

@@ -77,7 +77,7 @@ Without MoveIt, armcell offers the same interfaces of move_group and the control
 def launch_files(
     package: str, robot: str, names: Mapping[str, str], controllers: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, str]:
-    """Return launch files for ROS 1 and ROS 2 and a guide for a MoveIt configuration package.
+    """Return launch files for ROS 1 and ROS 2 for a MoveIt configuration package, and a guide to them.
 
     The result maps paths in the package to texts.
 

@@ -115,7 +115,7 @@ class MoveItConfig:
     # --- settings for planners and controllers ---
     @property
     def planner_configs(self) -> dict[str, dict[str, Any]]:
-        """Return the OMPL planners that a MoveIt configuration defines, by name: `type` and parameters.
+        """Return the OMPL planners in a MoveIt configuration by name, each with its `type` and parameters.
 
         Numeric strings are converted to numbers.
         """
@@ -133,7 +133,9 @@ class MoveItConfig:
 
     @property
     def controllers(self) -> dict[str, dict[str, Any]]:
-        """Return the controllers of a MoveIt configuration: `type`, `action_ns`, `default`, `joints`."""
+        """Return the controllers in a MoveIt configuration,
+        each with `type`, `action_ns`, `default` and `joints`.
+        """
         return _controllers(_unwrapped(self.files.get("controllers", {})))
 
     @property
@@ -203,7 +205,9 @@ def package_files(package: str, urdf: str, srdf: str) -> dict[str, str]:
 
 
 def is_moveit_config(folder: Path) -> bool:
-    """Return whether a folder is a MoveIt configuration (`config/*.srdf*` or `.setup_assistant`)."""
+    """Return whether a folder is a MoveIt configuration.
+    It then contains `config/*.srdf*` or `.setup_assistant`.
+    """
     return any((folder / "config").glob("*.srdf*")) or (folder / SETUP_FILE).is_file()
 
 
@@ -244,7 +248,8 @@ def _controllers(data: Data) -> dict[str, dict[str, Any]]:
 
 
 def load_ompl_planning(file: Path, model: RobotModel) -> Data:
-    """Read a MoveIt configuration's ompl_planning.yaml (ROS 1 or 2), for `PlanRequest.planner_configs`.
+    """Read the OMPL settings from ompl_planning.yaml of a MoveIt configuration (ROS 1 or 2), for
+    `PlanRequest.planner_configs`.
 
     Raises:
         InputError: a group's planner configuration does not exist or a value has the wrong type; the message
@@ -421,7 +426,7 @@ class _Reader:
         return self.mapping(inner["joint_limits"] or {}, file, "joint_limits")
 
     def limited(self, model: RobotModel, data: Data, file: Path) -> RobotModel:
-        """Return the robot of a MoveIt configuration with the tighter limits from joint_limits.yaml.
+        """Return the robot of a MoveIt configuration. Where joint_limits.yaml has tighter limits, they apply.
 
         A wider velocity, acceleration or jerk limit is ignored with a warning. Joints without any velocity or
         acceleration limit get MoveIt's defaults.
@@ -545,7 +550,9 @@ class _Reader:
 
 
 def _with_full_paths(text: str, file: Path) -> str:
-    """Return URDF text of a MoveIt configuration with absolute paths for meshes beside the URDF."""
+    """Return the URDF text of a MoveIt configuration,
+    with absolute paths for meshes in the folder of the URDF.
+    """
     root = parse_xml(text, file)
     find_meshes(root, file.resolve().parent)
     return xml_text(root)

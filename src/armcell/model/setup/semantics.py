@@ -17,8 +17,8 @@ Attributes = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class Element:
-    """One element of an SRDF (a robot's semantics): its tag, its attributes in file order, its child elements
-    and its text.
+    """One element of a robot's SRDF: its tag, attributes (in the
+    order of the file), child elements and text.
     """
 
     tag: str
@@ -38,7 +38,7 @@ def element(tag: str, *inside: Element, **attributes: str) -> Element:
 
 
 def parse_srdf(text: str, file: Path) -> Element:
-    """Parse the text of an SRDF, which describes a robot's semantics, and return its <robot> element.
+    """Parse SRDF text and return the <robot> element. An SRDF describes a robot's semantics.
 
     Raises:
         InputError: invalid XML, or the root element is not <robot>.
@@ -56,7 +56,7 @@ def _value(node: etree._Element) -> Element:
 
 
 def srdf_text(robot: Element) -> str:
-    """Return the text of an SRDF, which describes a robot's semantics, for its <robot> element."""
+    """Convert the <robot> element of an SRDF to text. An SRDF describes a robot's semantics."""
     return xml_text(_node(robot))
 
 

@@ -25,7 +25,9 @@ NOWHERE = Path("/")
 
 @dataclass(frozen=True)
 class UrdfPart:
-    """URDF or xacro text to be merged with others, with a name prefix and the world pose of its root link."""
+    """One of several URDF or xacro texts to be merged,
+    with a name prefix and the pose of its root link in the world.
+    """
 
     file: Path
     prefix: str = ""
@@ -78,8 +80,8 @@ def merged_urdf(
 
 
 def with_frames_text(text: str, model: RobotModel) -> str:
-    """Return the URDF text with frames that setup has added to the robot. Each is a link with a
-    fixed joint.
+    """Return the URDF text with all frames that robot setup has added.
+    Each frame is a link with a fixed joint.
     """
     missing = [j for j in model.frames.values() if f'<link name="{j.child}"' not in text]
     if not missing:
@@ -122,8 +124,8 @@ def _names(root: etree._Element) -> set[str]:
 
 
 def _prefix(root: etree._Element, prefix: str) -> None:
-    """Put a prefix before every name in a URDF that is to be merged, and remove elements for simulators and
-    drivers.
+    """Prepare a URDF for merging: put a prefix before every name,
+    and remove elements for simulators and drivers.
 
     The removed elements are `gazebo`, `transmission` and `ros2_control`.
     """
@@ -140,8 +142,7 @@ def _prefix(root: etree._Element, prefix: str) -> None:
 
 
 def find_meshes(root: etree._Element, folder: Path) -> None:
-    """Make the mesh paths of a URDF absolute if only its own folder can resolve them, before it is merged
-    with others.
+    """Prepare a URDF for merging: make mesh paths absolute if they are relative to the folder of the URDF.
 
     A merged URDF is stored in another folder, where relative paths would not work. `package://` URIs of
     installed packages stay unchanged.

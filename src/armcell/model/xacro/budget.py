@@ -20,7 +20,9 @@ CHARACTERS = 64  # number of characters that count as one item
 
 
 class XacroError(Exception):
-    """Error in a xacro file, or a feature or effort in it that exceeds what armcell's budget allows."""
+    """Error in a xacro file.
+    It can also be a feature that armcell does not support, or work beyond the budget.
+    """
 
     def __init__(self, reason: str, hint: str | None = None):
         super().__init__(reason)
@@ -29,8 +31,8 @@ class XacroError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """Function that xacro expressions can call, which charges its work to a budget:
-    `run(budget, *arguments, **keywords)`.
+    """Function for xacro expressions that charges its work to a
+    budget: `run(budget, *arguments, **keywords)`.
 
     Attributes:
         name: name of the function in messages.
@@ -75,7 +77,7 @@ class Budget:
 
 
 def size(value: Any) -> int:
-    """Return for how many items a xacro value is charged to the budget, including nested items.
+    """Return the number of items, including nested ones, for which a xacro value is charged to the budget.
 
     64 characters of a string count as one item. An item that occurs twice counts twice, because printing and
     comparing it takes twice as long.
@@ -109,7 +111,7 @@ def size(value: Any) -> int:
 
 
 def check_key(key: Any) -> None:
-    """Reject large integers as dictionary keys in xacro, because they could make it exceed its budget.
+    """Reject large integers as dictionary keys in xacro, because they could cause work beyond the budget.
 
     An attacker can choose large integers with equal hashes, which makes a dictionary slow.
 
@@ -124,7 +126,7 @@ def check_key(key: Any) -> None:
 
 
 def check_repeated(items: Sequence[Any], times: int) -> None:
-    """Check that a string or list that a xacro expression repeats does not become too long for the budget.
+    """Check that repeating a string or list in a xacro expression does not exceed the budget.
 
     Raises:
         XacroError: `items`, repeated `times` times, would be too long.

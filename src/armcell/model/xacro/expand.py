@@ -92,7 +92,7 @@ def expand_xacro(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """Return the arguments that a xacro file lacks for its expansion: `name`, and undeclared ones."""
+    """Return the arguments that the expansion of a xacro file lacks: `name`, and undeclared arguments."""
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
     return list(dict.fromkeys([name, *(n for n in ARGUMENT.findall(text) if n not in known)]))
@@ -140,7 +140,7 @@ class _Expansion:
         return etree.tostring(out, encoding="unicode")
 
     def failed(self, reason: str, hint: str | None = None) -> InputError:
-        """Return the `InputError` for a failure, with the xacro file, line and element being expanded."""
+        """Return an `InputError` that names the xacro file, line and element where the expansion failed."""
         file, line, label = self.file, None, None
         if self.here is not None:
             url = self.here.getroottree().docinfo.URL
@@ -189,7 +189,7 @@ class _Expansion:
         return {**MATH, **BASIC, **functions, **spaces}
 
     def _path(self, name: str) -> Path:
-        """Resolve a path in a xacro file being expanded, relative to the file that is being read."""
+        """Resolve a path in a xacro file. It is relative to the file that is being read."""
         if "\0" in name:
             raise XacroError(f"{name!r} is not a path")
         return self.reading[-1].parent / name
@@ -204,14 +204,18 @@ class _Expansion:
         return text_of(evaluate_text(str(value), scope))
 
     def _children(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append the content of a xacro element to a URDF element, with macros and properties expanded."""
+        """Expand the macros and properties in a xacro element's content,
+        and append the result to a URDF element.
+        """
         self._words(source.text, out, scope)
         for child in source:
             self._child(child, out, macros, scope)
             self._words(child.tail, out, scope)
 
     def _words(self, text: str | None, out: Element, scope: Scope) -> None:
-        """Append text with xacro expressions expanded to a URDF element. Skip mere white space."""
+        """Expand the xacro expressions in a text and append the text to a URDF element.
+        Skip pure white space.
+        """
         if text and not text.isspace():
             before = out[-1].tail if len(out) else out.text
             self.budget.charge(len(before or "") // CHARACTERS)  # appending copies the existing text
@@ -235,7 +239,9 @@ class _Expansion:
             self._call(name, source, out, macros, scope)
 
     def _copy(self, tag: str, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append a copy of an element to a URDF element, with xacro expanded in attributes and content."""
+        """Expand the attributes and the content of a xacro element,
+        and append a copy of the element to a URDF element.
+        """
         try:
             made = etree.SubElement(out, tag, nsmap=_spaces(source))
         except ValueError:
@@ -244,7 +250,8 @@ class _Expansion:
         self._children(source, made, macros, scope)
 
     def _inside(self, source: Element, out: Element, macros: Scope, scope: Scope) -> None:
-        """Append the expanded content of a xacro element to a URDF element, without its attributes.
+        """Expand the content of a xacro element and append it to a URDF element,
+        without the element's attributes.
 
         As in plain xacro, an <xacro:attribute> directly inside `source` has no effect on `out`.
         """
@@ -420,7 +427,7 @@ def _pushed(stack: list[Any], item: Any) -> Iterator[None]:
 
 
 def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Macro]:
-    """Find the xacro macro to expand by its name, which may contain namespaces, as in `ns.macro`.
+    """Find a xacro macro by its name, which can contain namespaces, as in `ns.macro`.
 
     Returns:
         The macro scope and the property scope in which the macro must be expanded, and the macro.
@@ -443,7 +450,7 @@ def _resolved(name: str, macros: Scope, scope: Scope) -> tuple[Scope, Scope, Mac
 
 
 def _parent_of(scope: Scope) -> Scope:
-    """Return the scope of a xacro macro's caller, to which `scope="parent"` refers in the macro.
+    """Return the scope of the code that calls a xacro macro. In the macro, `scope="parent"` refers to it.
 
     For an included file with a namespace, the caller is the file that includes it.
     """

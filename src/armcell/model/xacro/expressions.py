@@ -37,8 +37,8 @@ class Names(Protocol):
 
 
 class Dotted(dict[Any, Any]):
-    """Dictionary from a YAML file whose keys can also be used as attributes in xacro expressions:
-    `limits.lower`.
+    """Dictionary from a YAML file.
+    In xacro expressions, its keys can also be used as attributes, as in `limits.lower`.
     """
 
 
@@ -53,7 +53,9 @@ class NameSpace:
 
 
 class _Local:
-    """Names that a comprehension in a xacro expression can use: its loop variables and the outer names."""
+    """Names available inside a comprehension in a xacro expression:
+    its loop variables and the outer names.
+    """
 
     def __init__(self, around: Names):
         self.around, self.values = around, {}

@@ -60,7 +60,7 @@ class RobotFiles:
         self._yaml: dict[Path, Any] = {}
 
     def find(self, package: str) -> Path:
-        """Return the folder of a ROS package, from which xacro files may be read from now on.
+        """Return the folder of a ROS package and allow xacro to read files from it.
 
         Raises:
             XacroError: the package does not exist.
@@ -73,8 +73,8 @@ class RobotFiles:
         return found.folder
 
     def checked(self, path: Path) -> Path:
-        """Resolve symlinks in the path of a robot's file, and check that the file is in the packages of the
-        robot.
+        """Resolve symlinks in the path of a robot's file.
+        Check that the file is in one of the robot's packages.
 
         Raises:
             XacroError: the file is outside the robot's packages, or `path` is not a valid path.
@@ -128,8 +128,8 @@ class RobotFiles:
         return parse_xml(text, path)
 
     def yaml(self, path: Path, evaluate: Any) -> Any:
-        """Return the content of a YAML file that the xacro file of a robot loads. Its keys can be used as
-        attributes.
+        """Return the content of a YAML file that a robot's xacro file loads.
+        Its keys can be used as attributes.
 
         Args:
             path: the file.
@@ -147,8 +147,8 @@ class RobotFiles:
 
     def _loaded(self, text: str, path: Path, evaluate: Any) -> Any:
         class Loader(SafeLoader):
-            """Loader for YAML 1.1 files of a robot that reads `yes` as true, like ROS's loader, and supports
-            xacro's units.
+            """YAML 1.1 loader for a robot's files that reads `yes` as true,
+            as ROS does, and supports xacro's units.
             """
 
         def with_unit(loader: Any, tag: str, node: yaml.Node) -> float:
@@ -184,7 +184,7 @@ class RobotFiles:
         return value
 
     def matching(self, pattern: Path) -> list[Path]:
-        """Return those files of a robot that match a path with wildcards (`*`, `?` or `[...]`), sorted.
+        """Return a robot's files whose paths match a pattern with wildcards (`*`, `?` or `[...]`), sorted.
 
         Raises:
             XacroError: `..` follows a wildcard, or a match is outside the robot's packages.

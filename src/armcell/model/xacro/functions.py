@@ -166,7 +166,7 @@ def _small(function: Callable[..., int]) -> Callable[..., int]:
 
 
 def _types() -> dict[str, Function]:
-    """Return those functions of xacro expressions that are also names of types, such as `str` and `int`."""
+    """Return the functions for xacro expressions that are also type names, such as `str` and `int`."""
     return {
         "str": plain("str", lambda value="": text_of(value), str),
         "int": plain("int", _int, int),
@@ -232,7 +232,7 @@ MATH: dict[str, Any] = {
 
 # --- text ---
 class _Formatter(string.Formatter):
-    """Safe `str.format` as a function of xacro expressions, which supports only plain fields.
+    """Safe `str.format` for xacro expressions, which supports only plain fields.
 
     Fields such as `{0.attribute}` and `{0[item]}` would give access to Python's objects.
     """
@@ -259,8 +259,8 @@ def _format(text: str, /, *arguments: Any, **keywords: Any) -> str:
 
 
 def percent(text: str, values: Any) -> str:
-    """Evaluate Python's `text % values` as a function of xacro, after checking the field widths and the size
-    of the result.
+    """Evaluate Python's `text % values` in a xacro expression,
+    after checking the field widths and the result's size.
 
     Raises:
         XacroError: a field is too wide, a key contains parentheses, or the result would be too long.

@@ -21,8 +21,7 @@ Substitute = Callable[[str, "Scope"], str]
 
 
 class Scope:
-    """Properties of a xacro file or of one macro call. Properties that it lacks are looked up in the outer
-    scopes.
+    """Properties of a xacro file or of one macro call. Missing properties are looked up in the outer scopes.
 
     Args:
         budget: remaining operations of the robot file.
@@ -48,7 +47,7 @@ class Scope:
 
     @property
     def outermost(self) -> Scope:
-        """Return the outermost scope, which is that of the xacro file itself and not of a macro."""
+        """Return the outermost xacro scope. It belongs to the file itself and not to a macro."""
         scope = self
         while scope.around is not None and scope.around.around is not None:
             scope = scope.around
@@ -104,8 +103,8 @@ class Scope:
 
 
 def evaluate_text(text: str, scope: Scope) -> Any:
-    """Evaluate a text with `${...}` and `$(...)` in a xacro scope. The result of a single expression keeps
-    its type.
+    """Evaluate a text that contains `${...}` and `$(...)` in a xacro scope. A text that is a single
+    expression keeps the type of its value.
 
     Raises:
         XacroError: an expression fails (see `evaluate`), or a `$` starts neither form.

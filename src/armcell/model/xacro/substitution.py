@@ -23,7 +23,7 @@ ARGUMENT = re.compile(r"\$\(arg\s+([^\s)]+)\s*\)")
 
 
 class MissingArgument(XacroError):
-    """Error for a substitution argument of xacro that was given no value and has no default."""
+    """Error for a xacro substitution argument that has neither a value nor a default."""
 
     def __init__(self, name: str):
         super().__init__(f"argument {name!r} has no value", missing_hint([name]))
@@ -38,7 +38,7 @@ def missing_hint(names: list[str]) -> str:
 
 
 class Substitution:
-    """Evaluator for xacro's substitution arguments, which is the text inside `$(...)`.
+    """Evaluator for xacro's substitution arguments, which are the texts inside `$(...)`.
 
     Args:
         files: reader of the robot's files, which finds packages.

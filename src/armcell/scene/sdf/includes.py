@@ -36,7 +36,7 @@ class Library:
         self.folders = [*folders, *named]
 
     def _candidates(self, rest: str, base: Path) -> Iterator[Path]:
-        """Yield the paths to which the URI model://NAME/... of an SDF include may refer, nearest first."""
+        """Yield the paths that the URI model://NAME/... in an SDF <include> can refer to, nearest first."""
         above = [base, *base.parents][: ABOVE + 1]
         for folder in (*self.folders, *above):
             yield folder / rest
@@ -46,7 +46,7 @@ class Library:
                 yield folder / inner if inner else folder
 
     def find(self, uri: str, base: Path, asked_by: Element) -> Path:
-        """Return the existing file or folder to which the URI of an SDF include or mesh refers.
+        """Return the existing file or folder that a URI in an SDF file refers to.
 
         Args:
             uri: model://, package://, file:// or a path. Of a web address, only the model's name is used.
@@ -83,7 +83,7 @@ class Library:
         )  # fmt: skip
 
     def model_file(self, uri: str, base: Path, asked_by: Element) -> Path:
-        """Return the SDF file of an included model, which is given by its URI.
+        """Return the SDF file of a model that is included by its URI.
 
         The URI refers to the file itself, or to a folder whose model.config names the file (the highest SDF
         version).

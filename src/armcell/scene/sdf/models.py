@@ -56,7 +56,7 @@ class Model:
 
 
 class Tree:
-    """Reader for a tree of SDF models, which follows includes and records the elements that it skips."""
+    """Reader for nested SDF models. It follows includes and records the elements that it skips."""
 
     def __init__(self, library: Library, skip: Collection[str] = ()):
         self.library, self.skip = library, set(skip)
@@ -113,7 +113,7 @@ class Tree:
         return bool(found)
 
     def _included(self, include: Element, uri: str, scope: Scope, depth: int) -> Model | None:
-        """Return the model to which an SDF <include> refers, or None if it is a light or an actor.
+        """Return the model that an SDF <include> refers to. Return None if it is a light or an actor.
 
         A skipped light or actor is recorded in `notes`.
         """
@@ -134,8 +134,8 @@ class Tree:
         return model
 
     def _included_root(self, include: Element, uri: str) -> Element | None:
-        """Return the <sdf> element of the model file to which an <include> refers, or None for Gazebo's sun
-        (a light).
+        """Return the <sdf> element of an included model file.
+        Return None for Gazebo's sun, which is a light.
         """
         asked_by = child(include, "uri")
         asked_by = include if asked_by is None else asked_by
@@ -155,7 +155,9 @@ class Tree:
         return self.root(file)
 
     def _placed(self, element: Element, placed_by: Element, name: str, scope: Scope, depth: int) -> Model:
-        """Return an SDF model at the pose that an element (the model itself or its <include>) gives."""
+        """Return an SDF model with the pose from a given element,
+        which is the model itself or its <include>.
+        """
         model = self._model(element, name, depth + 1)
         pose = child(placed_by, "pose")
         pose = child(element, "pose") if pose is None else pose

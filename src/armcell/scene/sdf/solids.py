@@ -53,8 +53,8 @@ class Solid:
 
 
 def geometry_of(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
-    """Convert the shape of an SDF <collision> or <visual> element to a solid shape, and return it with its
-    pose in the element.
+    """Convert the shape of an SDF <collision> or <visual> element.
+    Return the shape and its pose in the element's frame.
 
     Returns:
         (shape, T_element_shape), or a `Skipped` note if the shape is not converted.
@@ -126,7 +126,7 @@ _READERS: dict[str, Callable[[Element, Library], tuple[Shape, SE3] | Skipped]] =
 
 
 def friction_of(collision: Element) -> tuple[tuple[float, float] | None, Skipped | None]:
-    """Return the friction (static, dynamic) of an SDF collision solid, and a note on what was approximated.
+    """Return the friction (static, dynamic) of an SDF <collision> element, and a note on approximations.
 
     SDF has one coefficient per direction (ODE's mu and mu2, or Bullet's); armcell uses the smaller one.
     Drake's extension has a static and a dynamic coefficient.
@@ -162,7 +162,8 @@ def _coefficient(element: Element) -> float:
 
 
 def material_of(solids: list[Solid]) -> tuple[Material, bool]:
-    """Return one material for all SDF collision solids of an object, and whether their materials differ.
+    """Return a single material for all SDF <collision> elements of an object,
+    and whether their materials differ.
 
     If they differ, the smallest static and dynamic friction apply.
     """
@@ -174,7 +175,7 @@ def material_of(solids: list[Solid]) -> tuple[Material, bool]:
 
 
 def mass_of(link: Element, solids: list[Solid]) -> float:
-    """Return the mass [kg] of the solids of an SDF link from its <inertial> element, or 1 kg if it has none.
+    """Return the mass [kg] of an SDF link from its <inertial> element. Without this element the mass is 1 kg.
 
     Raises:
         InputError: the mass is not positive.
@@ -193,8 +194,8 @@ def mass_of(link: Element, solids: list[Solid]) -> float:
 
 
 def color_of(link: Element) -> Color | None:
-    """Return the color of the solids of an SDF link, which is that of its first colored visual. Textures are
-    ignored.
+    """Return the color of an SDF link, which is the color of its first colored <visual>.
+    Textures are ignored.
     """
     for visual in children(link, "visual"):
         color = _material_color(visual)

@@ -175,8 +175,8 @@ class _Flat:
         self._group[self._root(b)] = self._root(a)
 
     def _groups(self) -> Iterator[tuple[list[_Body], bool]]:
-        """Yield for each object to make from a model in an SDF world its links, and whether the object is
-        fixed.
+        """Yield the links of each object that a model in an SDF world is split into,
+        and whether the object is fixed.
         """
         for path, body in self.bodies.items():
             if body.static:
@@ -265,7 +265,9 @@ def _is_fixed(joint: Element) -> bool:
 
 
 def _free_name(name: str, objects: Sequence[CollisionObject]) -> str:
-    """Return a name without special characters for an object of an SDF world that no other object has."""
+    """Return a name for an object of an SDF world.
+    It has no special characters, and no other object has the same name.
+    """
     plain = re.sub(r"[^\w.\-]+", "_", name).strip("_") or "object"
     taken, number = {item.name for item in objects}, 2
     found = plain
