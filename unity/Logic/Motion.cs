@@ -34,7 +34,7 @@ namespace Armcell.Logic
         readonly double[] m_Q, m_V;
         bool m_Commanded;
 
-        /// <summary>"done: ...", "stopped: ..." or "failed: ..."; null while it runs.</summary>
+        /// <summary>"done: ...", "stopped: ...", "failed: ..." or "refused: ..."; null while it runs.</summary>
         public string Outcome { get; private set; }
 
         public Motion(JointTrajectory trajectory, IJoints joints, ExecutionSettings settings, double now)
@@ -56,7 +56,7 @@ namespace Armcell.Logic
             }
             int worst = Worst(m_Gap);
             if (worst >= 0 && Math.Abs(m_Gap[worst]) > settings.startTolerance)
-                Outcome = "failed: " + trajectory.names[worst] + " is " + Words.F(Math.Abs(m_Gap[worst]), 3)
+                Outcome = "refused: " + trajectory.names[worst] + " is " + Words.F(Math.Abs(m_Gap[worst]), 3)
                     + " from the trajectory's start (tolerance " + Words.G(settings.startTolerance)
                     + "): the robot moved since it was planned; plan again from the current state";
         }

@@ -228,7 +228,7 @@ namespace Armcell.Tests
             points.velocities = null;
             m_Executor.Take(points);
             Run(0.1);
-            Assert.AreEqual("failed: a is 0.200 from the trajectory's start (tolerance 0.01): the robot moved since it "
+            Assert.AreEqual("refused: a is 0.200 from the trajectory's start (tolerance 0.01): the robot moved since it "
                 + "was planned; plan again from the current state", m_Said.Last());
             Assert.AreEqual(0.0, m_Robot.q["a"], 0.0);
         }
