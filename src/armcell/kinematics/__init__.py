@@ -1,10 +1,19 @@
 """Forward kinematics, Jacobians, inverse kinematics and inverse dynamics."""
 
 from armcell.kinematics.dynamics import InverseDynamics
-from armcell.kinematics.ik import AnalyticIK, IKSettings, IKSolver, NumericIK, ik_solver, ik_solvers
+from armcell.kinematics.ik import (
+    POSE_JOINTS,
+    AnalyticIK,
+    IKSettings,
+    IKSolver,
+    NumericIK,
+    ik_solver,
+    ik_solvers,
+)
 from armcell.kinematics.tree import KinematicTree, kinematic_tree
 
 __all__ = [
+    "POSE_JOINTS",
     "AnalyticIK",
     "IKSettings",
     "IKSolver",

@@ -12,7 +12,7 @@ from armcell.kinematics.ik.descent import descend
 from armcell.kinematics.ik.nullspace import slide_towards
 from armcell.kinematics.ik.search import search
 from armcell.kinematics.ik.seeds import rank, sampling_range
-from armcell.kinematics.ik.solver import FULL, IKSettings, IKSolver, Prepared, ik_solvers
+from armcell.kinematics.ik.solver import POSE_JOINTS, IKSettings, IKSolver, Prepared, ik_solvers
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class NumericIK(IKSolver):
                 if count == given > 0 and tried == BARREN:
                     return
                 for q in found[given:count]:
-                    yield self._polished(chain, goal, q) if len(q) < FULL else q.copy()
+                    yield self._polished(chain, goal, q) if len(q) < POSE_JOINTS else q.copy()
                 given = count
 
     def _polished(self, chain: Chain, goal: Array, q: Array) -> Array:

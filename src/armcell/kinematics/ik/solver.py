@@ -28,7 +28,7 @@ CLOSEST_SEEDS, CLOSEST_ITERATIONS = (
     12,
     200,
 )  # seeds and iterations of the search for the nearest reachable pose if there is no solution
-FULL = 6  # joints of an arm that reaches poses in all six dimensions
+POSE_JOINTS = 6  # joints of an arm that reaches any orientation at a position
 COARSE = (5e-5, 5e-4)  # [m], [rad] tolerances for fewer joints: rounded numbers of a URDF miss a pose by more
 # than the default tolerances, and no other joint makes up for them
 AT_LIMIT = 1e-3  # [rad or m] joints nearer to a limit count as being at the limit
@@ -82,7 +82,7 @@ class IKSolver(ABC):
         self, model: RobotModel, group: str, tip_link: str | None = None, settings: IKSettings = IKSettings()
     ):
         self.group = model.group(group)
-        if settings == IKSettings() and len(self.group.joint_names) < FULL:
+        if settings == IKSettings() and len(self.group.joint_names) < POSE_JOINTS:
             settings = replace(settings, position_tolerance=COARSE[0], rotation_tolerance=COARSE[1])
         self.model, self.settings = model, settings
         self.tip_link = tip_of(model, group, tip_link)
@@ -316,7 +316,7 @@ class IKSolver(ABC):
         message = f"{why} the closest is {least[0] * 1000:.0f} mm and {np.rad2deg(least[1]):.0f} deg away" + (
             f", with {', '.join(limits)} at the limit" if limits else ""
         )
-        if len(at) < FULL:
+        if len(at) < POSE_JOINTS:
             message += (
                 f"; {len(at)} joints reach only some orientations at a position: allow more in the "
                 "goal's orientation tolerance (pi: any), or take the closest pose"

@@ -13,7 +13,9 @@ Array = NDArray[np.float64]
 
 
 def surface_points(link: Link, spacing: float) -> Array:
-    """Return points (n, 3) [m] on the collision shapes of a link that are less than `spacing` [m] apart."""
+    """Return random points (n, 3) [m] on the collision meshes of a link, about three per square whose edge is
+    `spacing` [m]. Other shapes count as their bounding boxes.
+    """
     found = [np.zeros((0, 3))]
     for collision in link.collisions:
         shape = collision.shape

@@ -24,7 +24,7 @@ from armcell.core import (
     PositionConstraint,
 )
 from armcell.core.geometry import local_bounds
-from armcell.kinematics import IKSolver, ik_solver
+from armcell.kinematics import POSE_JOINTS, IKSolver, ik_solver
 from armcell.model import RobotModel
 from armcell.planning.constraints.constraint_validation import joint_ranges
 from armcell.planning.constraints.evaluation import (
@@ -45,7 +45,6 @@ SHARE = 0.9  # used share of the tolerances; the rest is for the solver's own to
 ATTEMPTS = 500  # random references per goal
 TRIES = 50  # attempts to sample a point inside a shape
 EQUIVALENTS = 4  # number of positions that differ by full turns
-FULL = 6  # joints of an arm that reaches any orientation; with fewer, only a projection finds a reachable one
 
 
 def is_region(goal: Goal) -> bool:
@@ -74,7 +73,7 @@ def sample_goal_positions(
         deadline: [s] of time.monotonic(), after which sampling ends.
     """
     if isinstance(goal, PoseGoal):
-        if is_wide(goal) and len(scene.model.group(group).joint_names) < FULL:
+        if is_wide(goal) and len(scene.model.group(group).joint_names) < POSE_JOINTS:
             return _of_constraints(scene, group, _constraints_of(goal), rng, deadline)
         return _of_pose(scene, group, goal, rng, deadline)
     if isinstance(goal, ConstraintGoal):
@@ -234,7 +233,7 @@ def _of_constraints(
     start = scene.positions[columns]
     wide_low = np.where(np.isfinite(low), low, np.minimum(start - np.pi, high))
     wide_high = np.where(np.isfinite(high), high, np.maximum(start + np.pi, low))
-    few = len(start) < FULL and bool(wanted.positions or wanted.orientations)
+    few = len(start) < POSE_JOINTS and bool(wanted.positions or wanted.orientations)
     manifold = ConstraintManifold(scene, group, wanted) if few else None
     for k in range(ATTEMPTS):
         q = np.clip(start, low, high) if k == 0 else rng.uniform(wide_low, wide_high)
