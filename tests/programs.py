@@ -27,9 +27,11 @@ ROOT = Path(__file__).resolve().parents[1]
 PATHS = {str(ROOT), str(ROOT / "src")}  # what PYTHONPATH may name: nothing that imports differently
 LIVE = (
     "PYTHONPATH", "ROS_", "CYCLONEDDS_URI", "PYTEST_", "RAY_", "ARMCELL_GATE_KEY", "ARMCELL_DEBUG",
-    "ARMCELL_ALLOW_ENV", "ARMCELL_XACRO_ARGS", "ARMCELL_PACKAGES",
+    "ARMCELL_ALLOW_ENV", "ARMCELL_XACRO_ARGS", "ARMCELL_PACKAGES", "LD_LIBRARY_PATH", "PYOPENGL_PLATFORM",
 )  # fmt: skip
-"""Environment variables that programs read when they run, not when they import."""
+"""Environment variables that programs read when they run, not when they import. OpenCV and MuJoCo's renderer
+set the last two in the process that imports them.
+"""
 PRELOADED = (
     "armcell.cli.main", "armcell.cell.live", "armcell.cell.script", "armcell.records",
     "armcell.records.plots", "armcell.ros.tcp", "armcell.ros.ros1", "armcell.campaigns", "armcell.viewer",

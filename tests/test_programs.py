@@ -71,6 +71,12 @@ def test_modules_are_run_and_python_finds_theirs(tmp_path):
     assert forked.stdout == new.stdout and "mine" in new.stdout
 
 
+def test_programs_are_forked_also_after_an_import_has_set_its_variables(monkeypatch):
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/as/cv2/sets/it:")
+    process = Program([sys.executable, "-c", "print('up')"], stdout=subprocess.PIPE, text=True)
+    assert process._request is not None and process.communicate(timeout=60)[0] == "up\n"
+
+
 def test_signals_waits_and_unbuffered_output():
     command = [sys.executable, "-u", "-c", "import time\nprint('up')\ntime.sleep(60)"]
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
