@@ -46,14 +46,15 @@ def explain_cartesian_stop(diagnosis: Diagnosis) -> None:
         _report_reach(diagnosis, request, ik)
     if result.path is not None:
         diagnosis.state = diagnosis.group_state(result.path.waypoints[-1])
-    if result.code is ErrorCode.PLANNING_FAILED and "joint" in result.evidence:
-        _jump(diagnosis, request)
+    jumps = result.code is ErrorCode.PLANNING_FAILED and "joint" in result.evidence
     if "violations" in result.evidence:
         blame_path_constraints(diagnosis)
-    _other_start(diagnosis, request, ik, here)
-    _smaller_turn(diagnosis, request, here)
-    _aside(diagnosis, request, ik)
-    _around(diagnosis, request, ik, number, pose)
+    # If smaller steps complete the line, the line is feasible as requested: try no other line.
+    if not (jumps and _jump(diagnosis, request)):
+        _other_start(diagnosis, request, ik, here)
+        _smaller_turn(diagnosis, request, here)
+        _aside(diagnosis, request, ik)
+        _around(diagnosis, request, ik, number, pose)
     if diagnosis.contacts and result.path is not None:
         last = result.path.waypoints[-1]
         there = next(iter(ik.nearest(request.waypoints[-1], _full(diagnosis, last), diagnosis.rng, 4)), last)
@@ -105,8 +106,12 @@ def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver)
         diagnosis.add_finding(f"there the arm is near a singularity (smallest singular value {least:.3f})")
 
 
-def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> None:
-    """Suggest smaller steps or a larger jump threshold if a joint jumps on a Cartesian path."""
+def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> bool:
+    """Suggest smaller steps or a larger jump threshold if a joint jumps on a Cartesian path.
+
+    Returns:
+        whether smaller steps complete the path.
+    """
     for k in range(1, 6):
         step = request.max_step / 2**k
         changed = replace(request, max_step=step)
@@ -114,14 +119,15 @@ def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> None:
             diagnosis.suggest(
                 f"take steps of {wording.length(step)}", change_request, {"max_step": step}, known=True
             )
-            return
+            return True
     name = diagnosis.result.evidence["field"]
     for factor in (1.5, 2.0, 4.0, 10.0, 100.0):
         threshold = getattr(request, name) * factor
         if diagnosis.succeeds(diagnosis.scene, replace(request, **{name: threshold})) is not None:
             text = f"allow larger joint steps: {name} {threshold:.3g}"
             diagnosis.suggest(text, change_request, {name: threshold}, known=True)
-            return
+            break
+    return False
 
 
 def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, here: SE3) -> None:
