@@ -169,7 +169,7 @@ class _Judge:
         checker = _checker(model)
         counts: Counter[frozenset[str]] = Counter()
         for q in samples:
-            counts.update({frozenset((c.body_a, c.body_b)) for c in checker.contacts(q)})
+            counts.update(checker.touching(q))
         # Contact in nearly all states is a mesh flaw and no reason to reject a state. Pairs that never
         # touch do not count as clearance: they may be close to each other in every state.
         flaws = [pair for pair, n in counts.items() if n >= FLAW * len(samples)]

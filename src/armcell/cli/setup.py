@@ -215,9 +215,9 @@ def _show_pairs(proposal: Proposal) -> None:
             words.append(
                 f"{len(some)} {reason.lower()}" + (f" ({proven} proven)" if reason == "Never" else "")
             )
-    samples = proposal.pairs[0].samples
+    samples = max(p.samples for p in proposal.pairs)
     console.print(f"{total} pairs of links, {samples:,} states: {', '.join(words)}", markup=False)
-    checked = sorted((p for p in proposal.pairs if not p.reason), key=lambda p: -p.touching)
+    checked = sorted((p for p in proposal.pairs if not p.reason), key=lambda p: -p.touching / p.samples)
     console.print(f"{len(checked)} pairs are checked; those in contact most often:", markup=False)
     table = Table(box=None, pad_edge=False, show_header=False)
     for pair in checked[:8]:

@@ -340,6 +340,18 @@ class ExactChecker:
                     worst[key] = contact
         return sorted(worst.values(), key=lambda c: c.distance)
 
+    def touching(self, q: ArrayLike) -> set[frozenset[str]]:
+        """Return the names of every two bodies that touch at q (n,) according to the exact checker, without
+        depths and padding. This is much faster than `contacts` for meshes that overlap.
+        """
+        self.place(q)
+        near = (pairs[self.pair_gaps(pairs) <= 0] for pairs in (self.pairs, self.fixed_pairs))
+        return {
+            frozenset((self.geometries[a].body, self.geometries[b].body))
+            for a, b in np.vstack(list(near)).tolist()
+            if self._touch(a, b, 0.0)
+        }
+
     def nearest(self, q: ArrayLike, cutoff: float = np.inf) -> Contact | None:
         """Return the closest pair of bodies whose relative pose the group can change,
         according to the exact checker.

@@ -25,6 +25,9 @@ Progress = Callable[[int], None]
 NEAR = 0.03  # [m] samples with a smaller distance are start states of the search for contact
 STARTS, STEPS = 6, 120  # start states of the search per pair, and steps per start state
 RARE = 2000  # with more contact samples of the (larger) kernel solids, the meshes certainly touch, too
+EVERY = 2000  # samples in which the meshes must touch before a pair counts as always in contact
+FIRST = 16384  # samples of all pairs; further samples are only for pairs that touch in few of these
+OFTEN = 0.02  # fraction of contact samples above which more samples cannot change the result
 MOSTLY = 0.95
 """Fraction of contact samples from which MoveIt treats a pair as always in collision. A pair that touches in
 this many states, but not in all, indicates faulty meshes; checking the pair would leave hardly any
@@ -45,7 +48,7 @@ class LinkPair:
     link_b: str
     reason: str
     touching: int  # samples in contact
-    samples: int
+    samples: int  # a pair that touches often has fewer samples
     proven: bool = False  # whether the absence of contact is proven for all states, not only for the samples
 
     @property
@@ -132,53 +135,59 @@ class _Survey:
         for a, b in every:
             pair = frozenset((a, b))
             proven = pair not in unproven
+            count, samples = touching.get(pair, (0, self.samples))
             if self.rigid(a, b):
                 self.exact.place(self.model.neutral())
-                count = self.samples if self._distance(a, b) <= 0 else 0
-            else:
-                count = touching.get(pair, 0)
+                count = samples if self._distance(a, b) <= 0 else 0
             if pair in self.adjacent:
                 reason = "Adjacent"
-            elif count == self.samples:
+            elif count == samples:
                 reason = "Always"
-            elif pair in default or count >= MOSTLY * self.samples:
+            elif pair in default or count >= MOSTLY * samples:
                 reason = "Default"
             elif count == 0 and (proven or not self._can_meet(a, b, unproven[pair])):
                 reason = "Never"
             else:
                 reason = ""
-            found.append(LinkPair(a, b, reason, count, self.samples, proven))
+            found.append(LinkPair(a, b, reason, count, samples, proven))
         return found
 
-    def _count(self, progress: Progress | None) -> tuple[dict[frozenset[str], int], dict[frozenset, Array]]:
+    def _count(
+        self, progress: Progress | None
+    ) -> tuple[dict[frozenset[str], tuple[int, int]], dict[frozenset, Array]]:
         """Count in how many samples each link pair is in self-collision, and collect states in which a pair
         is near.
 
         Returns:
-            Number of contact samples by pair, and states (k, dof) in which the links are near, by pair; the
-            second result leaves out pairs that are proven apart.
+            Number of contact samples and of all samples by pair, and states (k, dof) in which the links are
+            near, by pair; the second result leaves out pairs that are proven apart.
         """
         if self.model.dof == 0:
             return {}, {}
         sampler = PairSampler(KernelChecker(self.scene))
-        numbers = np.arange(len(sampler.pairs))
-        close = sampler.close(numbers, self.states, progress=progress)
-        counts, names = close.sum(axis=1), [frozenset(pair) for pair in sampler.pairs]
+        numbers, names = np.arange(len(sampler.pairs)), [frozenset(pair) for pair in sampler.pairs]
+        first = self.states[:FIRST]
+        close = list(sampler.close(numbers, first, progress=progress))
+        further = numbers[[rows.mean() <= OFTEN for rows in close]]
+        tell = progress and (lambda done: progress(len(first) + done))
+        for n, rows in zip(further, sampler.close(further, self.states[FIRST:], progress=tell), strict=True):
+            close[n] = np.concatenate([close[n], rows])
+        counts = np.array([rows.sum() for rows in close], dtype=int)
         for n, (a, b) in enumerate(sampler.pairs):
             if names[n] in self.adjacent:
                 continue
             # The kernel's solids are slightly larger than the meshes, so the meshes decide.
-            states = self.states[close[n]]
+            states = self.states[np.flatnonzero(close[n])]
             if 0 < counts[n] <= RARE and not any(self._touch(a, b, q) for q in states):
                 counts[n] = 0
-            elif counts[n] == self.samples:
-                counts[n] -= not all(self._touch(a, b, q) for q in states)
+            elif counts[n] == len(close[n]):
+                counts[n] -= not all(self._touch(a, b, q) for q in states[:EVERY])
         never = numbers[counts == 0]
         near = sampler.close(never, self.states, NEAR)
         unproven = dict.fromkeys(names, np.zeros((0, self.model.dof)))
         for n, rows in zip(never, near, strict=True):
             unproven[names[n]] = self.states[np.flatnonzero(rows)]
-        return dict(zip(names, counts.tolist(), strict=True)), unproven
+        return {names[n]: (int(counts[n]), len(close[n])) for n in numbers}, unproven
 
     def _default(self, every: Iterable[tuple[str, str]]) -> set[frozenset[str]]:
         """Return the link pairs that are in self-collision in the default state or in a named state of a
@@ -215,11 +224,24 @@ class _Survey:
         """
         return min(self.exact.pair_distance(i, j) for i in self.solids[a] for j in self.solids[b])
 
+    def _distance_below(self, a: str, b: str, most: float) -> float:
+        """Return the signed distance [m] between two links, or `most` if they are not closer, to find
+        self-collisions. Cheaper tests rule out most states before the meshes are measured.
+        """
+        pairs = self._solid_pairs(a, b)
+        for i, j in pairs[self.exact.pair_gaps(pairs) < most].tolist():
+            if self.exact.pair_distance(i, j, outer=True) < most:
+                most = min(most, self.exact.pair_distance(i, j))
+        return most
+
     def _touch(self, a: str, b: str, q: Array) -> bool:
         self.exact.place(q)
-        pairs = np.array([(i, j) for i in self.solids[a] for j in self.solids[b]])
+        pairs = self._solid_pairs(a, b)
         near = pairs[self.exact.pair_gaps(pairs) <= 0]
-        return any(self.exact.pair_touches(int(i), int(j)) for i, j in near)
+        return any(self.exact.pair_touches(i, j) for i, j in near.tolist())
+
+    def _solid_pairs(self, a: str, b: str) -> NDArray[np.int64]:
+        return np.array([(i, j) for i in self.solids[a] for j in self.solids[b]])
 
     def _can_meet(self, a: str, b: str, near: Array) -> bool:
         """Search for a state in which two links are in self-collision, by a random local search.
@@ -241,7 +263,7 @@ class _Survey:
                 move = self.rng.normal(size=len(columns)) * (self.rng.random(len(columns)) < 0.6)
                 trial[columns] = np.clip(q[columns] + step * move, low, high)
                 self.exact.place(trial)
-                distance = self._distance(a, b)
+                distance = self._distance_below(a, b, best)
                 if distance <= 0:
                     return True
                 if distance < best:

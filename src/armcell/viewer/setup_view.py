@@ -131,7 +131,7 @@ class SetupView:
                     self.states[group.name] = box
         self.boxes: dict[frozenset[str], Any] = {}
         if proposal.pairs:
-            self._pairs = sorted(proposal.pairs, key=lambda p: -p.touching)
+            self._pairs = sorted(proposal.pairs, key=lambda p: -p.touching / p.samples)
             with gui.add_folder("Pairs of links"):
                 links = tuple(n for n in model.links if any(n in p.links for p in self._pairs))
                 self.link: Any = gui.add_dropdown("Link", links)
