@@ -131,9 +131,11 @@ def test_plan_only_without_a_wire_is_refused(script, capsys):
     assert "--view needs a robot in this process" in capsys.readouterr().err
 
 
-@pytest.mark.realtime
-def test_without_plan_only_others_join_the_scripts_own_cell(tmp_path):
+@pytest.mark.parametrize("names", [pytest.param((), marks=pytest.mark.realtime), ("--ns", "left")])
+def test_without_plan_only_others_join_the_scripts_own_cell(tmp_path, names):
     """The robot is in the script's process; a client of the endpoint sees it move."""
+    space = "".join(f"/{name}" for name in names[1:])
+    client_is_here, joint_states = f"{space}/client_is_here", f"{space}/joint_states"
     file = tmp_path / "turn.py"
     file.write_text("""
 import rospy
@@ -148,16 +150,16 @@ assert arm.go([first + 0.5, *others])
 rospy.sleep(0.5)
 """)
     where = free_address()
-    controller = start("run", file, "--cell", CELL, "--unity", where, "--mode", "fake", "--headless")
+    controller = start("run", file, "--cell", CELL, "--unity", where, "--mode", "fake", "--headless", *names)
     host, port = where.split(":")
     bus = Bus()
-    here = bus.advertise("/client_is_here", "std_msgs/String")
+    here = bus.advertise(client_is_here, "std_msgs/String")
     bridge = Bridge(
-        publish={"/client_is_here": "std_msgs/String"}, subscribe={"/joint_states": "sensor_msgs/JointState"}
+        publish={client_is_here: "std_msgs/String"}, subscribe={joint_states: "sensor_msgs/JointState"}
     )
     try:
         with RosTcpClient(bus, host, int(port), bridge) as client:
-            states = bus.subscribe("/joint_states", "sensor_msgs/JointState", queue_size=10_000)
+            states = bus.subscribe(joint_states, "sensor_msgs/JointState", queue_size=10_000)
             assert client.wait_connected(60)
             here.publish(bus.schema.new("std_msgs/String", "here"))
             said = finished(controller, 120)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from armcell.core import InputError
+
+if TYPE_CHECKING:
+    from armcell.ros.names import NameMap
 
 NAMESPACE = typer.Option(
     "", "--ns", metavar="NAMESPACE", show_default=False,
@@ -46,9 +49,9 @@ class Naming:
         space = ["--ns", self.namespace] if self.namespace else []
         return space + [word for pair in self.remap for word in ("--remap", pair)]
 
-    def renamed(self, bus: Any, node: str, cell: Any) -> Any:
-        """Return the bus with remapped ROS names.
-        Remappings from the command line take priority over those from the cell file.
+    def of(self, cell: Any, node: str = "armcell") -> NameMap | None:
+        """Return the map from a cell's ROS names to the names on the bus, or None if they are equal.
+        The command line takes priority over the cell file.
 
         Raises:
             InputError: a name is invalid, or two names become equal.
@@ -57,8 +60,7 @@ class Naming:
 
         spec = cell.spec.ros
         pairs = (*(f"{before}:={after}" for before, after in spec.remap.items()), *self.remap)
-        names = name_map(node, self.namespace or spec.namespace, pairs)
-        return bus if names is None else bus.renamed(names)
+        return name_map(node, self.namespace or spec.namespace, pairs)
 
 
 def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None, ros1: bool) -> Naming:

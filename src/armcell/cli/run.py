@@ -15,6 +15,7 @@ from armcell.cli.console import check_writable, console, errors, millimeters, st
 from armcell.cli.draw import SEED, drawn
 from armcell.cli.gating import gate_of, gate_words, tell_unwatched
 from armcell.cli.goals import GAINS
+from armcell.cli.naming import NAMESPACE, REMAP, naming
 from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt, tell_page
 from armcell.cli.recording import Kept, begin_record, watch
 from armcell.cli.results import keep_result
@@ -61,6 +62,8 @@ def run(
         "--plan-only",
         help="For a script, with a wire: the simulator or robot at the other end moves, not a cell here.",
     ),
+    ns: str = NAMESPACE,
+    remap: list[str] = REMAP,
     seed: int | None = SEED,
     mode: str = typer.Option(
         "sim", help="sim: physics. fake: follows exactly, no physics. real: the cell's real arms."
@@ -120,7 +123,7 @@ def run(
     script moves the simulator or robot at the other end (such as `armcell sim CELL --connect HOST:PORT`).
     """
     at = PageAt(host, port, allow_host)
-    wires = ScriptWires(unity, ros1, own_master, ros2, domain, plan_only)
+    wires = ScriptWires(unity, ros1, own_master, ros2, domain, plan_only, naming(ns, remap, None, ros1=False))
     if json_file is not None:
         check_writable(json_file)
     if headless and view:

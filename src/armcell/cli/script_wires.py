@@ -13,6 +13,7 @@ from typer.core import TyperCommand
 from armcell import _interrupts
 from armcell.cli.console import err, errors
 from armcell.cli.listening import tell_listening
+from armcell.cli.naming import Naming, unused
 from armcell.cli.ros1 import Join, check_own_master
 from armcell.cli.ros2 import check_domain
 from armcell.core import InputError
@@ -48,6 +49,7 @@ class ScriptWires:
         ros1, own_master: join a ROS 1 graph; see `join` in ros1.py.
         ros2, domain: join a ROS 2 domain, instead of ROS_DOMAIN_ID.
         plan_only: the script controls a simulator or robot at the other end of the connection.
+        names: namespace and remappings of the cell's and the script's names.
     """
 
     unity: str | None = None
@@ -56,6 +58,7 @@ class ScriptWires:
     ros2: bool = False
     domain: int | None = None
     plan_only: bool = False
+    names: Naming = Naming("", (), ())
 
     @property
     def given(self) -> bool:
@@ -73,6 +76,10 @@ class ScriptWires:
             raise InputError(
                 "--plan-only needs a wire to the simulator or robot", hint="add --unity, --ros1 or --ros2"
             )
+        if self.names.words and not (self.unity or self.ros1 or self.ros2):
+            raise InputError(
+                f"{self.names.words[0]} needs a wire to other programs", hint="add --unity, --ros1 or --ros2"
+            )
 
     def words(self) -> list[str]:
         """Return the options for a script's connections (Unity, ROS
@@ -83,6 +90,7 @@ class ScriptWires:
             *(["--ros1"] if self.ros1 else []),
             *(["--ros2"] if self.ros2 else []),
             *(["--plan-only"] if self.plan_only else []),
+            *self.names.words,
         ]
 
     def joins(self, stack: ExitStack, bus: Any) -> list[Join]:
@@ -102,7 +110,7 @@ class ScriptWires:
             host, port = address(self.unity)
             found.append(serve_unity(stack, bus, host, port, "auto"))
         if self.ros2:
-            found.append(join(stack, bus, "armcell", self.domain))
+            found.append(join(stack, bus, "armcell", self.domain, namespace=self.names.namespace))
         return found
 
     def open(self, session: Session, joins: Sequence[Join]) -> None:
@@ -117,6 +125,8 @@ class ScriptWires:
             wire = join()
             errors.print(wire.ready, markup=False, highlight=False, soft_wrap=True)
             tell_listening(wire.endpoints, errors)
+        if odd := unused(session.bus):
+            err(odd)
         if not isinstance(session.served, ServedPlanner):
             return
         robot = session.served.driver

@@ -315,7 +315,7 @@ def _run(
     with LedRun(loaded, scene, seed, mode, Kept(what.runs), {}, by, command, gate=gate) as run:
         live = loaded.connect(mode, seed, run.observers, what.time_scale)
         run.begin(live)
-        inside = what.names.renamed(bus, "armcell", loaded)
+        inside = bus.renamed(what.names.of(loaded))
         served = ServedCell(live, inside, what.rate, plan, auto_grip, sensors)
 
         def all_status() -> str:
@@ -363,7 +363,7 @@ def _plan_only(
     from armcell.ros.nodes import ServedPlanner
 
     loaded = load(cell)
-    inside = names.renamed(bus, "armcell", loaded)
+    inside = bus.renamed(names.of(loaded))
     line = _StatusLine(inside, lambda: None, status)
     try:
         with ServedPlanner(loaded, inside, seed, sensors):

@@ -14,7 +14,7 @@ from armcell.core import InputError
 from armcell.moveit.install import installed
 from armcell.moveit.session import Session
 from armcell.moveit.tutorial_names import missing_import
-from armcell.ros import Bus, Ros1Settings
+from armcell.ros import Bus, NameMap, Ros1Settings
 
 
 def run_script(
@@ -22,6 +22,7 @@ def run_script(
     auto_grip: bool = False, quiet: bool = False, ros1: Ros1Settings | None = None,
     ended: Callable[[int, Session], None] = lambda status, session: None,
     began: Callable[[Session], None] = lambda session: None, bus: Bus | None = None,
+    names: NameMap | None = None,
 ) -> tuple[int, Session]:  # fmt: skip
     """Run an unchanged ROS script to its end, wait for the motions that the script started, and close its
     session.
@@ -37,6 +38,7 @@ def run_script(
         ended: called with the exit status after the run, while the cell is still connected.
         began: called before the script starts, when the cell is ready and joined.
         bus: the session's bus, if transports are connected to it already.
+        names: names on the bus of the names that the cell and the script use.
     Returns:
         The script's exit status (130 after Ctrl-C, 143 after SIGTERM), and its closed session.
     Raises:
@@ -44,7 +46,7 @@ def run_script(
     """
     if not script.is_file():
         raise InputError("there is no such script", file=script)
-    session = Session(live, rate, auto_grip, quiet, ros1, bus)
+    session = Session(live, rate, auto_grip, quiet, ros1, bus, names)
     argv, path, modules = sys.argv, list(sys.path), set(sys.modules)
     folder = script.resolve().parent
     with session, installed(session.messages) as hidden:

@@ -13,7 +13,7 @@ from armcell.cell import Cell, LiveCell
 from armcell.core import Event, InputError, JointTrajectory, StateSample
 from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
-from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
+from armcell.ros import ActionClient, Bus, NameMap, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell, ServedPlanner
 from armcell.ros.nodes.description import NAME
 
@@ -37,14 +37,17 @@ class Session:
         quiet: do not print log lines.
         ros1: join the cell and the script to a ROS 1 graph.
         bus: the bus, if transports are connected to it already.
+        names: names on the bus of the names that the cell and the script use.
     """
 
     def __init__(
         self, cell: LiveCell | Cell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False,
-        ros1: Ros1Settings | None = None, bus: Bus | None = None,
+        ros1: Ros1Settings | None = None, bus: Bus | None = None, names: NameMap | None = None,
     ):  # fmt: skip
-        self.bus = Bus() if bus is None else bus
-        self.graph = None if ros1 is None else Ros1Graph(self.bus, ros1, self.shut_down, (NAME,))
+        outer = Bus() if bus is None else bus
+        self.bus = outer.renamed(names)
+        keep = (self.bus.full_name(NAME),)
+        self.graph = None if ros1 is None else Ros1Graph(outer, ros1, self.shut_down, keep)
         self.served: ServedCell
         if isinstance(cell, LiveCell):
             self.served, seed = ServedCell(cell, self.bus, rate, auto_grip=auto_grip), cell.ctx.seed

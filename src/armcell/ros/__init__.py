@@ -9,6 +9,7 @@ from armcell.ros.actions import ActionClient, ActionServer, Done, State
 from armcell.ros.bus import Bus, Publisher, ServiceError, Subscription
 from armcell.ros.codec import Codec, WireError, cdr
 from armcell.ros.messages import Message
+from armcell.ros.names import NameMap
 from armcell.ros.ros1 import Ros1Graph, Ros1Master, Ros1Settings
 from armcell.ros.schema import Schema, schema
 from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
@@ -26,6 +27,7 @@ __all__ = [
     "Codec",
     "Done",
     "Message",
+    "NameMap",
     "Publisher",
     "Reach",
     "Ros1Graph",
