@@ -7,6 +7,7 @@ concurrently as plain blocking code, and in simulation the same programs always 
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from typing import Self
@@ -33,15 +34,18 @@ class CooperativeScheduler:
         self.driver = driver
         self.names = tuple(names)
         self._wake = dict.fromkeys(self.names, driver.now)
-        self._semaphores = {name: threading.Semaphore(0) for name in self.names}
+        # A program waits by acquiring its lock, which another thread releases: faster than a semaphore.
+        self._turns = {name: threading.Lock() for name in self.names}
+        for turn in self._turns.values():
+            turn.acquire()
         self._done = threading.Event()
         self.failed: BaseException | None = None
 
     def start(self) -> None:
-        self._semaphores[self.names[0]].release()
+        self._turns[self.names[0]].release()
 
     def wait_until_scheduled(self, name: str) -> None:
-        self._semaphores[name].acquire()
+        self._turns[name].acquire()
         if self.failed is not None:
             raise _Ended
 
@@ -63,25 +67,28 @@ class CooperativeScheduler:
         if not self._wake:
             self._done.set()
         elif self.failed is not None:
-            self._semaphores[next(iter(self._wake))].release()
+            self._turns[next(iter(self._wake))].release()
         else:
             try:
                 self._pass_on(name)
             except BaseException as broken:  # the driver failed: the other programs must end too
                 self.failed = broken
-                self._semaphores[next(iter(self._wake))].release()
+                self._turns[next(iter(self._wake))].release()
 
     def wait_until_done(self) -> None:
         self._done.wait()
 
     def _pass_on(self, name: str) -> None:
+        soonest, now = min(self._wake.values()), self.driver.now
+        if soonest > now + EPSILON:
+            self.driver.advance(soonest - now)
+            now = max(self.driver.now, soonest)
+        due = now + EPSILON
         at = self.names.index(name)
-        order = [n for n in (*self.names[at + 1 :], *self.names[: at + 1]) if n in self._wake]
-        soonest = min(self._wake.values())
-        if soonest > self.driver.now + EPSILON:
-            self.driver.advance(soonest - self.driver.now)
-        ready = [n for n in order if self._wake[n] <= self.driver.now + EPSILON]
-        self._semaphores[(ready or sorted(order, key=self._wake.__getitem__))[0]].release()
+        for other in (*self.names[at + 1 :], *self.names[: at + 1]):
+            if self._wake.get(other, math.inf) <= due:
+                self._turns[other].release()
+                return
 
 
 class ArmDriver(DriverProxy):
