@@ -248,17 +248,17 @@ class Sorter:
         for k, cube in enumerate(self.streams[group]):
             checked(arm.pick(cube))
             if step:
-                arm.meet(f"picked {k}")
+                arm.rendezvous(f"picked {k}")
             self.over[group] = tray_of(cube)
             if step == "motions":
-                arm.meet(f"to the trays {k}")
+                arm.rendezvous(f"to the trays {k}")
             with arm.reserve(tray_of(cube)):
                 checked(arm.place(cube, on=tray_of(cube), at=self.slot(group, cube)))
             if step:
-                arm.meet(f"placed {k}")
+                arm.rendezvous(f"placed {k}")
             self.over.pop(group, None)
             if step == "motions":
-                arm.meet(f"from the trays {k}")
+                arm.rendezvous(f"from the trays {k}")
         checked(arm.move_to("home"))
 
     def _in_step(self, arm) -> None:
@@ -270,7 +270,7 @@ class Sorter:
         def together(motion):
             over = list(self.over.values())
             if len(over) != 1 and len(set(over)) == len(over):
-                arm.meet(f"motion {self.begun[arm.group]}")
+                arm.rendezvous(f"motion {self.begun[arm.group]}")
                 self.begun[arm.group] += 1
             return clear(motion)
 
