@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from armcell.collision import object_mask, robot_mask
 from armcell.core import CameraImage, ErrorCode, InputError, Outcome
@@ -114,6 +113,8 @@ def _without_speckle(mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     Noise moves single pixels of a known surface out of its margin; an obstacle covers several adjacent
     pixels.
     """
+    from scipy.ndimage import label  # imported late: every cell imports this module, and few build maps
+
     patches = np.empty(mask.shape, np.int32)
-    ndimage.label(mask, np.ones((3, 3)), output=patches)
+    label(mask, np.ones((3, 3)), output=patches)
     return mask & (np.bincount(patches.ravel())[patches] >= least)
