@@ -5,6 +5,7 @@ inputs" and "Robot controller outputs", all versions) and the type list of UR's 
 per name in their order; it shares nothing with `armcell.drivers.ur.wire.rtde`.
 """
 
+import selectors
 import socket
 import struct
 import time
@@ -15,6 +16,11 @@ from scipy.spatial.transform import Rotation
 from tests.drivers.ur.emulated import dashboard, emulator, free_hosts
 
 from armcell.drivers.ur.wire import rtde
+from armcell.drivers.ur.wire.models import ur_model
+from armcell.emulators.network import Link, Network
+from armcell.emulators.ur.plant import KinematicPlant
+from armcell.emulators.ur.robot import Robot
+from armcell.emulators.ur.rtde_server import RtdeServer
 
 INPUTS = """
 speed_slider_mask UINT32
@@ -363,3 +369,23 @@ def test_a_text_message_is_logged_and_the_link_goes_on(host):
         assert client.ask("S") == b"\x01"
         assert len(client.next("U")) == 9
     assert "RTDE client: test: hello" in dashboard(host, "armcell messages")[0]
+
+
+def test_a_client_that_asks_for_hardly_any_packets_is_served():
+    network = Network(selectors.DefaultSelector())
+    robot = Robot(ur_model("UR10e"), KinematicPlant([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]), "1")
+    server = RtdeServer(robot, network, "127.0.0.1", 0)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        ours = socket.create_connection(listening.getsockname())
+        link = Link(listening.accept()[0], network)
+    server._begin(link)
+    link.received += rtde.frame(rtde.VERSION, struct.pack(">H", 2))
+    link.received += rtde.frame(rtde.SETUP_OUTPUTS, struct.pack(">d", 5e-324) + b"timestamp")
+    link.received += rtde.frame(rtde.START)
+    server._data(link)
+    server.send_outputs()
+    assert link.open
+    answers = list(rtde.frames(bytearray(ours.recv(1000))))
+    assert answers[1:] == [(rtde.SETUP_OUTPUTS, b"\x01DOUBLE"), (rtde.START, b"\x01")]
+    link.close()
+    ours.close()

@@ -4,6 +4,11 @@ import random
 
 import pytest
 
+from armcell.drivers.ur.wire.models import ur_model
+from armcell.emulators.ur.plant import KinematicPlant
+from armcell.emulators.ur.builtins_io import io_functions
+from armcell.emulators.ur.client_state import ClientState
+from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript import Machine, ProgramError, ScriptError, parse
 
 
@@ -134,3 +139,21 @@ def test_a_script_cannot_reach_python(name):
         run(f'x = {name}("os")\n')
     with pytest.raises(ProgramError, match="has no value"):
         run(f"x = {name}\n")
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("set_tool_voltage(99999999999999999999)", "0, 12 or 24 V"),
+        ("write_output_integer_register(0, 99999999999)", "32 bits"),
+        ("write_output_integer_register(48, 1)", "no register 48"),
+        ("write_output_float_register(-1, 1.0)", "no register -1"),
+        ("x = read_output_integer_register(99)", "no register 99"),
+    ],
+)
+def test_a_value_that_no_packet_can_hold_ends_the_program(line, reason):
+    robot = Robot(ur_model("UR10e"), KinematicPlant([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]), "1")
+    with pytest.raises(ProgramError, match=reason):
+        run(line + "\n", **io_functions(robot))
+    assert robot.tool_voltage == 0 and not any(robot.output_int)
+    ClientState(robot).primary()

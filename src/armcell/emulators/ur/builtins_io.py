@@ -9,6 +9,8 @@ from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript.machine import ProgramError
 
 CONFIGURABLE, TOOL = 8, 16  # first bit of the configurable pins, and of the tool's pins
+TOOL_VOLTAGES = (0, 12, 24)  # [V]
+REGISTERS = 48  # integer and floating-point registers each
 
 
 def io_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
@@ -33,6 +35,12 @@ def _bit(index: Any, count: int, first: int = 0) -> int:
     if not 0 <= int(index) < count:
         raise ProgramError(f"there is no pin {int(index)} (0 to {count - 1})")
     return int(index) + first
+
+
+def _register(index: Any) -> int:
+    if not 0 <= int(index) < REGISTERS:
+        raise ProgramError(f"there is no register {int(index)} (0 to {REGISTERS - 1})")
+    return int(index)
 
 
 def _digital(r: Robot) -> dict[str, Callable[..., Any]]:
@@ -72,6 +80,11 @@ def _analog(r: Robot) -> dict[str, Callable[..., Any]]:
         _bit(n, 2)
         return 0.0
 
+    def set_tool_voltage(volts: Any) -> None:
+        if int(volts) not in TOOL_VOLTAGES:
+            raise ProgramError(f"the tool voltage must be 0, 12 or 24 V, not {volts}")
+        r.tool_voltage = int(volts)
+
     def set_domain(n: Any, domain: int) -> None:
         r.set_analog_domain(_bit(n, 2), bool(domain))
 
@@ -87,7 +100,7 @@ def _analog(r: Robot) -> dict[str, Callable[..., Any]]:
         "set_standard_analog_input_domain": lambda n, domain: None,
         "set_tool_analog_input_domain": lambda n, domain: None,
         "set_analog_inputrange": lambda n, reach: None,
-        "set_tool_voltage": lambda volts: setattr(r, "tool_voltage", int(volts)),
+        "set_tool_voltage": set_tool_voltage,
         "set_tool_output_mode": lambda mode: None,
         "set_tool_digital_output_mode": lambda n, mode: None,
         "get_tool_current": lambda: 0.0,
@@ -97,10 +110,12 @@ def _analog(r: Robot) -> dict[str, Callable[..., Any]]:
 
 def _registers(r: Robot) -> dict[str, Callable[..., Any]]:
     def write_int(register: int, value: int) -> None:
-        r.output_int[int(register)] = int(value)
+        if not -(2**31) <= int(value) < 2**31:
+            raise ProgramError(f"{int(value)} does not fit into a register of 32 bits")
+        r.output_int[_register(register)] = int(value)
 
     def write_double(register: int, value: float) -> None:
-        r.output_double[int(register)] = float(value)
+        r.output_double[_register(register)] = float(value)
 
     def write_bool(register: int, value: bool) -> None:
         bit = 1 << _bit(register, 128)
@@ -115,11 +130,13 @@ def _registers(r: Robot) -> dict[str, Callable[..., Any]]:
 
     return {
         "read_input_boolean_register": read_bool,
-        "read_input_integer_register": lambda i: int(r.inputs.get(f"input_int_register_{int(i)}", 0)),
-        "read_input_float_register": lambda i: float(r.inputs.get(f"input_double_register_{int(i)}", 0.0)),
+        "read_input_integer_register": lambda i: int(r.inputs.get(f"input_int_register_{_register(i)}", 0)),
+        "read_input_float_register": lambda i: float(
+            r.inputs.get(f"input_double_register_{_register(i)}", 0.0)
+        ),
         "read_output_boolean_register": lambda i: bool(r.output_bits >> _bit(i, 128) & 1),
-        "read_output_integer_register": lambda i: r.output_int[int(i)],
-        "read_output_float_register": lambda i: r.output_double[int(i)],
+        "read_output_integer_register": lambda i: r.output_int[_register(i)],
+        "read_output_float_register": lambda i: r.output_double[_register(i)],
         "write_output_boolean_register": write_bool,
         "write_output_integer_register": write_int,
         "write_output_float_register": write_double,

@@ -15,6 +15,7 @@ from armcell.emulators.ur.rtde_outputs import Getter, outputs_of
 log = logging.getLogger(__name__)
 
 MAX_INPUT_RECIPES = 255
+NEVER = 2**31  # control steps between two packets of a client that asks for nearly no packets
 
 
 class _Client:
@@ -101,7 +102,7 @@ class RtdeServer:
         known = [rtde.OUTPUTS.get(n, "NOT_FOUND") for n in names]
         if "NOT_FOUND" not in known and np.isfinite(frequency) and frequency > 0:
             client.outputs = rtde.Recipe(names, known)
-            client.every = max(int(highest / frequency), 1)
+            client.every = int(min(max(highest / frequency, 1), NEVER))
             client.getters = [self._table[n] for n in names]
         return number + ",".join(known).encode()
 
