@@ -12,9 +12,9 @@ from armcell.core.geometry import local_bounds
 SIZES = {Box: 3, Sphere: 1, Cylinder: 2, Capsule: 2, Cone: 2}
 
 
-@pytest.mark.parametrize("bad", [0.0, -0.1, float("nan"), float("inf")])
+@pytest.mark.parametrize("bad", [0.0, -0.1, float("nan"), float("inf"), 1e102])
 @pytest.mark.parametrize("kind", SIZES)
-def test_every_size_must_be_positive(kind, bad):
+def test_every_size_must_be_positive_and_below_1000_km(kind, bad):
     for i in range(SIZES[kind]):
         sizes = [0.1] * SIZES[kind]
         sizes[i] = bad

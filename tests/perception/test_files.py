@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,7 @@ from armcell.perception import (
     pose_error,
     save_image,
 )
+from armcell.perception.files import load_depth
 from armcell.sim import DepthNoise
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -146,6 +149,21 @@ def test_broken_pictures_are_named(seen, tmp_path):
     np.save(tmp_path / "z.npy", np.zeros(5))
     with pytest.raises(InputError, match="meters"):
         load_image(tmp_path / "shot.yaml", depth=tmp_path / "z.npy")
+
+
+def test_a_damaged_chunk_length_reserves_no_memory(tmp_path):
+    file = tmp_path / "depth.png"
+    Image.fromarray(np.full((6, 8), 500, np.uint16)).save(file)
+    data = file.read_bytes()
+    at = data.index(b"IDAT") - 4
+    file.write_bytes(data[:at] + (2**31 - 1).to_bytes(4, "big") + data[at + 4 :])
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(InputError):
+            load_depth(file)
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_what_is_seen_is_drawn_where_it_is(seen):

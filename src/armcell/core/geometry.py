@@ -20,11 +20,16 @@ Array = NDArray[np.float64]
 PLANE_EXTENT_M = 100.0
 """Extent of a plane in images and bounding boxes [m]; contacts use the infinite half space."""
 
+LARGEST_M = 1e6
+"""Largest size of a shape [m]. Volumes and inertias of larger shapes exceed the range of floating point."""
+
 
 def _positive(what: str, **sizes: float) -> None:
     for name, value in sizes.items():
-        if not np.isfinite(value) or value <= 0:
-            raise InputError(f"{what} has {name} {value:g}, it must be a positive number of meters")
+        if not 0 < value <= LARGEST_M:
+            raise InputError(
+                f"{what} has {name} {value:g}, it must be a positive number of meters up to {LARGEST_M:g}"
+            )
 
 
 @dataclass(frozen=True)

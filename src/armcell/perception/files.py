@@ -6,6 +6,7 @@ NAME_rgb.png, NAME_depth.png.
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -123,7 +124,8 @@ def _opened(path: str | Path):
     try:
         if file.stat().st_size > MAX_BYTES:
             raise InputError(f"is larger than {MAX_BYTES} bytes", file=file)
-        picture = Image.open(file)
+        # From memory: from a file, a damaged chunk length of 2 GB reserves 2 GB.
+        picture = Image.open(io.BytesIO(file.read_bytes()))
         picture.load()
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
         raise InputError(f"cannot be read as a picture: {error}", file=file) from None

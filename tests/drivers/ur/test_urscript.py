@@ -5,9 +5,9 @@ import random
 import pytest
 
 from armcell.drivers.ur.wire.models import ur_model
-from armcell.emulators.ur.plant import KinematicPlant
 from armcell.emulators.ur.builtins_io import io_functions
 from armcell.emulators.ur.client_state import ClientState
+from armcell.emulators.ur.plant import KinematicPlant
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript import Machine, ProgramError, ScriptError, parse
 
