@@ -54,7 +54,7 @@ class Benchmark:
 
 
 BENCHMARKS = (
-    Benchmark("planning", "Planning beside others", ("--quick",), page="benchmarks_planning.md"),
+    Benchmark("planning", "Comparison with other planners", ("--quick",), page="benchmarks_planning.md"),
     Benchmark(
         "planners",
         "Every planner",

@@ -135,7 +135,7 @@ process) and their median path length.
 
 Anytime planners use all of their planning time. OMPL's AORRTC, BIT*, PRM*, RRT* and similar planners stop
 after 1 s if they have a solution; the native AORRTC stops at the end of the planning time.
-The native PRM keeps its roadmap between the seeds.
+The native PRM keeps its roadmap from run to run, so later seeds reuse the roadmap of earlier seeds.
 OMPL's planners call armcell's collision kernel from Python, and armcell shortens the paths of all planners.
 
 """

@@ -143,8 +143,7 @@ def check_draws(cell: Cell) -> None:
 
 
 def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the paths of the parameters and drawn values that the gate found to differ between the trials of
-    a campaign.
+    """Return the paths of the parameters and randomized values that differ between trials of a campaign.
 
     "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
     count, because it leaves the task unchanged.
@@ -233,8 +232,8 @@ def changed_parts(
 
 # --- the key ---
 def key_file() -> Path:
-    """Return the path of the key with which the user signs gate records.
-    An environment variable overrides the default.
+    """Return the path of the user's key, which signs the records of the gate before real arms.
+    An environment variable overrides the default path.
     """
     named = os.environ.get(KEY_VARIABLE)
     if named:

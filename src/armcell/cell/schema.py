@@ -388,7 +388,9 @@ class ControllerSpec(Strict):
 
 
 class RosSpec(Strict):
-    """Cell file schema for names, sensors and planners in ROS, for connections to Unity, ROS 1 and ROS 2."""
+    """Cell file schema for ROS settings: namespace, name remapping, and MoveIt's sensor and planner files.
+    The names apply to connections to Unity, ROS 1 and ROS 2.
+    """
 
     namespace: str = ""
     remap: dict[str, str] = {}  # armcell's names -> external names

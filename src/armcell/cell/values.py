@@ -113,7 +113,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _write_out(data: dict[str, Any], path: str) -> None:
-    """Expand a named or default value of a cell into its parts, so that a path can refer to one of them."""
+    """Expand a noise preset or default value in the cell data, so that `path` can set one component of it."""
     match path.split("."):
         case ["cameras", name, "noise", _]:
             camera = _table(data, "cameras").get(name)

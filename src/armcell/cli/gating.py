@@ -50,10 +50,11 @@ def gate_of(cell: Any, mode: str, file: Path | None, without: str | None) -> dic
 
 
 def gate_of_others(mode: str, what: str, without: str | None) -> dict[str, Any]:
-    """Check that a reason is given for a run in mode real with motions that no campaign has tested, such as
-    motions that clients request. Return {"gate": entry} for the record of the run.
+    """Require a reason for moving real arms without a gate record.
+    Return {"gate": entry} for the record of the run.
 
-    Such motions have no gate record, so a reason is required. In other modes, return an empty dict.
+    Motions that clients request, for example, have no gate record, because no campaign can test them.
+    In modes other than real, return an empty dict.
 
     Args:
         what: the motions, in words.

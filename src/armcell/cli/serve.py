@@ -181,7 +181,8 @@ def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str)
 
 
 def open_wire(stack: ExitStack, bus: Any, wire: str) -> Join:
-    """Reserve a registered transport for `armcell serve`, which is given as NAME or NAME=ADDRESS.
+    """Reserve the connection of a registered transport for `armcell serve`.
+    The argument `wire` has the form NAME or NAME=ADDRESS.
 
     Raises:
         UnknownNameError: no such transport.

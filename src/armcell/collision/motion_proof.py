@@ -163,8 +163,8 @@ def _conflict(
 
 
 def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certificate) -> Certificate:
-    """Return the certificate of the first contact in a motion.
-    Starting from a later contact, bisection finds it.
+    """Find the first contact of a motion by bisection, and return it as a failed certificate.
+    The given certificate `proof` has failed, but may report a later contact.
     """
     edges = len(points) - 1
     free, not_free = 0, min(int(proof.at * edges) + 1, edges)  # last waypoints of a free and a failed prefix

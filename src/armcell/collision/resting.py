@@ -250,10 +250,9 @@ class Leaving:
         self._bound: MotionBound | None = None
 
     def refuses(self, q: ArrayLike) -> Contact | None:
-        """Return the contact that is forbidden at q (n,) while a motion
-        separates bodies in resting contact, or None.
+        """Return the forbidden contact at q (n,) when the robot leaves a resting contact, or None.
 
-        The robot leaves resting contact; the configuration must not cause a new, deeper, or dragged contact.
+        A contact is forbidden if it is new, deeper than at the start, or dragged along.
         """
         self.exact.place(q)
         distances = self._distances()
@@ -452,8 +451,7 @@ def _places(points: Array, at: float) -> Iterable[float]:
 
 
 def _along(at: float, share: float, rest: Array, edges: int) -> float:
-    """Convert a fraction of the motion's second part to a fraction of the whole motion.
-    The second part begins after resting contact.
+    """Convert a fraction of the motion that remains after resting contact to a fraction of the whole motion.
 
     Args:
         at: position where the rest begins, counted in edges.

@@ -273,9 +273,7 @@ class _Survey:
         return False
 
     def _between(self, a: str, b: str) -> list[int]:
-        """Return the columns of the joints that move one link relative to another, to find
-        self-collisions.
-        """
+        """Return the indices of the joints that move one link relative to another."""
         tree = self.exact.tree
         apart = set(tree.path_to(a).tolist()) ^ set(tree.path_to(b).tolist())
         return sorted({int(tree.column[j]) for j in apart if tree.kind[j] != 0})

@@ -97,8 +97,8 @@ class ShapeKind:
         return [float(getattr(shape, size)) for size in self.sizes]
 
     def named(self, shape: Any) -> dict[str, Any]:
-        """Return the sizes [m] of a shape as a dictionary: either under the names from the shape table, or as
-        one list under the name in `vector`.
+        """Return the sizes [m] of a shape as a dictionary, each size under its own name.
+        If `vector` is set, the dictionary has only this key, and its value is the list of all sizes.
         """
         values = self.values(shape)
         return {self.vector: values} if self.vector else dict(zip(self.sizes, values, strict=True))

@@ -20,9 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Watch(Protocol):
-    """Interface of the monitor with which a motion guard watches a
-    motion that the caller streams point by point.
-    """
+    """Interface for monitoring a motion that is streamed to a real arm point by point."""
 
     def sent(self, clock: float, off: Array) -> None:
         """Record a streamed point, so that the motion guard can compare it with the dry run.

@@ -191,8 +191,7 @@ def executable(motion: object) -> Executable:
 
 
 class UngatedMotion(Executable):
-    """Motion that is executed without the collision checks of a motion gate, for dry runs, tests and
-    benchmarks.
+    """Motion that is executed without collision checks, for dry runs, tests and benchmarks.
 
     Contacts in such a simulation are findings.
     """

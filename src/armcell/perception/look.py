@@ -259,8 +259,9 @@ def _plane(points: F64, settings: LookSettings) -> SupportPlane | None:
 
 @dataclass(frozen=True, eq=False)
 class _Thing:
-    """Cluster of points that `look` treats as one object,
-    used as evidence in the frame of the object's support.
+    """Point cluster that `look` treats as one object, with camera evidence for fitting a solid to the points.
+
+    The evidence is in the frame of the object's support.
     """
 
     T_world_support: SE3
@@ -290,10 +291,10 @@ class _Thing:
 def _beside(
     pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
 ) -> tuple[F64, F64, float]:
-    """Return the camera rays (m, 3) beside a detected cluster of points, their free lengths,
-    and how much of the cluster is occluded.
+    """Return camera rays (m, 3) that pass beside a cluster of points, the free length (m,) [m] of each ray,
+    and the occluded fraction of the cluster's outline.
 
-    The occlusion is the fraction of the outline that a nearer object or the image border cuts off.
+    The outline is occluded where a nearer object or the image border cuts it off.
     """
     from scipy.ndimage import binary_dilation
 

@@ -47,9 +47,7 @@ class MovedFrame:
             self.T_link_point = scene.frame_pose(self.link).inv() @ scene.frame_pose(name)
 
     def full(self, q: ArrayLike) -> Array:
-        """Return the positions (dof,) of all joints of a moved frame's robot, with those of the group at q
-        (n,).
-        """
+        """Return the robot's joint positions (dof,) in the scene, with the planning group at q (n,)."""
         positions = self.scene.positions.copy()
         positions[self.scene.model.columns(self.joint_names)] = q
         return positions

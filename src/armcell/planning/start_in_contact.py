@@ -266,9 +266,7 @@ def _rows(exact: ExactChecker, pair: Pair) -> list[tuple[int, int]]:
 
 
 def _turning(exact: ExactChecker, q: Array, pair: Pair) -> Array:
-    """Return how fast each joint rotates two bodies in contact at the
-    start relative to each other, as an array (3, n).
-    """
+    """Return the Jacobian (3, n) of the relative rotation of two bodies that are in contact at the start."""
     a, b = _rows(exact, pair)[0]
     full, names = exact.full(q), exact.joint_names
     turn = np.zeros((3, len(q)))

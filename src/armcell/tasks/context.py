@@ -309,9 +309,7 @@ class TaskContext:
 
     @property
     def progress(self) -> Callable[[float], None] | None:
-        """Return the function that motion commands of a task's context call to report progress,
-        or None without observers.
-        """
+        """Return the callback for the progress of motions, or None if the task has no observers."""
         return (lambda _: self.observe()) if self.observers else None
 
     def observe(self) -> None:

@@ -101,8 +101,8 @@ class Merger:
             raise InputError(why, element=f"merger {self.name!r}")
 
     def _unproven(self, scene: PlanningScene, motions: Sequence[Motion], grips: Sequence[Grip]) -> str:
-        """Return the reason why the motions in a merger must not run at the same time.
-        The text is empty if they may.
+        """Check whether motions of arms and grippers are certified to run at the same time.
+        Return the reason if they are not, else an empty text.
         """
         if len(motions) == 2:
             first, second = (m.trajectory for m in motions)

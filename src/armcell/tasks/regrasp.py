@@ -96,8 +96,8 @@ def _breadth_first(
     hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
     goals: tuple[RestingPose, ...], planning: Planning, most: int, seen: set[int],
 ) -> Iterator[tuple[RegraspStep, ...]]:  # fmt: skip
-    """Yield regrasp sequences by a breadth-first search.
-    Resting sides of the object from which a grasp reaches the goal come first.
+    """Yield regrasp sequences by a breadth-first search over the resting poses of an object.
+    The search first tries the sides from which the object can be moved directly to the goal.
 
     Adds the ids of reachable poses to `seen`.
     """
@@ -152,7 +152,7 @@ def _goals(scene: PlanningScene, goal: PlacementGoal, planning: Planning) -> tup
 
 
 def _touched(scene: PlanningScene, item: str, pose: RestingPose) -> str:
-    """Return as text the bodies besides its support that a regrasped object would touch at a resting pose."""
+    """Name the objects, apart from the support, that a regrasped object would touch at a resting pose."""
     put = scene.with_detached(item) if item in scene.attached else scene
     put = put.with_object_pose(item, pose.placement.above(RELEASE_GAP))
     return ", ".join(neighbors(put, item, 0.0))

@@ -46,7 +46,7 @@ class SortSettings:
 
 @dataclass
 class _Tally:
-    """Results of a sorting task so far, for the evidence."""
+    """Results of a sorting task so far: objects in their targets, failures and the number of picks."""
 
     sorted: dict[str, list[str]] = field(default_factory=dict)  # target -> objects, by the last image
     other: dict[str, str] = field(default_factory=dict)  # object -> kind without a target

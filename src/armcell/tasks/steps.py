@@ -298,7 +298,7 @@ class Dwell:
 
 
 def not_held(ctx: TaskContext, text: str) -> Outcome:
-    """Return the outcome of a task's step after which the hand does not hold the expected object."""
+    """Report that the hand does not hold the expected object, and return the error outcome."""
     ctx.emit("grasp", text)
     return Outcome(ErrorCode.CONTROL_FAILED, text, {EMPTY: True})
 

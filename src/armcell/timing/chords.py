@@ -26,8 +26,7 @@ def positions_at(trajectory: JointTrajectory, times: Array) -> Array:
 
 
 def _arrays(trajectory: JointTrajectory) -> tuple[Array, Array, Array, Array, int]:
-    """Return the times, positions, velocities and accelerations of a trajectory as arrays for computing
-    chords, and a number that identifies its interpolation.
+    """Return a trajectory's times, positions, velocities, accelerations and interpolation kind.
 
     The kind is 0 for positions only, 1 with velocities, 2 with velocities and accelerations.
     """

@@ -135,8 +135,7 @@ def parameterize(
 
 
 def smoothing_departure(acceleration: ArrayLike, settings: TimingSettings) -> Array:
-    """Return a bound (n,) [rad] on the deviation of each joint from the path that the smoothing in
-    `parameterize` causes.
+    """Return a bound (n,) [rad] on how far the smoothing in `parameterize` moves each joint off the path.
 
     The bound is a w^2 / 24 for the acceleration limit a and the smoothing window w.
     """

@@ -18,8 +18,8 @@ HALF_STEP = 0.09375  # integral of the smooth step 3 z^2 - 2 z^3 over its first 
 
 @njit(cache=True)
 def coefficients(kind, length, radius, s):
-    """Return the coefficients a and b of a path piece (line, arc or spline) at s, with their first and second
-    derivatives.
+    """Evaluate the coordinates (a, b) of a line, arc or spline in its plane at path parameter s.
+    Also return their first and second derivatives with respect to s.
 
     A line has (a, b) = (s, 0), an arc (r cos(s/r), r sin(s/r)). A spline turns its derivative from x to y by
     a smooth step, q' = (1 - w) x + w y with w = 3 z^2 - 2 z^3, z = s / length: its second derivative is
@@ -39,10 +39,9 @@ def coefficients(kind, length, radius, s):
 
 @njit(cache=True)
 def distinct(points):
-    """Return a mask that selects points (k, n) which are more than `MIN_EDGE` apart; the pieces of a path are
-    built through these points.
+    """Return a mask that drops each point (k, n) of a path within `MIN_EDGE` of the previous kept point.
 
-    The last point is kept in any case.
+    The last point is kept, unless all points are within `MIN_EDGE` of the first point.
     """
     k, n = points.shape
     keep = np.zeros(k, np.bool_)

@@ -46,8 +46,8 @@ class Rehearsal:
         return q, v, effort
 
     def efforts_at(self, t: float, scaling: float) -> tuple[Array, Array]:
-        """Return the efforts (n,) of a dry-run (rehearsed) motion that is played at reduced speed, and the
-        increase in effort per kilogram of load.
+        """Compute the joint efforts of a dry-run motion at reduced speed.
+        Also compute the additional effort per kilogram of load.
 
         Args:
             t: trajectory time [s].

@@ -135,8 +135,8 @@ class ReplayView:
         self.viewer.on_state(self.record.states[self.record.index_at(time + 1e-9)].sample())
 
     def _said_until(self, time: float) -> list[Event]:
-        """Return the last stage event of the replayed run up to a time [s]. If the newest event up to that
-        time is not a stage event, it is appended.
+        """Return the recorded events that the viewer shows at a time [s] of the replayed run.
+        These are the last stage event and, if the newest event is of another kind, that event as well.
         """
         before = [e for e in self.record.events if e.time <= time + 1e-9]
         stages = [e for e in before if e.kind == "stage"]

@@ -93,8 +93,8 @@ def check_address() -> int:
 
 @lru_cache(maxsize=1)
 def free_check_address() -> int:
-    """Return the address of a dummy block check that always reports no collision.
-    Code that calls it compiles quickly.
+    """Return the memory address of a stub for the compiled collision check.
+    The stub always reports no collision, and code that calls the stub compiles quickly.
     """
     return int(cfunc(types.int64(types.int64, types.int64, types.int64))(_free_check).address or 0)
 
@@ -104,8 +104,8 @@ def _free_check(handle, lanes, mode):
 
 
 def handle_of(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Return a handle: an array with the memory addresses of all kernel arrays and of the compiled block
-    check.
+    """Return the handle of a collision check: an array of memory addresses for compiled code.
+    The handle contains the addresses of the kernel arrays and of the compiled check function.
 
     The arrays are the pack (I, F, D), the workspace (w, state, s), slack and slack_pair. The handle replaces
     nine arguments, each of which costs half a microsecond in a call from Python. Keep the arrays alive as

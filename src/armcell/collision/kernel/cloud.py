@@ -256,8 +256,8 @@ def _keep_ball(I, w, state, x, y, z, reach):
 
 @inner_njit
 def _walk(I, F, w, state, o, g, f, x, y, z, reach, lanes, more_at, mode):
-    """Traverse the bounding-box tree of a cloud with one ball per SIMD lane, and test the cloud's parts in
-    the boxes that a ball overlaps.
+    """Descend the bounding-box tree of a cloud of spheres, cubes or triangles with one ball per SIMD lane.
+    The search visits only the boxes that a ball overlaps.
 
     The balls have radius `reach` around (x, y, z), in shape o's frame.
 
@@ -317,8 +317,8 @@ def _grown(I, w, i, radius, more, mode):
 
 @inner_njit
 def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
-    """Test a body against a cloud of spheres, cubes or triangles.
-    Return a bit mask of the SIMD lanes that need an exact test, or DONE.
+    """Test a robot body against a cloud of spheres, cubes or triangles.
+    Return a bit mask of the SIMD lanes that need an exact test, or DONE if the check can stop early.
     """
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
     more_at = need_at(I) + L

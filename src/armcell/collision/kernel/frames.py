@@ -83,9 +83,10 @@ def rate_at(I, j):
 
 @inner_njit(forceinline=True)
 def half_at(I):
-    """Return the workspace index at which the kernel stores half the interval width of each SIMD lane.
+    """Return the index in the workspace `w` of the interval half-widths, one per SIMD lane.
+    In a motion proof, each lane certifies an interval of the edge around its configuration.
 
-    The joints' summed rotation follows it.
+    The joints' summed rotation in the interval is stored next.
     """
     return 2 * I[DOF] * L
 
@@ -254,8 +255,8 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def center(I, F, w, state, i, f, sphere, mode):
-    """Return the workspace index of a sphere center.
-    The kernel computes the center the first time that a block uses it.
+    """Return the index in the workspace `w` at which the kernel stores the center of a sphere.
+    The first call in a check of 16 configurations computes the center.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.
     """

@@ -85,8 +85,8 @@ def _far(I, F, w, state, i, j, radii):
 
 @inner_njit
 def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
-    """Test two sphere groups of a body pair sphere by sphere.
-    Return a bit mask of the SIMD lanes in which they touch, or DONE.
+    """Test each sphere of one group against each sphere of another, for a pair of bodies.
+    Return a bit mask of the SIMD lanes in which spheres may touch, or DONE if the check can stop early.
 
     The groups are g and h. Lanes are bits. Spheres whose inner balls are at most `close` apart are certainly
     too near.

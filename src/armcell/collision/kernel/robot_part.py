@@ -415,7 +415,7 @@ class _Builder:
         return reach * (1 + 1e-6)
 
     def _span(self, frame: int) -> float:
-        """Return the largest absolute position of the joint of a robot frame in the kernel."""
+        """Return the largest absolute position within the limits of the joint that moves a kernel frame."""
         limits = self.model.joints[self.joint_names[self.column[frame]]].limits
         return max(abs(limits.lower), abs(limits.upper))
 

@@ -164,7 +164,7 @@ def _needs(I, F, w, slack, slack_pair, body, other, mode):
 
 @inner_njit
 def _world_piece(I, D, w, e, frame, lane, s, out):
-    """Compute the transform from a convex piece of a body in an exact test to the world, in one SIMD lane.
+    """Compute the transform T_world_piece of a convex piece in one SIMD lane, for an exact collision test.
 
     The 12 numbers are written to s[out:].
     """

@@ -177,8 +177,8 @@ class WorkerLink:
         self._order(do="pace", pace=pace)
 
     def play(self, rows: Array) -> int:
-        """Play positions (n, 7) [rad] in steps of 1 ms over the worker link of a Franka arm,
-        and return the number of the motion.
+        """Send joint positions (n, 7) [rad], one per millisecond, to the worker process of a Franka arm.
+        The worker executes them as one motion. Return the number of the motion.
         """
         self._number += 1
         with self._news:

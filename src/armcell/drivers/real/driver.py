@@ -265,8 +265,8 @@ class RealDriver(Driver):
         return sent
 
     def follow(self, trajectory: JointTrajectory) -> Following:
-        """Start a trajectory in the real driver.
-        One arm plays it itself, while several arms receive setpoints.
+        """Start a trajectory on real arms.
+        A single arm receives the whole trajectory. Several arms receive streamed setpoints.
 
         The setpoints of several arms follow one clock.
         """

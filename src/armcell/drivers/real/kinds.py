@@ -132,8 +132,8 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def flange_position(self, found: I, q: Array) -> Array:
-        """Return the flange position (3,) [m] in the base link,
-        computed from the robot kind's own geometry instead of the robot model.
+        """Return the flange position (3,) [m] of an arm in its base link.
+        The manufacturer's kinematic parameters determine the position, not the robot model.
 
         Args:
             q: joint positions (n,) [rad].

@@ -41,8 +41,8 @@ def require_ur_rtde() -> None:
 
 
 class RtdeLink:
-    """Link that moves the robot with `ur_rtde`.
-    It is an alternative to `ProgramLink` with the same interface.
+    """Connection that moves a UR arm with the library `ur_rtde`.
+    It has the same interface as `ProgramLink`.
     """
 
     def __init__(

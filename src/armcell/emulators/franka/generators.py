@@ -65,9 +65,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames that Franka motion generators use: the arm's kinematics
-    with the configured end effector T_F_EE (4, 4).
-    """
+    """Kinematics of a Franka arm up to its configured end effector frame, for the motion generators."""
 
     kinematics: ArmKinematics
     T_F_EE: Array

@@ -129,7 +129,9 @@ class _Along:
         return 1.0 - 0.5 * peak * (total - t) ** 2 / rise
 
     def begin(self, s: Setpoint) -> None:
-        """Start the path of the emulated UR motion at the arm's setpoint, once the arm is at rest."""
+        """Set the arm's present setpoint as the start of the path of an emulated UR motion.
+        The arm is at rest when this method is called.
+        """
 
 
 class MoveJ(_Along):

@@ -61,7 +61,8 @@ class FaultyPlant:
 
 
 def set_fault(plant: Any, words: list[str]) -> Any:
-    """Return the emulated UR plant with one more fault. The words "arm none" return the original plant.
+    """Inject the fault that a command describes into an emulated UR plant, and return the faulty plant.
+    For the command "arm none", return the original plant.
 
     Raises:
         ValueError: the words name no fault.

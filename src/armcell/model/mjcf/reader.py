@@ -108,7 +108,9 @@ class _Reader:
 
     def root(self) -> str:
         """Return the name of the root link of an MJCF robot.
-        It is a fixed base body at the robot's origin, or else a new name.
+
+        If the robot has a single base body and this body is fixed at the origin, the body is the root link.
+        Otherwise, return an unused name for a new root link.
         """
         m = self.m
         bases = [b for b in range(1, m.nbody) if m.body_parentid[b] == 0]

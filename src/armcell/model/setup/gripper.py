@@ -132,8 +132,8 @@ class _Hand:
         return T
 
     def at(self, links: tuple[str, ...], q: float) -> Array:
-        """Return surface points (n, 3) [m] on links of a candidate for a gripper,
-        in the frame of the palm.
+        """Return points (n, 3) [m] on the surfaces of `links`, in the frame of the gripper's palm.
+        The driven joint of the gripper is at `q`.
         """
         parts = [self.pose(n, q).apply(p) for n in links if len(p := self.points.get(n, np.zeros((0, 3))))]
         return np.concatenate(parts) if parts else np.zeros((0, 3))

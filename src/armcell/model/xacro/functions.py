@@ -23,7 +23,8 @@ PERCENT = re.compile(r"%(?:\((?P<key>[^)]*)\))?[#0\- +]*(?P<width>\*|\d*)(?:\.(?
 
 
 def plain(name: str, function: Callable[..., Any], kind: Any = None) -> Function:
-    """Wrap a Python function for use in xacro expressions, such that each call charges the budget.
+    """Wrap a Python function for use in xacro expressions. Each call subtracts the size of its arguments
+    from the budget of operations.
 
     The budget assumes that the function's run time is at most proportional to the size of its arguments.
     """

@@ -255,8 +255,7 @@ class ConstraintManifold:
         return self._out[:-1].copy()
 
     def violations(self, q: Array, inside: bool = False) -> list[Violation]:
-        """List the constraints of a manifold that joint positions q (dof,) violate by more than the margin at
-        the boundary.
+        """List the constraints that joint positions q (dof,) violate by more than a small margin (BOUNDARY).
 
         Args:
             inside: also list constraints that q satisfies by less than the margin.

@@ -233,8 +233,8 @@ def _first(diagnosis: Diagnosis, request: CartesianRequest, rest, sizes, pose, i
 
 
 def _least(diagnosis: Diagnosis, request: CartesianRequest, rest, step: np.ndarray, pose) -> np.ndarray:
-    """Reduce a change (3,) to the goal of a Cartesian path to the
-    smallest part that still makes the whole line feasible.
+    """Reduce a translation or rotation (3,) of the last waypoint by bisection.
+    The Cartesian path must stay feasible.
     """
     low, high = 0.5, 1.0
     for _ in range(4):

@@ -31,8 +31,8 @@ def change_start(scene: PlanningScene, request: Request, state: JointState) -> S
 
 
 def change_goal(scene: PlanningScene, request: PlanRequest, number: int, goal: Goal) -> SceneAndRequest:
-    """Apply a suggested change that replaces the goal with the given number in a planning request, or appends
-    a goal.
+    """Replace the goal at index `number` of a planning request, as a diagnosis suggests.
+    If the request has no goal at this index, append the new goal.
     """
     goals = list(request.goals)
     goals[number : number + 1] = [goal]

@@ -37,8 +37,8 @@ LIKELY_PERCENT = 100.0
 
 
 def code_of(error: InputError) -> ErrorCode:
-    """Return MoveIt's error code for the misuse that an InputError about a request reports. If there is no
-    specific code, return FAILURE.
+    """Return MoveIt's error code for an unknown name in a request, such as the name of a link.
+    Return FAILURE for other errors.
     """
     if isinstance(error, UnknownNameError):
         return next((code for kind, code in CODES if error.kind.startswith(kind)), ErrorCode.FAILURE)
@@ -150,7 +150,7 @@ def _numbers(diagnosis: Diagnosis) -> None:
 
 
 def _goal_without_tip(diagnosis: Diagnosis) -> None:
-    """Suggest another planning group if a request has a pose goal for a group without a tip (misuse)."""
+    """Suggest another planning group if a request has a pose goal for a group without a tip link."""
     request, model = diagnosis.request, diagnosis.scene.model
     group = model.groups.get(request.group)
     if group is None or group.tip_link is not None:

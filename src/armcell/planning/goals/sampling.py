@@ -162,7 +162,7 @@ def _of_pose(
 
 
 def _constraints_of(goal: PoseGoal) -> Constraints:
-    """Return constraints that keep a sampled goal's link within a pose goal's tolerances.
+    """Convert the tolerances of a pose goal to constraints, from which goal states can be sampled.
 
     The regions are cubes inside the balls of the tolerances: a projection onto them has three directions.
     """

@@ -173,9 +173,9 @@ class MovingArmTimeline:
         return self.arms.find_too_close(points, self._room, self.clearance + more) < 0
 
     def free_after(self, q: Array, more: float) -> float:
-        """Return the time [s] from which the arm may rest at q because the moving arm no longer comes near.
+        """Return the time [s] from which the planned arm can stay at q, clear of the moving arm.
 
-        The time is infinite if the other arm comes to rest too near.
+        The time is infinite if the moving arm comes to rest too close to q.
         """
         end = np.concatenate([q, self.points[-1]])[None]
         if self.arms.find_too_close(end, None, self.clearance + more) >= 0:

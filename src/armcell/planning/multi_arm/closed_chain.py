@@ -213,8 +213,8 @@ class ObjectPoseSearch:
         self.low, self.high = corners.min(axis=0) - SPREAD, corners.max(axis=0) + SPREAD
 
     def find_poses(self) -> list[SE3] | None:
-        """Search for object poses that lead a closed chain from start to goal on straight lines, and shorten
-        the result.
+        """Search for a path of object poses from start to goal that a closed chain can follow.
+        The object moves in a straight line from pose to pose. Shortcuts then shorten the path.
 
         Return None if the search is stopped.
         """

@@ -72,8 +72,8 @@ PADDING_STEP = 0.03  # [rad] between padding checks
 def prove_motion_free(
     checker: KernelChecker, curve: Curve, moved_frame: MovedFrame | None, what: str
 ) -> Array | Outcome:
-    """Prove that a PTP, LIN or CIRC motion is collision-free, and return its points (k, n). The padding is
-    checked at samples.
+    """Prove that a PTP, LIN or CIRC motion is collision-free, and return its points (k, n).
+    The proof ignores the padding, which is checked only at samples of the motion.
 
     If the motion is not free, return the contact.
     """

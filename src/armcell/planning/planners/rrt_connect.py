@@ -354,10 +354,10 @@ _of_thread = threading.local()
 
 
 def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -> NativePlanner:
-    """Return the native RRT-Connect planner of the current thread for the number of joints that the checker
-    has.
+    """Return the current thread's native RRT-Connect planner for a collision checker.
 
-    Planners are reused because their trees are large. Other settings create a new planner.
+    Each thread reuses one planner per number of joints, because the trees of a planner are large.
+    Settings other than the default create a new planner.
     """
     if settings not in (None, NativeSettings()):
         return NativePlanner(checker, settings)

@@ -45,8 +45,8 @@ def resample_path(path: Array, count: int) -> Array:
 
 
 def path_validity(problem: Problem) -> Callable[[Array], bool]:
-    """Return a function that tests optimized paths (m, n): they must respect the padding at samples and be
-    proven collision-free.
+    """Return a function that tests whether a path (m, n) from CHOMP or STOMP is valid.
+    The waypoints must be collision-free with padding. The whole path must be proven collision-free.
     """
     checker = problem.checker
 

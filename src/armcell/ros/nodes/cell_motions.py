@@ -348,7 +348,7 @@ class CellMotions:
 
 
 class _Announced(GuardedMotion):
-    """Guarded motion of a cell that reports its start once the motion is certified."""
+    """Motion that the motion gate certifies; the cell's observers are notified when the motion starts."""
 
     def __init__(
         self, cell: CellMotions, trajectory: JointTrajectory, planned_in: PlanningScene | None,

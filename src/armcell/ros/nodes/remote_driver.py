@@ -257,7 +257,9 @@ class RemoteDriver(Driver):
                 self._unseen = set()
 
     def wait_for_fingers(self) -> None:
-        """Wait until the fingers of the remote robot rest, so that an object that they hold is known."""
+        """Wait until the fingers of the remote robot stop moving.
+        Only then does the remote driver know which object they hold.
+        """
         self._wait(FINGER_TIMEOUT, lambda: all(map(self._rests, list(self._last_widths))))
 
     def _rests(self, gripper: str) -> bool:

@@ -175,8 +175,8 @@ class _Flat:
         self._group[self._root(b)] = self._root(a)
 
     def _groups(self) -> Iterator[tuple[list[_Body], bool]]:
-        """Yield the links of each object that a model in an SDF world is split into,
-        and whether the object is fixed.
+        """Yield each group of rigidly connected links of an SDF model, and whether the group is fixed.
+        Each group with collision geometry becomes one object.
         """
         for path, body in self.bodies.items():
             if body.static:

@@ -84,8 +84,8 @@ class TourEstimator:
         return (*segments, TourSegment(seconds, motion_ends=(q, self._start)))
 
     def _fetched(self, order: tuple[str, ...]) -> tuple[tuple[TourSegment, ...], Array]:
-        """Return an arm's tour segments until the last object is placed,
-        and the joint positions (n,) at that time.
+        """Return the segments of the arm's tour that places the objects in `order`, without the return
+        motion. Also return the joint positions (n,) after the last segment.
         """
         if not order:
             return (), self._start

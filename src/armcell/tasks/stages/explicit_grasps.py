@@ -84,7 +84,7 @@ class UseGrasps:
 @stage_types.register("lift")
 @dataclass(frozen=True, eq=False)
 class Lift:
-    """Stage that lifts the object from its support along the retreat of the explicit grasp."""
+    """Stage that lifts the object from its support along the grasp's post-grasp retreat."""
 
     object: str
     gripper: Gripper

@@ -81,8 +81,8 @@ def held(ctx: TaskContext, item: str) -> Check:
 def rests_on(
     ctx: TaskContext, item: str, on: str, at: tuple[float, float] | None = None, tolerance: float = 0.015
 ) -> Check:
-    """Return a behavior tree node that checks, between recipes,
-    that an object rests on another one, near a given point [m].
+    """Return a behavior tree node that checks whether an object rests on another object,
+    optionally near a given point [m].
     """
 
     def ask() -> Outcome:
