@@ -108,7 +108,7 @@ collections = 0
 def fire(phase, info):
     global collections
     collections += "armcell.cell" in sys.modules  # the command is under way
-    if collections == 10:
+    if collections == 1:  # a command collects garbage a few times only
         os.kill(os.getpid(), {number})
         sum(range(100_000))
 gc.callbacks.append(fire)
