@@ -113,7 +113,9 @@ class Cell:
         return {} if file is None else load_ompl_planning(file, self.model)
 
     def _moveit_file(self, named: str | None, name: str) -> Path | None:
-        """Return a configuration file that the cell names, or else the one in the robot's MoveIt package."""
+        """Return the path of a MoveIt configuration file, or None if there is no such file.
+        A file named in the cell file takes precedence over the one in the robot's MoveIt package.
+        """
         if named is not None:
             return self.file.parent / named
         model = self.spec.robot.model

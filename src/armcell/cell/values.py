@@ -142,8 +142,8 @@ def _table(data: Any, *keys: str) -> dict[str, Any]:
 
 
 def _no_longer_drawn(data: dict[str, Any], path: str, value: Any) -> None:
-    """Keep a changed cell value fixed that would otherwise be drawn at random.
-    A seed's other random values stay the same.
+    """Keep a changed cell value constant: `randomize` does not replace it with a random value.
+    The other random values of a seed stay the same.
     """
     block, name, key, *more = [*path.split("."), "", ""]
     drawn = data.get("randomize", {}).get(name, {})

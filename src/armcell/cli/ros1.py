@@ -27,7 +27,7 @@ OWN_MASTER = typer.Option(
 
 
 class Wire(NamedTuple):
-    """Connection of the bus to ROS 1, or to other programs, that a command has opened.
+    """Open connection between the message bus of a command and ROS or another program.
 
     Attributes:
         ready: the message to print when the cell is ready.

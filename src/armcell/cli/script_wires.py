@@ -65,7 +65,7 @@ class ScriptWires:
         return self != ScriptWires()
 
     def check(self) -> None:
-        """Check that the options of a script for its connections (Unity, ROS 1, ROS 2) are consistent.
+        """Check that the command-line options for connections to Unity, ROS 1 and ROS 2 are consistent.
 
         Raises:
             InputError: the options do not go together.

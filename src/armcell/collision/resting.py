@@ -178,8 +178,7 @@ def certify_from_rest(
 
 
 def _measured(checker: KernelChecker, points: Array, near: Mapping[Pair, Contact]) -> Iterable[Pair]:
-    """Return the nearby pairs of bodies whose distances must be measured
-    while a motion separates bodies in resting contact.
+    """Return the body pairs whose distances must be measured along a motion out of resting contact.
 
     These are the touching pairs if the kernel certifies all others, else all near pairs.
     """
@@ -366,8 +365,7 @@ class Leaving:
         return distances
 
     def _broken(self, distances: Array, best: Array, travel: Array | None = None) -> int | None:
-        """Return the index of a nearby pair of bodies that newly touches
-        while other bodies leave resting contact, or None.
+        """Return the index of a body pair with a forbidden contact while leaving resting contact, or None.
 
         Forbidden are new contacts, contacts that get deeper, and contacts that are dragged along.
 

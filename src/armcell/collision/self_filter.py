@@ -96,8 +96,8 @@ def _mask(placed: Iterable[tuple[Shape, SE3, float]], points: ArrayLike, padding
 
 
 def _placed(scene: PlanningScene, objects: Iterable[str]) -> Iterator[tuple[Shape, SE3, float]]:
-    """Yield the shape, T_world_shape and scale of every robot link,
-    held object and other object whose points the self-filter removes.
+    """Yield the shapes whose points the self-filter removes, each with T_world_shape and scale.
+    These are the shapes of the robot's links, the held objects and the given objects.
     """
     tree = kinematic_tree(scene.model)
     Ts = [SE3.from_matrix(T) for T in tree.link_transforms(scene.positions)]

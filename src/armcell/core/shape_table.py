@@ -163,9 +163,7 @@ def simpler_parts(shape: Shape, T: SE3) -> list[tuple[Shape, SE3]]:
 
 
 def named_shapes(format: Format) -> Mapping[str, ShapeKind]:
-    """Return the rows of the shape table whose shapes have a name in the given format,
-    as a dictionary keyed by shape name.
-    """
+    """Return the kinds of shapes that a file or message format supports, as a dict by shape name."""
     return {name: kind for name, kind in shapes.imported().items() if format in kind.formats}
 
 

@@ -36,7 +36,7 @@ class Controller(Protocol):
         ...
 
     def step(self) -> None:
-        """Run one control step of an emulated robot in the rack, and of its ports."""
+        """Run one control step of an emulated robot in the rack, and serve its network ports."""
         ...
 
     def reset(self) -> None:

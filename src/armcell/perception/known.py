@@ -158,11 +158,7 @@ def _angle(a: SO3, b: SO3) -> float:
 
 
 def _spun(here: SO3, wanted: SO3) -> SO3:
-    """Return the rotation of a known object turned such that its z axis
-    is parallel to the z axis of another rotation.
-
-    The direction of the z axis may be opposite.
-    """
+    """Return a rotation near `wanted` whose z axis is parallel or antiparallel to the z axis of `here`."""
     axis = here.matrix[:, 2]
     if axis @ wanted.matrix[:, 2] < 0:
         axis = -axis

@@ -159,7 +159,7 @@ def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
 
 
 def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
-    """Create a solid for fitting that stores the signed distances to an object's shapes in a grid.
+    """Compute a grid of signed distances to an object's shapes, as a solid that can be fitted to points.
 
     A node's distance is that to the plane of the nearest of many samples on the surface. Near the surface, a
     node is inside if it is behind the sample's triangle; elsewhere, if it is not connected to the outside.

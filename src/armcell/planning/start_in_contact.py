@@ -111,9 +111,7 @@ def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> 
 
 
 def reject_deep_contacts(contacts: list[Contact]) -> Outcome | None:
-    """Return the result that refuses a start in contact deeper than `RESTING`, or None if no contact is that
-    deep.
-    """
+    """Return the error START_STATE_IN_COLLISION if a contact is deeper than `RESTING`, else None."""
     if all(c.distance >= -RESTING for c in contacts):
         return None
     what = "; ".join(c.describe() for c in contacts[:3])

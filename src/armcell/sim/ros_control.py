@@ -102,8 +102,8 @@ class _Reader:
         return {n: entry["pid"] for n, entry in own.items() if isinstance(entry, Mapping) and "pid" in entry}
 
     def rank(self, place: str, kind: str, node: Mapping) -> int | None:
-        """Return the priority of the gains of a ros_control controller.
-        Return None if it is a velocity controller.
+        """Return the rank of a ros_control controller's gains, or None for a velocity controller.
+        If several controllers have gains for a joint, the gains with the highest rank apply.
         """
         interfaces = node.get("command_interfaces") or node.get("command_interface") or []
         interfaces = [interfaces] if isinstance(interfaces, str) else interfaces

@@ -91,8 +91,8 @@ def _need_some(name: str, stages: tuple[Stage, ...]) -> None:
 
 
 def _either(stages: tuple[Stage, ...], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
-    """Return the names that all alternative stages of a container provide,
-    and the interface problems of these stages.
+    """Check the interfaces of the alternative stages in a container, and collect their problems.
+    After the container, only the names that are available after every alternative are available.
     """
     results = [single(stage, have, scene) for stage in stages]
     return InterfaceCheck(

@@ -75,7 +75,7 @@ UNWATCHED = 0.02  # [s] step size without observers
 
 @dataclass
 class StageReport:
-    """Report of one stage, which is one row in the stage table of a task's context."""
+    """Report of one stage of a task. Each report is one row of the stage table."""
 
     name: str
     planner: str = ""

@@ -254,7 +254,7 @@ class _Hands:
         return tuple(found)
 
     def can(self, grasp: Grasp, pose: RestingPose) -> bool:
-        """Return whether a grasp for regrasping is reachable without collision at a resting pose.
+        """Return whether the arm can grasp the object at a resting pose without collision.
 
         A straight retreat must be possible as well.
         """

@@ -243,8 +243,8 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
 
 @inner_njit
 def _keep_ball(I, w, state, x, y, z, reach):
-    """Store the bounding ball of a group of spheres before the spheres
-    are transformed to test them against a cloud.
+    """Store the bounding ball of a group of spheres for the test against a cloud.
+    The spheres themselves are transformed later, and only if needed.
     """
     ball = ball_at(I)
     store(w, ball, x)

@@ -72,7 +72,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def check_identity(self, name: str, arm: A, found: I) -> None:
-        """Check, by the rules of its robot kind, that a robot is the one in the cell file.
+        """Check that a connected robot is the one that the cell file specifies for an arm.
 
         Raises:
             InputError: it is another robot.
@@ -126,9 +126,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def measured_positions(self, arm: A) -> Array:
-        """Return the measured joint positions (n,) [rad] of an arm.
-        Its robot kind reads them without opening another connection.
-        """
+        """Return the measured joint positions (n,) [rad] of an arm. No driver needs to be connected."""
 
     @abstractmethod
     def flange_position(self, found: I, q: Array) -> Array:

@@ -16,7 +16,7 @@ Wait = Generator[None, None, Any]
 def socket_functions(
     robot: Robot, network: Network
 ) -> tuple[dict[str, Callable[..., Wait]], dict[str, Callable[..., Any]], Callable[[], None]]:
-    """Return the URScript functions with which one program uses sockets.
+    """Return the URScript socket functions for one program of the emulated UR robot.
 
     Returns:
         Functions that take time (generators), functions that return immediately, and a function that closes

@@ -65,7 +65,7 @@ class Budget:
             raise XacroError(f"it takes more than {MAX_STEPS:,} operations", "simplify the file")
 
     def made(self, value: Any) -> Any:
-        """Charge the budget for a value that a xacro expression has created, and return the value.
+        """Deduct the size of a new value in a xacro expression from the budget, and return the value.
 
         Raises:
             XacroError: the budget is exhausted, the value is too large, or xacro does not support its type.

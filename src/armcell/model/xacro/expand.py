@@ -92,7 +92,9 @@ def expand_xacro(
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
-    """Return the arguments that the expansion of a xacro file lacks: `name`, and undeclared arguments."""
+    """Return the missing arguments of a xacro file, `name` first.
+    The others are arguments that the file uses but does not declare, and that `given` does not contain.
+    """
     text = etree.tostring(root, encoding="unicode")
     known = {*given, *(str(e.get("name")) for e in root.iter() if _is_xacro_tag(e, "arg"))}
     return list(dict.fromkeys([name, *(n for n in ARGUMENT.findall(text) if n not in known)]))

@@ -122,9 +122,7 @@ def _called(budget: Budget, function: Any, *arguments: Any) -> Any:
 
 
 def _keyed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap `min`, `max` or `sorted` for xacro expressions, such that `key` accepts a function of the
-    expression.
-    """
+    """Wrap `min`, `max` or `sorted` so that a xacro expression can pass a xacro function as `key`."""
 
     def run(budget: Budget, /, *arguments: Any, key: Function | None = None, **keywords: Any) -> Any:
         of_item = None if key is None else functools.partial(_called, budget, key)

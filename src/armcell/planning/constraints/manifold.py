@@ -207,9 +207,7 @@ class ConstraintManifold:
         return number, int(euler), self._keep(np.concatenate([wanted.matrix.T.ravel(), full, inner]))
 
     def _carried(self, link: str, T: SE3) -> int:
-        """Add a frame that is fixed to a link to the constraint manifold, as if it were another constrained
-        link.
-        """
+        """Add a link-fixed frame to the manifold's constrained links, and return its index."""
         rows, _, base, _ = self._link_rows[self._link(link)]
         numbers = self._tables[self._links[link]].copy()
         at_base = base

@@ -81,8 +81,8 @@ def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
 
 @njit(cache=True)
 def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
-    """Write the Jacobian row and the residual for projecting a constrained point along a direction given in
-    the frame of a region's shape.
+    """Write the Jacobian row and the residual for projecting a point into a shape of its region.
+    The direction (ga, gb, gd) of the projection is given in the frame of the shape.
     """
     at = n[s + 1]
     link = n[n[AT_POINTS] + point * POINT_WIDTH]

@@ -85,8 +85,8 @@ def change_mass(scene: PlanningScene, request: Request, name: str, mass: float) 
 
 
 def reset_state(scene: PlanningScene, request: Request, state: JointState) -> SceneAndRequest:
-    """Apply a suggested change that overwrites joint positions in the scene's own state,
-    whatever their previous values are.
+    """Apply a suggested change that sets joint positions in the robot state of the scene.
+    The previous positions may be invalid.
     """
     positions = np.array(scene.positions)
     positions[scene.model.columns(state.joint_names)] = state.positions

@@ -79,7 +79,7 @@ def _like(name: str, known: list[str]) -> list[str]:
 
 
 def _rename(diagnosis: Diagnosis, wrong: str, right: str, anyway: bool = False) -> bool:
-    """Suggest replacing a wrong name with an existing one everywhere in an invalid request (misuse)."""
+    """Suggest replacing a wrong name in an invalid planning request with an existing name."""
     request = diagnosis.request
     fields = [f for f in ("group", "link", "planner_id", "pipeline_id") if getattr(request, f, None) == wrong]
     planner = getattr(request, "planner_id", "")

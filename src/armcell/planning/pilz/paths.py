@@ -303,8 +303,8 @@ def _solutions(
 
 
 def _sideways(ik: IKSolver, q: Array, wish: Array) -> Array:
-    """Return the part of a joint step (n,) that does not move the tip off its LIN or CIRC path; it is zero
-    for an arm with 6 joints.
+    """Project a joint step (n,) onto the null space of the Jacobian, so that the tip does not move.
+    For an arm with 6 joints, the result is zero except at singularities.
     """
     J = ik.tree.jacobian(q, ik.tip_link, ik.joint_names)
     return wish - np.linalg.pinv(J, rcond=1e-4) @ (J @ wish)

@@ -339,7 +339,7 @@ class PickPlaceNode:
 
 
 class _BusPick(Pick):
-    """Pick task for a /pickup goal. It plans in the scene of the cell and moves the cell over the bus.
+    """Pick task for a /pickup goal. It plans in the cell's scene and executes motions over the message bus.
 
     Args:
         node: searches, performs steps and reports.

@@ -263,7 +263,7 @@ class RemoteDriver(Driver):
         self._wait(FINGER_TIMEOUT, lambda: all(map(self._rests, list(self._last_widths))))
 
     def _rests(self, gripper: str) -> bool:
-        """Return whether the fingers have not moved for a while, by the last joint states."""
+        """Return whether the last joint states show that the fingers are at rest."""
         return self._at - self._last_widths[gripper][1] >= GRIP_TIME
 
     def _wait(self, timeout: float, is_there: Callable[[], bool]) -> None:

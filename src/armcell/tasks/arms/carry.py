@@ -23,7 +23,7 @@ SLIP_EVERY = 10  # cycles between two measurements of the slip
 
 @dataclass
 class CarryRecord:
-    """Largest deviations of an object that two arms carry, over all control cycles since the grasp."""
+    """Largest relative pose error of the hands, squeeze force and slip while two arms carry an object."""
 
     off_m: float = 0.0
     turn_rad: float = 0.0
