@@ -49,7 +49,7 @@ class Naming:
         space = ["--ns", self.namespace] if self.namespace else []
         return space + [word for pair in self.remap for word in ("--remap", pair)]
 
-    def of(self, cell: Any, node: str = "armcell") -> NameMap | None:
+    def map_for(self, cell: Any) -> NameMap | None:
         """Return the map from a cell's ROS names to the names on the bus, or None if they are equal.
         The command line takes priority over the cell file.
 
@@ -60,7 +60,7 @@ class Naming:
 
         spec = cell.spec.ros
         pairs = (*(f"{before}:={after}" for before, after in spec.remap.items()), *self.remap)
-        return name_map(node, self.namespace or spec.namespace, pairs)
+        return name_map("armcell", self.namespace or spec.namespace, pairs)
 
 
 def naming(namespace: str, remap: list[str] | None, arguments: list[str] | None, ros1: bool) -> Naming:

@@ -107,7 +107,7 @@ def run_script_command(
 
         status, session = run_script(
             file, live, arguments, auto_grip=auto_grip, ros1=_ros1(wires, arguments), ended=ended,
-            began=lambda session: wires.open(session, joins), bus=bus, names=wires.names.of(loaded),
+            began=lambda session: wires.open(session, joins), bus=bus, names=wires.names.map_for(loaded),
         )  # fmt: skip
         if session.served.failure is not None:
             raise session.served.failure
@@ -149,7 +149,7 @@ def _run_elsewhere(
         joins = wires.joins(stack, bus)
         loaded = with_values(load(cell), dict(parsed(one) for one in set_))
         return run_script(
-            file, loaded, arguments, ros1=_ros1(wires, arguments), bus=bus, names=wires.names.of(loaded),
+            file, loaded, arguments, ros1=_ros1(wires, arguments), bus=bus, names=wires.names.map_for(loaded),
             began=lambda session: wires.open(session, joins),
         )[0]  # fmt: skip
 

@@ -316,7 +316,7 @@ def _run(
     with LedRun(loaded, scene, seed, mode, Kept(what.runs), {}, by, command, gate=gate) as run:
         live = loaded.connect(mode, seed, run.observers, what.time_scale)
         run.begin(live)
-        inside = bus.renamed(what.names.of(loaded))
+        inside = bus.renamed(what.names.map_for(loaded))
         served = ServedCell(live, inside, what.rate, plan, auto_grip, sensors)
 
         def all_status() -> str:
@@ -364,7 +364,7 @@ def _plan_only(
     from armcell.ros.nodes import ServedPlanner
 
     loaded = load(cell)
-    inside = bus.renamed(names.of(loaded))
+    inside = bus.renamed(names.map_for(loaded))
     line = _StatusLine(inside, lambda: None, status)
     try:
         with ServedPlanner(loaded, inside, seed, sensors):

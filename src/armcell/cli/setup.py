@@ -217,7 +217,7 @@ def _show_pairs(proposal: Proposal) -> None:
             )
     samples = max(p.samples for p in proposal.pairs)
     console.print(f"{total} pairs of links, {samples:,} states: {', '.join(words)}", markup=False)
-    checked = sorted((p for p in proposal.pairs if not p.reason), key=lambda p: -p.touching / p.samples)
+    checked = sorted((p for p in proposal.pairs if not p.reason), key=lambda p: -p.share)
     console.print(f"{len(checked)} pairs are checked; those in contact most often:", markup=False)
     table = Table(box=None, pad_edge=False, show_header=False)
     for pair in checked[:8]:
@@ -229,7 +229,7 @@ def _show_pairs(proposal: Proposal) -> None:
 
 
 def _share(pair: LinkPair) -> str:
-    return f"{100 * pair.touching / pair.samples:.2f} %"
+    return f"{100 * pair.share:.2f} %"
 
 
 def _in_browser(proposal: Proposal, at: PageAt) -> Proposal | None:

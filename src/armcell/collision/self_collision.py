@@ -52,6 +52,11 @@ class LinkPair:
     proven: bool = False  # whether the absence of contact is proven for all states, not only for the samples
 
     @property
+    def share(self) -> float:
+        """Return the fraction of the samples in which the link pair is in contact."""
+        return self.touching / self.samples
+
+    @property
     def links(self) -> frozenset[str]:
         return frozenset((self.link_a, self.link_b))
 

@@ -21,7 +21,7 @@ PLANE_EXTENT_M = 100.0
 """Extent of a plane in images and bounding boxes [m]; contacts use the infinite half space."""
 
 LARGEST_M = 1e6
-"""Largest size of a shape [m]. Volumes and inertias of larger shapes exceed the range of floating point."""
+"""Largest size of a shape [m]. Volumes and inertias of much larger shapes overflow."""
 
 
 def _positive(what: str, **sizes: float) -> None:

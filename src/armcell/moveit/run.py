@@ -38,7 +38,7 @@ def run_script(
         ended: called with the exit status after the run, while the cell is still connected.
         began: called before the script starts, when the cell is ready and joined.
         bus: the session's bus, if transports are connected to it already.
-        names: names on the bus of the names that the cell and the script use.
+        names: maps the ROS names of the cell and the script to names on the bus.
     Returns:
         The script's exit status (130 after Ctrl-C, 143 after SIGTERM), and its closed session.
     Raises:

@@ -37,17 +37,19 @@ class Session:
         quiet: do not print log lines.
         ros1: join the cell and the script to a ROS 1 graph.
         bus: the bus, if transports are connected to it already.
-        names: names on the bus of the names that the cell and the script use.
+        names: maps the ROS names of the cell and the script to names on the bus.
     """
 
     def __init__(
         self, cell: LiveCell | Cell, rate: float = 100.0, auto_grip: bool = False, quiet: bool = False,
         ros1: Ros1Settings | None = None, bus: Bus | None = None, names: NameMap | None = None,
     ):  # fmt: skip
-        outer = Bus() if bus is None else bus
-        self.bus = outer.renamed(names)
-        keep = (self.bus.full_name(NAME),)
-        self.graph = None if ros1 is None else Ros1Graph(outer, ros1, self.shut_down, keep)
+        if bus is None:
+            bus = Bus()
+        self.bus = bus.renamed(names)
+        self.graph: Ros1Graph | None = None
+        if ros1 is not None:
+            self.graph = Ros1Graph(bus, ros1, self.shut_down, (self.bus.full_name(NAME),))
         self.served: ServedCell
         if isinstance(cell, LiveCell):
             self.served, seed = ServedCell(cell, self.bus, rate, auto_grip=auto_grip), cell.ctx.seed

@@ -131,7 +131,7 @@ class SetupView:
                     self.states[group.name] = box
         self.boxes: dict[frozenset[str], Any] = {}
         if proposal.pairs:
-            self._pairs = sorted(proposal.pairs, key=lambda p: -p.touching / p.samples)
+            self._pairs = sorted(proposal.pairs, key=lambda p: -p.share)
             with gui.add_folder("Pairs of links"):
                 links = tuple(n for n in model.links if any(n in p.links for p in self._pairs))
                 self.link: Any = gui.add_dropdown("Link", links)
@@ -152,7 +152,7 @@ class SetupView:
                     if self.link.value not in pair.links:
                         continue
                     (other,) = pair.links - {self.link.value}
-                    share = f"{100 * pair.touching / max(pair.samples, 1):.2f} %"
+                    share = f"{100 * pair.share:.2f} %"
                     words = f"{share} {pair.reason}".strip()
                     ignored = pair.links in self.answer.model.disabled_collisions
                     box = self._server.gui.add_checkbox(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from armcell.drivers.ur.wire.rtde import REGISTERS
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript.machine import ProgramError
 
 CONFIGURABLE, TOOL = 8, 16  # first bit of the configurable pins, and of the tool's pins
 TOOL_VOLTAGES = (0, 12, 24)  # [V]
-REGISTERS = 48  # integer and floating-point registers each
 
 
 def io_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
@@ -32,14 +32,16 @@ class DigitalOutputs(list):
 
 
 def _bit(index: Any, count: int, first: int = 0) -> int:
+    return _index(index, count, "pin") + first
+
+
+def _register(index: Any, count: int = REGISTERS) -> int:
+    return _index(index, count, "register")
+
+
+def _index(index: Any, count: int, what: str) -> int:
     if not 0 <= int(index) < count:
-        raise ProgramError(f"there is no pin {int(index)} (0 to {count - 1})")
-    return int(index) + first
-
-
-def _register(index: Any) -> int:
-    if not 0 <= int(index) < REGISTERS:
-        raise ProgramError(f"there is no register {int(index)} (0 to {REGISTERS - 1})")
+        raise ProgramError(f"there is no {what} {int(index)} (0 to {count - 1})")
     return int(index)
 
 
@@ -118,11 +120,11 @@ def _registers(r: Robot) -> dict[str, Callable[..., Any]]:
         r.output_double[_register(register)] = float(value)
 
     def write_bool(register: int, value: bool) -> None:
-        bit = 1 << _bit(register, 128)
+        bit = 1 << _register(register, 128)
         r.output_bits = (r.output_bits & ~bit) | (bit if value else 0)
 
     def read_bool(register: int) -> bool:
-        bit = _bit(register, 128)
+        bit = _register(register, 128)
         if bit >= 64:
             return bool(r.inputs.get(f"input_bit_register_{bit}", False))
         word = "input_bit_registers0_to_31" if bit < 32 else "input_bit_registers32_to_63"
@@ -134,7 +136,7 @@ def _registers(r: Robot) -> dict[str, Callable[..., Any]]:
         "read_input_float_register": lambda i: float(
             r.inputs.get(f"input_double_register_{_register(i)}", 0.0)
         ),
-        "read_output_boolean_register": lambda i: bool(r.output_bits >> _bit(i, 128) & 1),
+        "read_output_boolean_register": lambda i: bool(r.output_bits >> _register(i, 128) & 1),
         "read_output_integer_register": lambda i: r.output_int[_register(i)],
         "read_output_float_register": lambda i: r.output_double[_register(i)],
         "write_output_boolean_register": write_bool,

@@ -16,6 +16,7 @@ from armcell.drivers.ur.wire.kinematics import cross, forward, jacobian, pose_of
 from armcell.drivers.ur.wire.models import UrModel
 from armcell.drivers.ur.wire.modes import MAY_MOVE, RobotMode, RuntimeState, SafetyMode
 from armcell.drivers.ur.wire.primary import Kinematics
+from armcell.drivers.ur.wire.rtde import REGISTERS
 from armcell.emulators.ur.compliance import Compliance
 from armcell.emulators.ur.motion import KEPT, Motion, MotionFault, Setpoint, StopJ, TrackL
 from armcell.emulators.ur.notices import Notice, Popup, ProgramState, SafetyChange, ScriptFault, Text
@@ -50,7 +51,7 @@ class Robot:
         self.time, self.program_time = MIN_UPTIME, 0.0
         self.slider, self.scaling = 1.0, 1.0
         self.inputs: dict[str, Any] = {}  # RTDE inputs, by variable name
-        self.output_int, self.output_double = [0] * 48, [0.0] * 48
+        self.output_int, self.output_double = [0] * REGISTERS, [0.0] * REGISTERS
         self.output_bits = 0  # boolean registers 0..127
         self.digital_in, self.digital_out = 0, 0
         self.analog_out = [0.0, 0.0]  # 0..1 of the range

@@ -17,6 +17,7 @@ HEADER = struct.Struct(">HB")
 VERSION, CONTROLLER_VERSION, MESSAGE = ord("V"), ord("v"), ord("M")
 SETUP_OUTPUTS, SETUP_INPUTS = ord("O"), ord("I")
 START, PAUSE, DATA = ord("S"), ord("P"), ord("U")
+REGISTERS = 48  # integer registers, and as many floating-point registers, in each direction
 MAX_NAMES = 2048  # largest size of a list of names in bytes
 
 _CODES = {
@@ -63,8 +64,8 @@ def _registers(direction: str) -> dict[str, str]:
     """
     return {
         **{f"{direction}_bit_register_{i}": "BOOL" for i in range(64, 128)},
-        **{f"{direction}_int_register_{i}": "INT32" for i in range(48)},
-        **{f"{direction}_double_register_{i}": "DOUBLE" for i in range(48)},
+        **{f"{direction}_int_register_{i}": "INT32" for i in range(REGISTERS)},
+        **{f"{direction}_double_register_{i}": "DOUBLE" for i in range(REGISTERS)},
     }
 
 
