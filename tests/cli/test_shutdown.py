@@ -224,6 +224,12 @@ class Running:
             self.process.kill()
 
 
+def _processor_time(pid: int) -> float:
+    """[s]"""
+    user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
 def _family(pid: int) -> list[int]:
     """The process and all below it."""
     children = [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
@@ -563,7 +569,8 @@ def test_real_arms_are_at_rest(real_cell, tmp_path):
 )
 def test_commands_that_compute(words):
     with running(*words) as command:
-        time.sleep(1.5)
+        # A warm doctor takes about a second, and prints when it ends.
+        command.until(lambda: _processor_time(command.process.pid) > 0.2)
         command.ended_by(TERM)
 
 
