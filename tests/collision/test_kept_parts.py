@@ -21,7 +21,7 @@ BASE = new_panda()
 
 
 def _forget(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_parts", "_bodies", "_placed", "_near_found"):
+    for name in ("_parts", "_held", "_placed", "_near_found", "_meetings"):
         monkeypatch.setattr(module, name, LruCache(64))
 
 

@@ -139,19 +139,22 @@ class KinematicTree:
         """Return the poses T_root_link (links, 4, 4) of all links of a kinematic tree at joint positions q
         (dof,), in the order of `link_names`.
         """
+        return self._forward(self.parent, q)
+
+    def joint_transforms(self, q: ArrayLike) -> Array:
+        """Return the poses T_parent_child (joints, 4, 4) of the child links of all joints of a kinematic tree
+        in their parent links, at joint positions q (dof,).
+        """
+        return self._forward(np.zeros_like(self.parent), q)[1:]
+
+    def _forward(self, parent: NDArray[np.int64], q: ArrayLike) -> Array:
+        """Return the poses (links, 4, 4) of all links in a tree in which link i + 1 hangs on parent[i]."""
         out = np.empty((len(self.link_names), 4, 4))
         q = np.ascontiguousarray(float_array(q, (self.model.dof,), "positions", finite=False))
         forward(
-            self.parent,
-            self.T_parent_joint,
-            self.kind,
-            self.axis,
-            self.column,
-            self.multiplier,
-            self.offset,
-            q,
+            parent, self.T_parent_joint, self.kind, self.axis, self.column, self.multiplier, self.offset, q,
             out,
-        )
+        )  # fmt: skip
         return out
 
     def full_positions(self, q: ArrayLike) -> dict[str, float]:

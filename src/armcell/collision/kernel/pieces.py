@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -74,13 +74,12 @@ class Pieces:
             **self.corners.lanes,
         }
 
-    def moved(self, T: F64) -> Pieces:
-        """Return a copy of the convex pieces whose poses are multiplied from the left by T (4, 4)."""
-        pose = np.empty((len(self.kind), 3, 4))
-        own = self.pose.reshape(-1, 3, 4)
+    def poses_after(self, T: F64) -> F64:
+        """Return the poses (e, 12) of the convex pieces, multiplied from the left by T (4, 4)."""
+        pose, own = np.empty((len(self.kind), 3, 4)), self.pose.reshape(-1, 3, 4)
         pose[:, :, :3] = T[:3, :3] @ own[:, :, :3]
         pose[:, :, 3] = own[:, :, 3] @ T[:3, :3].T + T[:3, 3]
-        return replace(self, pose=pose.reshape(-1, 12))
+        return pose.reshape(-1, 12)
 
 
 def pieces_of(shapes: Sequence[tuple[Shape, F64]], split: Splitter = convex_pieces) -> Pieces:

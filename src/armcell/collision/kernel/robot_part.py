@@ -11,33 +11,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell._array_store import keep, key_of, recall
-from armcell.collision import decompose
-from armcell.collision.convex import VERSION as PIECES_VERSION
-from armcell.collision.convex import convex_pieces
 from armcell.collision.kernel import near
-from armcell.collision.kernel.cover import FIT_VERSION, GROUP, Cover, bounding_sphere, cover
+from armcell.collision.kernel.bodies import (
+    FINGER_OVERSHOOT,
+    LINK_OVERSHOOT,
+    UP,
+    Body,
+    PlacedBody,
+    held_body,
+    link_body,
+)
 from armcell.collision.kernel.lru_cache import LruCache
-from armcell.collision.kernel.pieces import Corners, Pieces, Splitter, concatenate, pieces_of
-from armcell.core import SE3, SO3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
-from armcell.core.geometry import local_bounds
+from armcell.collision.kernel.pieces import Pieces, concatenate
+from armcell.core import SO3
 from armcell.kinematics import kinematic_tree
 from armcell.kinematics.tree import REVOLUTE
-from armcell.model import Link
+from armcell.model import RobotModel
 from armcell.scene import PlanningScene
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
-FINGER_OVERSHOOT = 0.003  # [m]
-LINK_OVERSHOOT = 0.010
-OBJECT_OVERSHOOT = 0.005  # [m] for held objects, or `OBJECT_SHARE` of the largest extent if that is larger:
-LARGE_LINK = 1.5  # [m] longer shapes of links, such as a linear axis, get the coarser covers of objects
-OBJECT_SHARE = 1 / 15  # a large object needs no finer cover, and fitting one would take a minute
-
 REVOLUTE_KIND = 1  # as in frames
-BODY_VERSION = 1  # increase when `_new_body` returns other spheres or pieces, to invalidate the disk cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,52 +44,6 @@ class RobotPart:
 
     bodies: tuple[str, ...]
     arrays: dict[str, Any]
-    pieces: Pieces
-
-
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """Sphere cover and convex pieces of a robot body (a link or held
-    object) in the body's own frame, for the kernel.
-
-    Spheres (s, 5), their groups (g, 4) with sizes (g,), and one sphere around all.
-    """
-
-    around: F64  # (4,) bounding sphere of the body
-    spheres: F64
-    groups: F64
-    sizes: list[int]
-    pieces: Pieces
-
-    def placed(self, T: F64) -> _Placed:
-        """Transform the kernel's sphere cover and convex pieces of a
-        robot body to a frame of the planning group.
-
-        T (4, 4) is the pose of the body in this frame.
-        """
-
-        def at(spheres: F64) -> F32:
-            out = spheres.copy()
-            out[..., :3] = out[..., :3] @ T[:3, :3].T + T[:3, 3]
-            return out.astype(np.float32)
-
-        around, group, sphere = at(self.around), at(self.groups), at(self.spheres)
-        group[:, 3] *= UP
-        around[3] *= UP
-        sphere[:, 3] = sphere[:, 3] * UP + np.float32(1e-6)
-        sphere[:, 4] = np.maximum(sphere[:, 4] * np.float32(1 - 1e-5) - np.float32(2e-6), 0)
-        return _Placed(around, sphere, group, self.pieces.moved(T))
-
-
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """Sphere cover and convex pieces of a robot body, transformed to a frame of the planning group,
-    in the kernel's array format.
-    """
-
-    around: F32
-    sphere: F32
-    group: F32
     pieces: Pieces
 
 
@@ -113,14 +63,14 @@ class _Chain:
     arrays: dict[str, Any]
 
 
-UP = np.float32(1 + 1e-6)  # rounding to float32 must not shrink a cover
 _parts: LruCache[RobotPart] = LruCache(8)
 _chains: LruCache[_Chain] = LruCache(32)
-_bodies: LruCache[_Body] = LruCache(512)
-_placed: LruCache[_Placed] = LruCache(512)
+_held: LruCache[Body] = LruCache(512)
+_placed: LruCache[PlacedBody] = LruCache(512)
 _pieces_joined: LruCache[Pieces] = LruCache(32)
 _pairs_found: LruCache[I32] = LruCache(256)
 _near_found: LruCache[tuple[I32, dict[str, I32]]] = LruCache(64)
+_meetings: LruCache[_Meeting] = LruCache(4096)
 _reaches: LruCache[F64] = LruCache(1024)
 _moving: LruCache[NDArray[np.bool_]] = LruCache(32)
 
@@ -180,14 +130,7 @@ class _Builder:
         self.of_link = {0: (0, np.eye(4))}  # link -> frame, T_frame_link
         self.adjustable: set[int] = set()  # links that a joint outside the group moves within their frame
         # (the frame may be the world)
-        rest = tree.link_transforms(self.scene.positions)
-        # current T_parent_link of every joint: the inverse of the parent's pose times the link's pose
-        turn = rest[tree.parent, :3, :3].transpose(0, 2, 1)
-        relative = np.tile(np.eye(4), (len(tree.parent), 1, 1))
-        relative[:, :3, :3] = turn @ rest[1:, :3, :3]
-        relative[:, :3, 3:] = turn @ (rest[1:, :3, 3:] - rest[tree.parent, :3, 3:])
-        stiff = np.asarray(tree.kind) == 0  # exact values: the rounding above depends on the arm's positions
-        relative[stiff] = tree.T_parent_joint[stiff]
+        relative = tree.joint_transforms(self.scene.positions)
         for j in range(len(tree.parent)):
             frame, T = self.of_link[int(tree.parent[j])]
             column = self.columns.get(int(tree.column[j])) if tree.kind[j] else None
@@ -225,29 +168,21 @@ class _Builder:
     # --- bodies ---
     def _bodies(self) -> tuple[list[tuple[str, int]], dict[str, Any], Pieces]:
         scene, tree = self.scene, self.tree
-        fingers = {f for g in self.model.grippers.values() for f in g.finger_links}
         bodies: list[tuple[str, int]] = []  # name, frame
-        placed: list[tuple[_Body, F64]] = []  # and T_frame_body
+        placed: list[tuple[Body, F64]] = []  # and T_frame_body
         # False for bodies whose pose in their frame depends on other joints (a gripper, a resting arm) or on
         # a grasp: computing for each new pose which bodies they can meet takes longer than it saves.
         self.placed_for_good: list[bool] = []
         padding: list[float] = []
-        for link in self.model.links.values():
-            if not link.collisions:
-                continue
-            frame, T = self.of_link[tree.link_index[link.name]]
-            overshoot = FINGER_OVERSHOOT if link.name in fingers else LINK_OVERSHOOT
-            scale = scene.link_scale.get(link.name, 1.0)
-            body = _bodies.get(
-                (self.model, link.name, scale, overshoot), partial(_link_body, link, scale, overshoot)
-            )
-            bodies.append((link.name, frame))
+        for name, link, body in _links_of(self.model, tuple(sorted(scene.link_scale.items()))):
+            frame, T = self.of_link[link]
+            bodies.append((name, frame))
             placed.append((body, T))
-            padding.append(scene.link_padding.get(link.name, scene.padding))
-            self.placed_for_good.append(tree.link_index[link.name] not in self.adjustable)
+            padding.append(scene.link_padding.get(name, scene.padding))
+            self.placed_for_good.append(link not in self.adjustable)
         for held in scene.attached.values():
             frame, T = self.of_link[tree.link_index[held.link]]
-            body = _bodies.get((held.object.shapes,), partial(_held_body, held.object.shapes))
+            body = _held.get(held.object.shapes, partial(held_body, held.object.shapes))
             bodies.append((held.object.name, frame))
             placed.append((body, T @ held.T_link_object.matrix))
             padding.append(scene.link_padding.get(held.link, scene.padding))
@@ -256,7 +191,7 @@ class _Builder:
         self.placed = [_placed.get((own, T.tobytes()), partial(own.placed, T)) for own, T in placed]
         sizes = [size for own in self.owns for size in own.sizes]
         joined = _pieces_joined.get(self.owns, lambda: concatenate(own.pieces for own in self.owns))
-        poses = [np.zeros((0, 12)), *(body.pieces.pose for body in self.placed)]
+        poses = [np.zeros((0, 12)), *(body.piece_pose for body in self.placed)]
         return (
             bodies,
             {
@@ -304,30 +239,27 @@ class _Builder:
         )
 
         def look() -> tuple[I32, dict[str, I32]]:
-            meeting = self._near(bodies, arrays, pairs)
+            meeting = [self._near(bodies, arrays, int(i), int(j)) for i, j in pairs]
             # Leave out pairs that cannot meet, and groups of the first body that meet no group of the second.
-            some = [p for p, groups in enumerate(meeting) if groups.any()]
+            some = [p for p, groups in enumerate(meeting) if len(groups.first)]
             return pairs[some], _near_tables(arrays["body_groups"], pairs[some], [meeting[p] for p in some])
 
         return _near_found.get(key, look)
 
-    def _near(
-        self, bodies: list[tuple[str, int]], arrays: dict[str, Any], pairs: I32
-    ) -> list[NDArray[np.bool_]]:
-        """Return a mask (g, h) for each pair of robot bodies:
-        the sphere groups in the kernel that can touch each other.
-        """
-        found = []
-        for i, j in pairs:
-            branch_i, branch_j = self._branches(bodies[i][1], bodies[j][1])
-            columns = sorted({self.column[f] for f in (*branch_i, *branch_j)})
-            first_i, end_i = arrays["body_groups"][i : i + 2]
-            first_j, end_j = arrays["body_groups"][j : j + 2]
-            if len(columns) > near.MAX_JOINTS or not (self.placed_for_good[i] and self.placed_for_good[j]):
-                found.append(np.ones((end_i - first_i, end_j - first_j), np.bool_))
-                continue
-            found.append(self._meeting(branch_i, branch_j, columns, arrays, i, j))
-        return found
+    def _near(self, bodies: list[tuple[str, int]], arrays: dict[str, Any], i: int, j: int) -> _Meeting:
+        """Return the sphere groups of two robot bodies in the kernel that can touch each other."""
+        f, e = bodies[i][1], bodies[j][1]
+        if not (self.placed_for_good[i] and self.placed_for_good[j]):
+            return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
+
+        def look() -> _Meeting:
+            branches = self._branches(f, e)
+            columns = sorted({self.column[frame] for branch in branches for frame in branch})
+            if len(columns) > near.MAX_JOINTS:
+                return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
+            return _Meeting.of(self._meeting(*branches, columns, arrays, i, j))
+
+        return _meetings.get((self.chain, f, e, self.placed[i], self.placed[j]), look)
 
     def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
         """Return the kernel's frames from the last common ancestor of two
@@ -397,7 +329,10 @@ class _Builder:
         """
         reach = np.zeros((len(bodies), self.dof))
         for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
-            reach[k] = _reaches.get((self.chain, frame, body), partial(self._reach_of, frame, body.around))
+            if frame > 0:
+                reach[k] = _reaches.get(
+                    (self.chain, frame, body), partial(self._reach_of, frame, body.around)
+                )
         return reach
 
     def _reach_of(self, frame: int, around: F32) -> F64:
@@ -456,106 +391,57 @@ def _turned_to_z(x: float, y: float, z: float) -> F64:
     return A
 
 
-def _near_tables(body_groups: I32, pairs: I32, meeting: list[NDArray[np.bool_]]) -> dict[str, I32]:
+@dataclass(frozen=True, eq=False)
+class _Meeting:
+    """Sphere groups of two robot bodies in the kernel that can touch each other.
+
+    Attributes:
+        first: (n,) groups of the first body that can touch a group of the second body.
+        counts: (n,) how many groups of the second body each of them can touch.
+        second: the groups of the second body, one run per entry of `first`.
+    """
+
+    first: I32
+    counts: I32
+    second: I32
+
+    @staticmethod
+    def of(meets: NDArray[np.bool_]) -> _Meeting:
+        """Convert a mask (g, h) of the groups that can touch each other."""
+        counts = meets.sum(axis=1)
+        first = counts.nonzero()[0]
+        return _Meeting(*(a.astype(np.int32) for a in (first, counts[first], meets.nonzero()[1])))
+
+
+@lru_cache(maxsize=1024)
+def _all_meet(g: int, h: int) -> _Meeting:
+    return _Meeting.of(np.ones((g, h), np.bool_))
+
+
+@lru_cache(maxsize=32)
+def _links_of(model: RobotModel, scales: tuple[tuple[str, float], ...]) -> tuple[tuple[str, int, Body], ...]:
+    """Return the name, index and kernel body of each link with a collision shape."""
+    scale_of, tree = dict(scales), kinematic_tree(model)
+    fingers = {f for g in model.grippers.values() for f in g.finger_links}
+    found = []
+    for link in model.links.values():
+        if link.collisions:
+            overshoot = FINGER_OVERSHOOT if link.name in fingers else LINK_OVERSHOOT
+            body = link_body(link, scale_of.get(link.name, 1.0), overshoot)
+            found.append((link.name, tree.link_index[link.name], body))
+    return tuple(found)
+
+
+def _near_tables(body_groups: I32, pairs: I32, meeting: list[_Meeting]) -> dict[str, I32]:
     """Return the kernel's tables of those sphere groups of the robot that can touch each other."""
-    first, groups, counts, others = [0], [], [], []
-    for (i, j), meets in zip(pairs.tolist(), meeting, strict=True):
-        count = meets.sum(axis=1)
-        some = count.nonzero()[0]
-        groups.append(body_groups[i] + some)
-        counts.append(count[some])
-        others.append(body_groups[j] + meets.nonzero()[1])
-        first.append(first[-1] + len(some))
+    lengths = [len(m.first) for m in meeting]
+    more = [len(m.second) for m in meeting]
+    i, j = body_groups[pairs.T] if len(pairs) else (body_groups[:0],) * 2
     none = np.zeros(0, np.int32)
+    counts = np.concatenate([none, *(m.counts for m in meeting)])
     return {
-        "near": np.array(first, np.int32),
-        "near_groups": np.concatenate([none, *groups]).astype(np.int32),
-        "meet": np.cumsum(np.concatenate([[0], *counts])).astype(np.int32),
-        "meet_groups": np.concatenate([none, *others]).astype(np.int32),
+        "near": _ends(lengths),
+        "near_groups": np.concatenate([none, *(m.first for m in meeting)]) + np.repeat(i, lengths),
+        "meet": _ends(counts),
+        "meet_groups": np.concatenate([none, *(m.second for m in meeting)]) + np.repeat(j, more),
     }
-
-
-def _link_body(link: Link, scale: float, overshoot: float) -> _Body:
-    shapes = [(_scaled(c.shape, scale), c.T_link_shape.matrix) for c in link.collisions]
-    return _body([(s, T, overshoot if _size(s) < LARGE_LINK else _object_overshoot(s)) for s, T in shapes])
-
-
-def _held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> _Body:
-    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes], decompose.object_pieces)
-
-
-def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> _Body:
-    """Return the kernel's sphere cover and convex pieces of a robot body from its shapes,
-    their poses and the allowed overshoots [m].
-
-    The result is cached on disk, so that later starts need no mesh library.
-    """
-    if not any(isinstance(shape, Mesh) for shape, _, _ in shapes):
-        return _new_body(shapes, split)
-    version = PIECES_VERSION if split is convex_pieces else (split.__name__, decompose.VERSION)
-    versions = repr((BODY_VERSION, FIT_VERSION, version, GROUP))
-    key = key_of(versions, *(part for shape, T, over in shapes for part in _content(shape, T, over)))
-    stored = recall("bodies", key)
-    if stored is None:
-        body = _new_body(shapes, split)
-        p = body.pieces
-        keep(
-            "bodies", key, around=body.around, spheres=body.spheres, groups=body.groups,
-            sizes=np.array(body.sizes, np.int64), piece_kind=p.kind, piece_size=p.size, piece_pose=p.pose,
-            piece_ball=p.ball, corner_count=p.corners.count, corners=p.corners.points,
-        )  # fmt: skip
-        return body
-    corners = Corners(stored["corner_count"], stored["corners"])
-    pieces = Pieces(
-        stored["piece_kind"], stored["piece_size"], stored["piece_pose"], stored["piece_ball"], corners
-    )
-    return _Body(stored["around"], stored["spheres"], stored["groups"], stored["sizes"].tolist(), pieces)
-
-
-def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
-    """Return a cache key for the kernel data of a robot body.
-    It contains all values that determine the sphere cover and the pieces.
-    """
-    if isinstance(shape, Mesh):
-        return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
-    return (T, repr((overshoot, shape)))
-
-
-def _new_body(shapes: list[tuple[Shape, F64, float]], split: Splitter) -> _Body:
-    spheres, groups, sizes = [], [], []
-    for shape, T, overshoot in shapes:
-        found: Cover = cover(shape, overshoot)
-        centers = found.centers @ T[:3, :3].T + T[:3, 3]
-        spheres.append(np.column_stack([centers, found.outer, found.inner]))
-        groups.append(np.column_stack([found.groups[:, :3] @ T[:3, :3].T + T[:3, 3], found.groups[:, 3]]))
-        n = len(centers)
-        sizes += [min(GROUP, n - i) for i in range(0, n, GROUP)]
-    every = np.vstack(groups)
-    center, radius = bounding_sphere(every[:, :3], every[:, 3])
-    pieces = pieces_of([(s, T) for s, T, _ in shapes], split)
-    return _Body(np.append(center, radius), np.vstack(spheres), every, sizes, pieces)
-
-
-def _scaled(shape: Shape, scale: float) -> Shape:
-    if scale == 1.0:
-        return shape
-    match shape:
-        case Mesh():
-            return Mesh(shape.vertices * scale, shape.faces, shape.file)
-        case Box():
-            return Box(shape.x * scale, shape.y * scale, shape.z * scale)
-        case Sphere():
-            return Sphere(shape.radius * scale)
-        case Cylinder() | Capsule() | Cone():
-            return type(shape)(shape.radius * scale, shape.length * scale)
-    return shape
-
-
-def _object_overshoot(shape: Shape) -> float:
-    return max(OBJECT_OVERSHOOT, OBJECT_SHARE * _size(shape))
-
-
-def _size(shape: Shape) -> float:
-    """Return the longest side [m] of a shape's bounding box, to prepare a robot's shapes for the kernel."""
-    _, half = local_bounds(shape)
-    return 2 * float(half.max())

@@ -1,0 +1,178 @@
+"""Robot bodies of the kernel: sphere covers and convex pieces of links and held objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell._array_store import keep, key_of, recall
+from armcell.collision import decompose
+from armcell.collision.convex import VERSION as PIECES_VERSION
+from armcell.collision.convex import convex_pieces
+from armcell.collision.kernel.cover import FIT_VERSION, GROUP, Cover, bounding_sphere, cover
+from armcell.collision.kernel.pieces import Corners, Pieces, Splitter, pieces_of
+from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
+from armcell.core.geometry import local_bounds
+from armcell.model import Link
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+FINGER_OVERSHOOT = 0.003  # [m]
+LINK_OVERSHOOT = 0.010
+OBJECT_OVERSHOOT = 0.005  # [m] for held objects, or `OBJECT_SHARE` of the largest extent if that is larger:
+LARGE_LINK = 1.5  # [m] longer shapes of links, such as a linear axis, get the coarser covers of objects
+OBJECT_SHARE = 1 / 15  # a large object needs no finer cover, and fitting one would take a minute
+
+BODY_VERSION = 1  # increase when `_new_body` returns other spheres or pieces, to invalidate the disk cache
+UP = np.float32(1 + 1e-6)  # rounding to float32 must not shrink a cover
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Sphere cover and convex pieces of a robot body (a link or held
+    object) in the body's own frame, for the kernel.
+
+    Spheres (s, 5), their groups (g, 4) with sizes (g,), and one sphere around all.
+    """
+
+    around: F64  # (4,) bounding sphere of the body
+    spheres: F64
+    groups: F64
+    sizes: list[int]
+    pieces: Pieces
+
+    @cached_property
+    def _centers(self) -> F64:
+        """Return the centers (1 + g + s, 3) of the bounding sphere, the groups and the spheres."""
+        return np.concatenate([self.around[None, :3], self.groups[:, :3], self.spheres[:, :3]])
+
+    @cached_property
+    def _radii(self) -> F32:
+        """Return the outer and inner radii (1 + g + s, 2) of these balls, rounded to the safe side."""
+        one, g = 1, 1 + len(self.groups)
+        radii = np.zeros((g + len(self.spheres), 2), np.float32)
+        radii[0, 0], radii[one:g, 0], radii[g:] = self.around[3], self.groups[:, 3], self.spheres[:, 3:]
+        radii[:, 0] *= UP
+        radii[g:, 0] += np.float32(1e-6)
+        radii[g:, 1] = np.maximum(radii[g:, 1] * np.float32(1 - 1e-5) - np.float32(2e-6), 0)
+        return radii
+
+    def placed(self, T: F64) -> PlacedBody:
+        """Transform the kernel's sphere cover and convex pieces of a
+        robot body to a frame of the planning group.
+
+        T (4, 4) is the pose of the body in this frame.
+        """
+        balls, g = np.empty((len(self._radii), 5), np.float32), 1 + len(self.groups)
+        balls[:, :3] = self._centers @ T[:3, :3].T + T[:3, 3]
+        balls[:, 3:] = self._radii
+        return PlacedBody(balls[0, :4], balls[g:], balls[1:g, :4], self.pieces.poses_after(T))
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedBody:
+    """Sphere cover and convex pieces of a robot body, transformed to a frame of the planning group,
+    in the kernel's array format.
+    """
+
+    around: F32
+    sphere: F32
+    group: F32
+    piece_pose: F64  # (e, 12)
+
+
+def link_body(link: Link, scale: float, overshoot: float) -> Body:
+    """Return the kernel's data of a link whose collision shapes are enlarged by the factor `scale`.
+
+    Args:
+        overshoot: largest distance [m] by which a sphere may extend beyond the shape.
+    """
+    shapes = [(_scaled(c.shape, scale), c.T_link_shape.matrix) for c in link.collisions]
+    return _body([(s, T, overshoot if _size(s) < LARGE_LINK else _object_overshoot(s)) for s, T in shapes])
+
+
+def held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> Body:
+    """Return the kernel's data of a held object, from its shapes and their poses in the object."""
+    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes], decompose.object_pieces)
+
+
+def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> Body:
+    """Return the kernel's sphere cover and convex pieces of a robot body from its shapes,
+    their poses and the allowed overshoots [m].
+
+    The result is cached on disk, so that later starts need no mesh library.
+    """
+    if not any(isinstance(shape, Mesh) for shape, _, _ in shapes):
+        return _new_body(shapes, split)
+    version = PIECES_VERSION if split is convex_pieces else (split.__name__, decompose.VERSION)
+    versions = repr((BODY_VERSION, FIT_VERSION, version, GROUP))
+    key = key_of(versions, *(part for shape, T, over in shapes for part in _content(shape, T, over)))
+    stored = recall("bodies", key)
+    if stored is None:
+        body = _new_body(shapes, split)
+        p = body.pieces
+        keep(
+            "bodies", key, around=body.around, spheres=body.spheres, groups=body.groups,
+            sizes=np.array(body.sizes, np.int64), piece_kind=p.kind, piece_size=p.size, piece_pose=p.pose,
+            piece_ball=p.ball, corner_count=p.corners.count, corners=p.corners.points,
+        )  # fmt: skip
+        return body
+    corners = Corners(stored["corner_count"], stored["corners"])
+    pieces = Pieces(
+        stored["piece_kind"], stored["piece_size"], stored["piece_pose"], stored["piece_ball"], corners
+    )
+    return Body(stored["around"], stored["spheres"], stored["groups"], stored["sizes"].tolist(), pieces)
+
+
+def _content(shape: Shape, T: F64, overshoot: float) -> tuple[NDArray[Any] | str, ...]:
+    """Return a cache key for the kernel data of a robot body.
+    It contains all values that determine the sphere cover and the pieces.
+    """
+    if isinstance(shape, Mesh):
+        return (T, repr(overshoot), shape.vertices, shape.faces.astype(np.int64))
+    return (T, repr((overshoot, shape)))
+
+
+def _new_body(shapes: list[tuple[Shape, F64, float]], split: Splitter) -> Body:
+    spheres, groups, sizes = [], [], []
+    for shape, T, overshoot in shapes:
+        found: Cover = cover(shape, overshoot)
+        centers = found.centers @ T[:3, :3].T + T[:3, 3]
+        spheres.append(np.column_stack([centers, found.outer, found.inner]))
+        groups.append(np.column_stack([found.groups[:, :3] @ T[:3, :3].T + T[:3, 3], found.groups[:, 3]]))
+        n = len(centers)
+        sizes += [min(GROUP, n - i) for i in range(0, n, GROUP)]
+    every = np.vstack(groups)
+    center, radius = bounding_sphere(every[:, :3], every[:, 3])
+    pieces = pieces_of([(s, T) for s, T, _ in shapes], split)
+    return Body(np.append(center, radius), np.vstack(spheres), every, sizes, pieces)
+
+
+def _scaled(shape: Shape, scale: float) -> Shape:
+    if scale == 1.0:
+        return shape
+    match shape:
+        case Mesh():
+            return Mesh(shape.vertices * scale, shape.faces, shape.file)
+        case Box():
+            return Box(shape.x * scale, shape.y * scale, shape.z * scale)
+        case Sphere():
+            return Sphere(shape.radius * scale)
+        case Cylinder() | Capsule() | Cone():
+            return type(shape)(shape.radius * scale, shape.length * scale)
+    return shape
+
+
+def _object_overshoot(shape: Shape) -> float:
+    return max(OBJECT_OVERSHOOT, OBJECT_SHARE * _size(shape))
+
+
+def _size(shape: Shape) -> float:
+    """Return the longest side [m] of a shape's bounding box, to prepare a robot's shapes for the kernel."""
+    _, half = local_bounds(shape)
+    return 2 * float(half.max())
