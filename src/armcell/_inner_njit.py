@@ -56,8 +56,10 @@ class _OfferToCallers(LoweringPass):
 
 
 class _InnerCompiler(CompilerBase):
-    """Numba compiler for functions that only compiled code calls (inner functions). It works in nopython mode
-    but skips optimization, wrappers and machine code.
+    """Numba compiler for functions that only compiled code calls (inner functions).
+
+    It compiles in nopython mode to LLVM code, without optimization, Python wrappers or machine code. The
+    code is optimized and translated as a part of the outermost caller.
     """
 
     def define_pipelines(self) -> list:

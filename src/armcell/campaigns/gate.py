@@ -132,7 +132,9 @@ def check_reason(allow_unvaried: str | None) -> None:
 
 
 def check_draws(cell: Cell) -> None:
-    """Reject a cell whose trials would all be identical. The gate checks this before a campaign runs.
+    """Reject a cell whose campaign trials would differ only in the planners' seed.
+
+    `armcell gate` calls this function before it runs the campaign.
 
     Raises:
         InputError: the cell randomizes nothing.
@@ -173,11 +175,14 @@ def _unvaried(cell: Cell, what: str, file: Path) -> InputError:
 
 
 def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
-    """Return the gate record of a cell if it matches the current cell, task,
-    configuration and library versions.
+    """Verify and return the gate record of a cell, which states that the cell passed a simulation campaign.
+
+    Commands that move real arms require this record, unless the user overrides the gate. The record must
+    match the current cell, task, configuration and library versions, and prove a success rate of at least
+    `LEAST`.
 
     Raises:
-        InputError: the record is missing or invalid; the error says how to get a new one.
+        InputError: the record is missing or invalid; the error says what is wrong.
     """
     place = file or gate_file(cell)
     hint = f"armcell gate {_name(cell)}, or --without-gate REASON, which goes into the run's record"
@@ -213,10 +218,14 @@ def check(cell: Cell, file: Path | None = None) -> dict[str, Any]:
 def changed_parts(
     then: Mapping[str, str], now: Mapping[str, str], old_versions: Mapping[str, str] | None = None
 ) -> list[str]:
-    """Describe how the content hashes of two cells differ. The gate uses this text when it rejects a cell.
+    """List the parts whose content hashes differ between two states of a cell.
+    Messages of the gate and of campaigns name these parts.
 
     Args:
-        old_versions: library versions of the first cell; if given, the text names both versions.
+        then: content hashes of the first state.
+        now: content hashes of the second state.
+        old_versions: library versions of the first state; if given, the list also contains the first version
+            and the installed version of each library.
     """
     found = []
     for part in sorted({*then, *now}):
@@ -232,7 +241,7 @@ def changed_parts(
 
 # --- the key ---
 def key_file() -> Path:
-    """Return the path of the user's key, which signs the records of the gate before real arms.
+    """Return the path of the user's key, with which gate records are signed.
     An environment variable overrides the default path.
     """
     named = os.environ.get(KEY_VARIABLE)

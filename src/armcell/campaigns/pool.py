@@ -55,8 +55,9 @@ W = TypeVar("W", bound=Worker)
 
 
 class Workers(ABC, Generic[W]):
-    """Source of the workers for a trial pool. Use it in a `with` block; all workers stop at the end of the
-    block.
+    """Interface for starting, polling and stopping the workers of a trial pool.
+
+    Use an instance in a `with` block; all workers stop at the end of the block.
 
     Attributes:
         size: number of workers to run.

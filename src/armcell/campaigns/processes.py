@@ -71,7 +71,10 @@ class ProcessWorker(Worker):
 
 
 class Processes(Workers[ProcessWorker]):
-    """Source of `count` worker processes that run a campaign's trials on this machine."""
+    """Interface to the `count` worker processes that run a campaign's trials on this machine.
+
+    It starts, polls and stops the processes.
+    """
 
     def __init__(self, spec: CampaignSpec, count: int):
         self.spec, self.size = spec, count

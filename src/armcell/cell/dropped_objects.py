@@ -96,12 +96,12 @@ def _fallen(scene: PlanningScene, names: Sequence[str], into: str, seed: int) ->
 
 
 def _around(frame: SE3, half: np.ndarray) -> list[CollisionObject]:
-    """Return a fence along the edges of a bin and a shelf that holds
-    the objects until they are dropped into the bin.
+    """Return four walls that fence a bin during the drops, and a distant shelf on which objects wait for
+    their drop.
 
     Args:
-        frame: center of the rectangle, T_world_frame.
-        half: (2,) half the side lengths [m].
+        frame: center of the bin's floor, T_world_frame.
+        half: (2,) half the side lengths of the floor [m].
     """
     found, thick = [], 0.05
     for axis in range(2):

@@ -132,9 +132,9 @@ def _write_out(data: dict[str, Any], path: str) -> None:
 
 
 def _table(data: Any, *keys: str) -> dict[str, Any]:
-    """Return the mapping to which nested keys on the path of a cell value lead. Missing mappings are created.
+    """Return the nested mapping of cell data that a sequence of keys leads to. Create missing mappings.
 
-    If a key holds another type, return an empty mapping.
+    If a value on the path is not a mapping, return a new empty mapping.
     """
     for key in keys:
         data = data.setdefault(key, {}) if isinstance(data, dict) else {}

@@ -117,9 +117,11 @@ class LedRun:
         return [] if self.recorder is None else [self.recorder]
 
     def begin(self, live: Any) -> None:
-        """Begin the record of a run: add the observers that take pictures, and a note about the gate record.
+        """Begin the record of a run: add the observers that take pictures, and note in the record whether the
+        run passed or overrode the gate before real arms.
 
-        Call this method before the `with` block of the live cell.
+        Also print a warning if real arms move without being compared with a simulated twin. Call this method
+        before the `with` block of the live cell.
         """
         tell_unwatched(live.driver, str(self._cell.file))
         watch(live, self._cell, self._mode, self.recorder, self._kept)

@@ -54,7 +54,9 @@ class Conflict:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A running motion as the motion proof uses it, evaluated from the current time on.
+    """Timed motion that the motion proof certifies: a trajectory of which a part may already be executed.
+
+    The methods count times from now, so they describe the remaining part.
 
     Attributes:
         trajectory: the planned trajectory.
@@ -240,10 +242,10 @@ def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) ->
 
 
 def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, Array]:
-    """Return a group's joint positions (k, n) along a motion to be proven,
-    and the deviation (n,) of each joint.
+    """Return a piecewise linear path (k, n) of a group that approximates a timed motion, and the largest
+    deviation (n,) [rad or m] of each joint from this path.
 
-    Joints outside the motion keep their positions.
+    Joints outside the motion keep their positions in the scene, with deviation 0.
     """
     _, points, room = _pieces(motion, (), 0.0, ERRORS[0])
     joints = scene.model.group(group).joint_names
@@ -254,7 +256,11 @@ def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, 
 
 
 def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
-    """Return the smallest arm group that contains all joints of a motion to prove, or None."""
+    """Return the name of the smallest planning group that contains all given joints, or None.
+
+    A group counts only if it has at least `ARM_JOINTS` joints. The motion proof treats this group as the arm
+    that executes the motion.
+    """
     wanted = set(joint_names)
     groups = [g for g in scene.model.groups.values() if wanted <= set(g.joint_names)]
     groups = [g for g in groups if len(g.joint_names) >= ARM_JOINTS]

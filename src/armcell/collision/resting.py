@@ -229,7 +229,7 @@ def clearance_from_rest(checker: KernelChecker, waypoints: ArrayLike) -> float:
 
 
 class Leaving:
-    """Checker for whether a motion separates given pairs of bodies that rest on each other.
+    """Checker that tests whether a motion separates given pairs of bodies that rest on each other.
 
     Args:
         exact: the exact checker.

@@ -214,8 +214,10 @@ class _Survey:
         return found
 
     def _hands(self) -> set[str]:
-        """Return the gripper groups for the self-collision survey: those of end effectors, or those outside
-        all chains.
+        """Return the names of the groups that the self-collision survey treats as grippers.
+
+        These are the groups of end effectors, and the groups that share no joint with a group that has a tip
+        link.
         """
         model = self.model
         hands = {e.group for e in model.end_effectors.values()}

@@ -32,9 +32,9 @@ from armcell.core.transforms import SE3
 
 
 class Format(StrEnum):
-    """File and message formats in which only some shapes of the shape table have names.
+    """File or message format that supports only some of the shapes in the shape table.
 
-    Cell files and records support all shapes.
+    Cell files and records are not listed, because they support all of these shapes.
     """
 
     SCENE_FILE = "scene_file"  # MoveIt's .scene
@@ -171,10 +171,9 @@ MeshFunction = Callable[..., tuple[ArrayLike, ArrayLike]]
 
 
 def register_shape(name: str) -> Callable[[MeshFunction], MeshFunction]:
-    """Decorate a function that makes a mesh from sizes [m], so that the shape table contains this mesh as a
-    shape.
+    """Decorator that adds a new kind of shape to the shape table. The decorated function makes its mesh.
 
-    The function returns vertices (v, 3) and faces (f, 3).
+    The function takes the sizes [m] of the shape and returns vertices (v, 3) and faces (f, 3).
 
     The names of the function's parameters are the names of the sizes. The mesh should be closed, with
     outward normals, and centered on its own frame.

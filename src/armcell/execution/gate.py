@@ -147,8 +147,10 @@ class MotionGate:
 
 
 class Executable(threading.Event, ABC):
-    """Trajectory that the executor accepts because a motion gate checks it.
-    This object is also an event; setting it stops the motion.
+    """Base class of the motions that the executor accepts; the executor rejects a bare trajectory.
+
+    A motion gate checks a `GuardedMotion`; an `UngatedMotion` is executed without a check. Every motion is a
+    `threading.Event`: call `set()` to stop it.
     """
 
     def __init__(self, trajectory: JointTrajectory, cancel: threading.Event | None = None):
@@ -160,8 +162,8 @@ class Executable(threading.Event, ABC):
 
     @abstractmethod
     def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
-        """Check a motion for collisions in the motion gate before it starts. Return the result if the gate
-        refuses the motion, else None.
+        """Check the motion for collisions before it starts. Return the result if the motion gate refuses the
+        motion, else None.
 
         Args:
             blend: offset added to the start of the trajectory: the remaining motion of an arm that is not at

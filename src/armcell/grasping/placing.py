@@ -171,8 +171,10 @@ def _turns(item: CollisionObject, side: Rest, frame: SE3) -> list[tuple[float, S
 
 
 def _slope(frame: SE3) -> Array:
-    """Return how far (2,) the plumb line of a placed object shifts per meter
-    of height on a tilted surface, in the surface's frame.
+    """Return the slope (2,) of the vertical relative to the normal of a tilted support surface.
+
+    The vertical through a point at height h above the surface meets the surface at h * slope from the
+    point's projection along the normal, in the x and y axes of the surface.
     """
     return -frame.rotation.matrix[2, :2] / frame.rotation.matrix[2, 2]
 

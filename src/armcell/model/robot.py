@@ -210,7 +210,10 @@ class Gripper:
 
     @cached_property
     def _table(self) -> Array:
-        """Return the `curve` of a robot's gripper as a table with the columns (4, k)."""
+        """Return a gripper's tabulated `curve` as an array (4, k), with one column per joint position.
+
+        The rows are the joint position, the width [m], and y and z of the grip center in the tcp frame [m].
+        """
         return np.array(self.curve, dtype=float).reshape(-1, 4).T
 
     def joint_position(self, width: float) -> float:

@@ -1,8 +1,8 @@
 """Fit of a solid to camera evidence: points on its surface, and rays that pass beside it.
 
 Points alone do not show where a face ends that the camera sees from straight above; the rays that pass
-beside the face do. Levenberg and Marquardt's method (Marquardt, SIAM J. 11(2), 1963) minimizes the residuals
-with Geman and McClure's weights, so that points of other objects hardly count.
+beside the face do. The Levenberg-Marquardt method (Marquardt, SIAM J. 11(2), 1963) minimizes the residuals
+with Geman-McClure weights, so that points of other objects hardly count.
 
 All values are in the support's frame: z = 0 is the support plane, and z points away from it.
 """
@@ -260,7 +260,10 @@ def _residuals(
 
 @njit(cache=True)
 def _robust(r, scale):
-    """Return the mean of Geman and McClure's loss, from 0 to 1, over the residuals of a fitted solid."""
+    """Return the mean Geman-McClure loss, from 0 to 1, of the residuals (m,) [m] of a fitted solid.
+
+    A residual of `scale` [m] has the loss 1/2.
+    """
     total = 0.0
     for x in r:
         q = (x / scale) ** 2

@@ -144,8 +144,9 @@ def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
 
 
 def _refined(A: list[SE3], B: list[SE3], X: SE3) -> tuple[SE3, SE3]:
-    """Refine the poses X and Y of a hand-eye calibration by least squares, which minimize the errors of A_i X
-    B_i = Y.
+    """Refine the two unknown poses X and Y of a hand-eye calibration by robust least squares.
+
+    The optimization minimizes the errors of the equations A_i X B_i = Y for all views i.
     """
     from scipy.optimize import least_squares
 

@@ -97,10 +97,10 @@ def match_known(
 def _starts(
     evidence: Evidence, shapes: tuple[tuple[Shape, SE3], ...], solid: Solid, stands: bool
 ) -> list[SE3]:
-    """Return start poses for matching a known object.
-    They are above the center of the points, with each side of the object down in turn.
+    """Return start poses for matching a known object, with each side of the object down in turn.
 
-    The poses are above the center of the points and have matching yaw.
+    Each pose is centered on the footprint of the camera's points and takes its yaw angle from the footprint.
+    If `stands` is set, the object rests on z = 0. Otherwise its center is at the mean height of the points.
     """
     points = _outline(shapes)
     around = footprint(evidence.points)
@@ -130,8 +130,9 @@ def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
 
 # --- symmetry ---
 def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
-    """Return the pose of a known object nearest to a prior pose,
-    among all poses that are equal to T by symmetry.
+    """Return the pose that is equivalent to an object's pose T and nearest to a prior pose.
+
+    Two poses are equivalent if the object looks the same in both of them because it is symmetric.
 
     Considers single spheres, cylinders and boxes; other objects are treated as asymmetric.
     """

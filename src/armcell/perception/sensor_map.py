@@ -62,5 +62,8 @@ class SensorMap:
         return done, seen[~free]
 
     def applied_to(self, scene: PlanningScene) -> PlanningScene:
-        """Return the planning scene in which this occupancy map from all sensors is the octomap."""
+        """Return the planning scene with this occupancy map as its octomap. The octomap replaces the old one.
+
+        If the map has no occupied cells, the returned scene has no octomap.
+        """
         return with_octomap(scene, self.octree if len(self.octree.sizes) else None)

@@ -118,8 +118,9 @@ def _part(shape: Shape) -> tuple[int, tuple[float, float, float]] | None:
 
 
 def surface_mesh(shapes: tuple[tuple[Shape, SE3], ...]) -> Mesh:
-    """Return a triangle mesh of all shapes of an object, in the object's frame.
-    The object is to be fitted to camera data.
+    """Return one triangle mesh that contains the surfaces of all shapes of an object.
+
+    The mesh is in the object's frame. Perception uses it to fit the object to camera data and to draw it.
     """
     import trimesh
 

@@ -234,8 +234,9 @@ def complete_motion(
 
 
 def contact_note(validated: ValidatedRequest) -> str:
-    """Describe the contacts at the start that a certified motion leaves first,
-    for the message of the plan.
+    """Return a note that names the contacts that the motion leaves at its start.
+
+    The note is part of the plan's message. It is empty if the start was not in contact.
     """
     contacts = validated.evidence.get("start_repaired", {}).get("contacts", ())
     return "the motion first leaves contact: " + "; ".join(c.describe() for c in contacts) if contacts else ""

@@ -149,8 +149,14 @@ def _kept(validated: ValidatedRequest) -> Callable[[Array], bool]:
 
 
 def start_from_departure(validated: ValidatedRequest, found: Departure, begins_at: str) -> ValidatedRequest:
-    """Return a copy of a request whose start is the collision-free end of the departure from a start in
-    contact.
+    """Return a copy of a request that starts at the end of a departure motion.
+
+    The departure motion leads from the original start, which is in contact, to a collision-free state.
+
+    Args:
+        validated: the request.
+        found: the departure motion.
+        begins_at: where the departure motion begins. "actual start" makes it the plan's lead-in.
     """
     start, free = found.points[0], found.points[-1]
     report = {
@@ -190,9 +196,10 @@ def _refused(what: str, contacts: list[Contact], found: Departure | None) -> Out
 
 
 def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | None:
-    """Move a start in contact so that all touching pairs of bodies end up `distance` [m] apart.
+    """Push the bodies that touch each other at the start of a plan apart, to a distance [m] between them.
 
-    Return the configurations (k, n) from the start on, or None if the pairs cannot be separated.
+    Return the configurations (k, n) of this motion, beginning with the start. Return None if no bodies touch
+    or if they cannot be separated.
     """
     exact, model, columns = checker.exact, checker.model, checker.columns
     low = np.minimum(model.lower[columns], start)
@@ -239,11 +246,12 @@ def _push(
 
 
 def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
-    """Return how fast the distance between each pair of bodies in contact at the start changes with each
-    joint, as an array (pairs, n) [m/rad].
+    """Compute the derivative of the distance between two bodies with respect to each joint at q (n,), for
+    each given pair of bodies.
 
-    Two flat faces in contact come nearer for either direction of rotation; the central difference cancels
-    this effect and leaves the motion along the pair's normal.
+    The result is an array (pairs, n) [m/rad or m/m]. Two flat faces in contact come nearer for either
+    direction of rotation; the central difference cancels this effect and leaves the motion along the pair's
+    normal.
     """
     rows = {pair: _rows(exact, pair) for pair in bodies}
     rates = np.empty((len(bodies), len(q)))

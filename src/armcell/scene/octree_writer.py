@@ -69,8 +69,10 @@ def save_octree(octree: Octree, path: str | Path) -> None:
 
 
 def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
-    """Return the code of the first voxel (n,) and the number of voxels (n,)
-    for each cell of an octree, to write it to a file.
+    """Convert the cells of an octree to OctoMap's voxels, for the octree writer.
+
+    Returns:
+        For each cell, the Z-order code (n,) of its first voxel and the number (n,) of its voxels.
     """
     edges = octree.sizes / resolution
     whole = 2.0 ** np.round(np.log2(edges))
@@ -91,8 +93,9 @@ def _cells(octree: Octree, resolution: float) -> tuple[I64, I64]:
 
 
 def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
-    """Return the voxels (m, 3) that are overlapped by octree cells that do not fit the voxel grid,
-    to write the octree to a file.
+    """Return the voxels (m, 3) that the given octree cells overlap.
+
+    The octree writer replaces each cell that does not fit OctoMap's voxel grid by these voxels.
 
     Args:
         low: lowest corners of the cells (n, 3) [voxels].
@@ -111,7 +114,7 @@ def _reached(low: NDArray[np.float64], edges: NDArray[np.float64]) -> I64:
 
 
 def _apart(starts: I64, numbers: I64) -> tuple[I64, I64]:
-    """Return the octree cells that are not inside another cell, to write the octree to a file."""
+    """Return the octree cells that are not inside another cell; the octree writer drops all other cells."""
     order = np.lexsort((-numbers, starts))
     starts, numbers = starts[order], numbers[order]
     ends = np.maximum.accumulate(starts + numbers)

@@ -11,7 +11,7 @@ from armcell.model.robot import MjcfPart
 
 
 def mjcf_links(model: RobotModel) -> dict[str, MjcfPart]:
-    """Return for each robot link from an MJCF file the part of the file to attach to the simulation."""
+    """Return the MJCF part that contains each robot link, by link name. Other links have no entry."""
     return {link: part for part in model.mjcf for link in part.links if link in model.links}
 
 

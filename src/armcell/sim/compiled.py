@@ -113,8 +113,10 @@ def compiled_steps(
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return a view (1,) of MuJoCo's current number of contacts for the compiled stepper.
-    It is stored after the timers in mjData.
+    """Return an array (1,) that shares memory with MuJoCo's current number of contacts, for the compiled
+    stepper.
+
+    MuJoCo stores this number in mjData, directly after the timers.
     """
     timers = data.timer.duration
     address = timers.__array_interface__["data"][0] + timers.shape[0] * timers.strides[0]

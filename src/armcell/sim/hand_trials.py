@@ -94,7 +94,9 @@ def run_trials(
     settings: TrialSettings = TrialSettings(),
     threads: int | None = None,
 ) -> list[TrialResult]:
-    """Run grasp trials of one object in parallel, with a hand without an arm. Return one result per trial.
+    """Simulate grasp trials of one object in parallel, and return one result per trial.
+
+    In each trial, a hand without an arm grasps the object.
 
     Args:
         threads: largest number of threads; by default one per processor.

@@ -104,9 +104,11 @@ class Holding:
 
 
 def lag(settings: PhysicsSettings) -> float:
-    """Return how far a held object lags behind the hand per physics step, as a multiple of dt^2/2 dJ/dt v.
+    """Return the factor from which the lag of a held object behind the moving hand is computed.
 
-    This product is the distance between the hand's arc and its tangent.
+    The lag per physics step dt is this factor times dt^2/2 dJ/dt v, the distance between the hand's arc and
+    its tangent. J is the Jacobian of the contact, and v are the generalized velocities. The factor is 0 for
+    the integrator RK4, for which the lag is not corrected.
 
     MuJoCo's damping of a contact is b = 2 / (dmax max(timeconst, 2 dt)) [1/s] (`solref`, `solimp`). The
     integrator "discrete" applies it to the velocity after the step, the others to that before the step.
@@ -151,8 +153,10 @@ def _offset() -> int:
 
 @njit(cache=True)
 def holding(fixed, k):
-    """Return the arrays for correcting held objects (`Holding.arrays`).
-    Row k of a table contains the address of the first one.
+    """Return the arrays with which `carry` corrects held objects (`Holding.arrays`). Their memory addresses
+    are in the table `fixed`.
+
+    Row k of the table contains the address of the first array, and the next rows those of the others.
     """
     return (
         vector(fixed, k, _F8), vector(fixed, k + 1, _F8), matrix(fixed, k + 2, _I8),
@@ -258,8 +262,8 @@ def _lags(x, R, v, w, point, past, dt, scale):
 
 @njit(cache=True)
 def carry(count, pairs, qpos, arrays):
-    """Correct held objects after a physics step: choose `impratio`, and move each object by its lag behind
-    the hand.
+    """Correct the creep and drift of held objects after a physics step: choose `impratio`, and move each
+    object by its lag behind the hand.
 
     Args:
         count: number of contacts.

@@ -76,8 +76,10 @@ def drive_fingers(law, joints, weights, qpos, ctrl):
 
 @njit(cache=True)
 def _before(qpos, apart):
-    """Make MuJoCo test body pairs that may no longer be apart, before a compiled physics step.
-    Return whether there are such pairs.
+    """Mark the body pairs whose distance must be measured again, before a compiled physics step.
+
+    The bodies of such a pair may have moved by the pair's limit since the last measurement. MuJoCo tests the
+    pair for contact in this step. Return whether there are such pairs.
     """
     columns, reach, reference, begins, limit, left, shut, old, most, last = apart[:10]
     bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, _ = apart[10:]
@@ -115,10 +117,10 @@ def _before(qpos, apart):
 
 @njit(cache=True)
 def _after(model, data, places, apart):
-    """Measure the distances of body pairs that may have moved as far as their bounds allow,
-    after a compiled physics step.
+    """Measure the distances of the body pairs that `_before` has marked, after a compiled physics step.
 
-    MuJoCo skips a pair again if the bodies are far enough apart.
+    If the bodies of a pair are far enough apart, MuJoCo skips the pair again in the next steps. If not, it
+    continues to test the pair.
     """
     _, _, _, _, limit, left, shut, old, _, _ = apart[:10]
     bodies, geoms, first, bit, affinity, looked_at, body_type, body_affinity, radius = apart[10:]
@@ -153,8 +155,9 @@ def _after(model, data, places, apart):
 
 @njit(cache=True)
 def _apart(fixed, k):
-    """Return the arrays of body pairs that are far apart (`Apart.arrays`).
-    Row k of a table contains the address of the first one.
+    """Return the arrays of the body pairs that are far apart (`Apart.arrays`).
+
+    Row k of the address table `fixed` describes the first of these arrays.
     """
     return (
         vector(fixed, k, _I8), vector(fixed, k + 1, _F8), vector(fixed, k + 2, _F8),

@@ -149,8 +149,8 @@ class _WaitUntil:
 
 @dataclass(frozen=True, eq=False)
 class _Along:
-    """Step of a conveyor pick that moves the hand along with the
-    object while it descends, closes and lifts.
+    """Step of a conveyor pick that moves the hand along with the object. During this motion, the hand
+    descends, closes and lifts the object.
     """
 
     item: str
@@ -252,18 +252,18 @@ JUMP = 0.15  # [rad] maximum joint step between these points
 
 
 def _smooth(u: Array) -> Array:
-    """Return the quintic blend from 0 to 1, at rest at both ends,
-    with which the hand joins the motion of a conveyor.
+    """Return a quintic blend from 0 to 1 that has zero slope at both ends (`u` is clipped to 0..1).
+    In a conveyor pick, the hand descends and lifts along this curve.
     """
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _carried(times: Array, blend: float, end: float) -> Array:
-    """Return how far the hand has moved along with a conveyor belt at given times,
-    expressed as seconds of belt motion.
+    """Return the hand's displacement along a conveyor belt at given times, divided by the belt speed [s].
 
-    The hand accelerates to the belt speed within `blend` [s] and decelerates in the last `blend` [s].
+    The displacement is this result times the belt's velocity. The hand accelerates to the belt speed within
+    `blend` [s] and decelerates in the last `blend` [s] before the time `end`.
     """
 
     def ramp(u: Array) -> Array:  # the integral of _smooth

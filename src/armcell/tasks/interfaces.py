@@ -18,7 +18,10 @@ from armcell.tasks.search import PartialSolution, Stage
 
 
 def holding(item: str) -> str:
-    """Return the name of the condition "a hand holds the object" in the interfaces of stages."""
+    """Return the name with which stages declare the condition "a hand holds the object".
+
+    Stages list this name in `requires`, `provides` or `consumes`.
+    """
     return f"{item} in a hand"
 
 

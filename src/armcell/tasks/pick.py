@@ -61,7 +61,9 @@ class Pick(ABC):
         self.label, self.note, self.attempts, self.excluded = label, note, attempts, excluded
 
     def run(self) -> Outcome:
-        """Pick the object by the recipe, with at most the allowed number of attempts.
+        """Plan and perform attempts of the pick until one succeeds, at most `attempts` times.
+
+        The attempts end early if no plan is found or the pick is canceled.
 
         Returns:
             SUCCESS, or the last failure. After a scene change the object stays in the hand if it is grasped.
@@ -99,15 +101,15 @@ class Pick(ABC):
         """Perform a planned attempt of a pick, and verify that the hand holds the object."""
 
     def keeps_object(self) -> bool:
-        """Return whether a pick ends with the object in the hand, and without a new attempt,
-        if a scene change stops the lift.
+        """Return whether the hand keeps the object after a scene change has stopped the pick.
+        If so, the pick ends without another attempt.
         """
         return False
 
     def recover(self, outcome: Outcome) -> None:
         """Prepare the next attempt after a failed pick: open the hand and retreat from the object.
 
-        After a scene change the hand has not closed yet, so it only retreats.
+        After a scene change, the hand has not closed yet. In this case the hand only retreats.
         """
         changed = outcome.code is SCENE_INVALIDATED
         held = False if changed else self.open_hand()
@@ -145,7 +147,7 @@ def check_hand_is_free(ctx: TaskContext, gripper: Gripper) -> None:
     """Check before a pick that a gripper holds no object.
 
     Raises:
-        InputError: it does; the message names the object.
+        InputError: the gripper holds an object; the message names it.
     """
     for held in ctx.holding.values():
         if held.gripper.name == gripper.name:

@@ -83,10 +83,10 @@ def transfer(
 ) -> Outcome:
     """Transfer an object to its goal by pick and place, and recover from failures until it is there.
 
-    A dropped object is picked up again from its measured pose, or from the pose that `look` finds; so is an
-    object placed inaccurately. A blocked motion is planned again around the obstacle. Only grasps that reach
-    the goal are used; if there are none, the object takes an intermediate placement
-    (`intermediate_placement.py`).
+    A dropped or inaccurately placed object is picked up again from its measured pose, or from the pose that
+    `look` finds. A blocked motion is planned again around the obstacle. Only grasps with which the arm can
+    place the object at the goal are used. If there are none, the arm first puts the object down at an
+    intermediate placement (`intermediate_placement.py`).
 
     Args:
         on, at: the support and the point on it [m], as for `place`.
@@ -169,7 +169,11 @@ def _one_would_do(outcome: Outcome) -> bool:
 def _straight(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None, up: Vector | None
 ) -> Outcome:
-    """Transfer an object with a single grasp, if one reaches the goal. Failures are left to the recovery."""
+    """Transfer an object to its goal with one grasp, without an intermediate placement.
+
+    Only grasps with which the arm can also place the object at the goal are tried. If a hand already holds
+    the object, the function only places it. The caller recovers from failures.
+    """
     if item not in ctx.holding:
         outcome = pick(ctx, item, gripper, ahead=[_goal(ctx, item, gripper, on, at, up)])
         if not outcome.ok:

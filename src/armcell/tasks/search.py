@@ -196,7 +196,7 @@ def solutions(
 
 @dataclass(frozen=True, eq=False)
 class _Continuation:
-    """Continuation of a task search through the remaining stages, after one proposal of the first stage."""
+    """Branch of a task search: it extends one partial solution by the remaining stages."""
 
     stages: Sequence[Stage]
     solution: PartialSolution

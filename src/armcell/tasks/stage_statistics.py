@@ -32,7 +32,10 @@ class Tally:
         self.near_miss = self.near_miss or (candidate, reason)
 
     def add(self, other: Tally) -> None:
-        """Add the statistics of later candidates to those of the same stage."""
+        """Add the statistics `other` that a thread of the search has collected for the same stage.
+
+        The candidates in `other` come later in the search. An existing near miss is therefore kept.
+        """
         self.asked += other.asked
         self.passed += other.passed
         self.seconds += other.seconds

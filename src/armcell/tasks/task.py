@@ -84,7 +84,9 @@ class Task:
 
 
 def emit_rejections(ctx: TaskContext, plan: TaskPlan, what: str) -> None:
-    """Emit an event with the candidates that were rejected, if any, before planning a task succeeded."""
+    """Emit an event with the candidates that the stages of a successful task plan rejected.
+    Emit no event if there are none.
+    """
     rejected = plan.evidence.get("rejections", ())
     if rejected:
         ctx.emit("plan", f"{what}: planned, {len(rejected)} rejected", evidence=plan.evidence)

@@ -140,8 +140,10 @@ class SetupView:
             self._show_pairs()
 
     def _show_pairs(self) -> None:
-        """Show a checkbox on the setup page for each pair of links that includes the selected one, with the
-        frequency of contacts between the two.
+        """Show the collision pairs of the selected link on the setup page.
+
+        Each pair of this link and another link has a checkbox that excludes the pair from collision checks.
+        The label states in which share of the samples the two links are in contact.
         """
         with self._deciding:
             for box in self.boxes.values():

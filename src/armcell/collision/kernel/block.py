@@ -142,8 +142,9 @@ def lanes_of(k):
 
 @njit(cache=True, nogil=True)
 def touches(handle, mode, q):
-    """Check a single configuration q (dof,) for collisions with the block check. This function can be called
-    from Python.
+    """Return whether the SIMD kernel reports a single configuration q (dof,) as not collision-free.
+
+    Python code can call this function. The function copies q to all SIMD lanes before the check.
     """
     k = pointer(handle)
     w = lanes_of(k)

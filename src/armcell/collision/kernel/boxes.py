@@ -10,8 +10,9 @@ from armcell.collision.kernel.simd import L, fma, load, mask_lt, splat
 
 @inner_njit(forceinline=True)
 def into(F, m, cx, cy, cz):
-    """Transform points from the world frame to the frame whose 3x4 matrix starts at F[m],
-    to test them against boxes in that frame.
+    """Transform points from the world frame to the frame of a world shape, one point per SIMD lane.
+
+    The rows of the transform's 3x4 matrix are stored in F, beginning at F[m].
     """
     x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), fma(cz, splat(F[m + 2]), splat(F[m + 3]))))
     y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), fma(cz, splat(F[m + 6]), splat(F[m + 7]))))
@@ -21,8 +22,9 @@ def into(F, m, cx, cy, cz):
 
 @inner_njit(forceinline=True)
 def turned(F, m, cx, cy, cz):
-    """Rotate vectors from the world frame to the frame whose 3x4 matrix starts at F[m],
-    to test them against boxes in that frame.
+    """Rotate vectors from the world frame to the frame of a world shape, one vector per SIMD lane.
+
+    The rows of the transform's 3x4 matrix are stored in F, beginning at F[m]. Its translation is ignored.
     """
     x = fma(cx, splat(F[m]), fma(cy, splat(F[m + 1]), cz * splat(F[m + 2])))
     y = fma(cx, splat(F[m + 4]), fma(cy, splat(F[m + 5]), cz * splat(F[m + 6])))

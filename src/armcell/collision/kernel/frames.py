@@ -75,15 +75,15 @@ def workspace(flat: Flat) -> Workspace:
 
 @inner_njit(forceinline=True)
 def rate_at(I, j):
-    """Return the workspace index at which the kernel stores how far a
-    joint moves along the current edge of the motion.
+    """Return the index in the workspace array `w` at which the kernel stores how far a joint moves along the
+    current edge of the motion.
     """
     return (I[DOF] + j) * L
 
 
 @inner_njit(forceinline=True)
 def half_at(I):
-    """Return the index in the workspace `w` of the interval half-widths, one per SIMD lane.
+    """Return the index in the workspace array `w` of the interval half-widths, one per SIMD lane.
     In a motion proof, each lane certifies an interval of the edge around its configuration.
 
     The joints' summed rotation in the interval is stored next.
@@ -93,16 +93,16 @@ def half_at(I):
 
 @inner_njit(forceinline=True)
 def need_at(I):
-    """Return the workspace index of the 8 vectors in which the kernel
-    stores a body pair's margins for exact tests.
+    """Return the index in the workspace array `w` of the 8 vectors in which the kernel stores a body pair's
+    margins for exact tests.
     """
     return (2 * I[DOF] + 2) * L
 
 
 @inner_njit(forceinline=True)
 def frame_at(I, f):
-    """Return the workspace index at which the kernel stores a frame as 12 vectors,
-    which are the rows of its 3x4 matrix.
+    """Return the index in the workspace array `w` at which the kernel stores a link frame.
+    The 12 vectors of the frame are its 3x4 matrix, row by row.
     """
     return (2 * I[DOF] + 10 + 12 * f) * L
 
@@ -114,7 +114,8 @@ def twist_at(I, f):
 
 @inner_njit(forceinline=True)
 def center_at(I, i):
-    """Return the workspace index at which the kernel stores the center of a body, sphere group or sphere.
+    """Return the index in the workspace array `w` at which the kernel stores the center of a body, sphere
+    group or sphere.
 
     Index i counts bodies first, then groups (bodies + i), then spheres (bodies + groups + i).
     """
@@ -123,8 +124,8 @@ def center_at(I, i):
 
 @inner_njit(forceinline=True)
 def velocity_at(I, i):
-    """Return the workspace index at which the kernel stores the
-    velocity of a sphere center, followed by its speed.
+    """Return the index in the workspace array `w` at which the kernel stores the velocity of a sphere center,
+    followed by its speed.
 
     Both are per unit of the edge.
     """
@@ -133,18 +134,17 @@ def velocity_at(I, i):
 
 @inner_njit(forceinline=True)
 def more_at(I, body):
-    """Return the workspace index of the extra margin that a body keeps
-    from the world while the kernel proves a motion.
+    """Return the index in the workspace array `w` of the margin by which a motion proof enlarges a body.
 
-    The margin does not include the speed (see `bend`).
+    The margin covers deviations and changes of velocity, but not the motion at constant speed (see `bend`).
     """
     return velocity_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + body * L
 
 
 @inner_njit(forceinline=True)
 def local_at(I):
-    """Return the workspace index of a sphere group's centers and velocities,
-    transformed to the frame of a cloud.
+    """Return the index in the workspace array `w` of the sphere centers and velocities of one sphere group,
+    given in the frame of a cloud.
 
     Each sphere has 6 vectors.
     """
@@ -153,7 +153,9 @@ def local_at(I):
 
 @inner_njit(forceinline=True)
 def ball_at(I):
-    """Return the workspace index of a sphere group's bounding ball, transformed to the frame of a cloud."""
+    """Return the index in the workspace array `w` at which the kernel stores the bounding ball of a sphere
+    group. The ball is in the frame of a cloud.
+    """
     return local_at(I) + 6 * GROUP * L
 
 
@@ -255,7 +257,7 @@ def twist_block(I, F, w):
 
 @inner_njit(forceinline=True)
 def center(I, F, w, state, i, f, sphere, mode):
-    """Return the index in the workspace `w` at which the kernel stores the center of a sphere.
+    """Return the index in the workspace array `w` at which the kernel stores the center of a sphere.
     The first call in a check of 16 configurations computes the center.
 
     The center is F[sphere:] in frame f. In a proof, its velocity and speed are computed as well.

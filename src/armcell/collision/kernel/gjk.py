@@ -138,10 +138,12 @@ def _copy(s, src, dst):
 
 @inner_njit
 def _segment(s, v):
-    """Compute the point of a line segment that is nearest to the origin. GJK uses it for its simplex.
+    """Compute the point of a line segment that is nearest to the origin, and reduce GJK's simplex.
 
-    The segment is s[0:3], s[3:6]; the point is written to s[v:]. Returns the number of points in the reduced
-    simplex.
+    The segment is s[0:3], s[3:6]; the point is written to s[v:]. The reduced simplex replaces the segment.
+
+    Returns:
+        The number of points in the reduced simplex, 1 or 2.
     """
     bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
     t = -(s[0] * bx + s[1] * by + s[2] * bz)
@@ -160,7 +162,7 @@ def _segment(s, v):
 
 @inner_njit
 def _triangle(s, o, v):
-    """Compute the point of a triangle that is nearest to the origin. GJK uses it for its simplex.
+    """Compute the point of a triangle that is nearest to the origin, and reduce GJK's simplex.
 
     The triangle starts at s[o]; otherwise the function is like `_segment`.
     """
@@ -216,8 +218,10 @@ def _triangle(s, o, v):
 
 @inner_njit
 def _outside(s, i, j, k, o):
-    """Return whether the plane through points i, j and k separates the origin from point o.
-    GJK uses it for its simplex.
+    """Return whether the origin is outside the face (i, j, k) of GJK's tetrahedron.
+
+    The origin is outside if the plane of the face separates the origin from the fourth vertex o. The result
+    is also True for a flat tetrahedron.
     """
     abx, aby, abz = s[j] - s[i], s[j + 1] - s[i + 1], s[j + 2] - s[i + 2]
     acx, acy, acz = s[k] - s[i], s[k + 1] - s[i + 1], s[k + 2] - s[i + 2]
@@ -232,9 +236,13 @@ def _outside(s, i, j, k, o):
 
 @inner_njit
 def _tetrahedron(s, v):
-    """Compute the point of GJK's tetrahedron that is nearest to the origin. Return 4 if the origin is inside.
+    """Compute the point of a tetrahedron that is nearest to the origin, and reduce GJK's simplex.
 
-    Otherwise the function is like `_segment`.
+    The tetrahedron is s[0:12]; the point is written to s[v:], like in `_segment`.
+
+    Returns:
+        The number of points in the reduced simplex. If the origin is inside the tetrahedron, the function
+        returns 4 and writes no point.
     """
     best, size = 1e300, 4
     for face in range(4):

@@ -183,10 +183,10 @@ def free_edge(handle, ends, step):
 
 @njit(cache=True, nogil=True)
 def prove_points(handle, points, room, distance, mode):
-    """Return the position where the kernel's proof of a piecewise linear motion (k, dof) fails, or -1.0 if it
-    succeeds.
+    """Prove that a piecewise linear motion (k, dof) is collision-free.
+    Return the point of the path at which the proof fails, or -1.0 if the proof succeeds.
 
-    The position is counted in edges.
+    The point is counted in edges from the start: 2.5 is the middle of the third edge.
 
     Args:
         room: (dof,) largest deviation of each joint from the edges [rad or m].

@@ -75,7 +75,7 @@ class RobotKind(ABC, Generic[A, I]):
         """Check that a connected robot is the one that the cell file specifies for an arm.
 
         Raises:
-            InputError: it is another robot.
+            InputError: the connected robot is another one.
         """
 
     @abstractmethod
@@ -83,7 +83,7 @@ class RobotKind(ABC, Generic[A, I]):
         """Check, by the rules of its robot kind, that a robot can be driven now.
 
         Raises:
-            InputError: it cannot; the message states the remedy.
+            InputError: the robot cannot be driven; the message states the remedy.
         """
 
     @abstractmethod
@@ -152,7 +152,9 @@ def kind_of(arm: ArmSettings) -> RobotKind[Any, Any]:
 
 
 def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
-    """Identify the robots of all arms by their robot kinds, and check that no addresses are swapped.
+    """Query the identity of each arm's robot, and check that the arms' addresses are not swapped.
+
+    The robot kind of each arm performs the query.
 
     Raises:
         InputError: a robot does not answer, or the arms' addresses are swapped.

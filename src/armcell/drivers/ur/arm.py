@@ -258,10 +258,10 @@ class UrArm(RealArm):
 
     def _link_is_broken(self) -> bool:
         """Return whether the link to the UR arm's robot program has been
-        broken for longer than a few states take to arrive.
+        broken for more than `NEXT_STATE` seconds.
 
-        A stop also ends the program, and its broken link may be noticed before the state with the cause
-        arrives.
+        At least two robot states arrive within this time. A stop also ends the program, so the link may
+        break before the state that contains the cause of the stop arrives.
         """
         now = time.monotonic()
         if self._link.connected:

@@ -318,11 +318,11 @@ class Cartesian:
         return angle
 
     def _resolve(self, T: Array, elbow: float | None) -> Array:
-        """Return joint positions (7,) at which the end effector has the pose T,
-        close to the reference of a Franka motion generator.
+        """Return joint positions (7,) [rad] of a Franka arm at which the end effector has the pose T.
 
-        The solution takes Newton steps; without an elbow angle, the joint motion has the least norm. Raises
-        Reflex at a singularity.
+        The solution takes Newton steps from the current joint reference of the motion generator. If an elbow
+        angle is given, joint 3 takes this angle; otherwise the joint motion has the least norm. Raises Reflex
+        at a singularity.
         """
         q = self._reference.q
         for _ in range(3):
@@ -371,8 +371,9 @@ class Motion:
 
     @property
     def by_torque(self) -> bool:
-        """Return whether the client moves the emulated Franka arm by torques,
-        and not by the reference of a motion generator.
+        """Return whether the client commands the emulated Franka arm by torques.
+
+        Otherwise the arm follows the reference of a motion generator.
         """
         return self.request.controller is MoveController.EXTERNAL
 

@@ -37,8 +37,10 @@ class Setpoint:
         self.v_max = np.array(model.velocity)
 
     def resting_at(self, q: ArrayLike) -> Setpoint:
-        """Return a setpoint for motions of the emulated UR arm that is
-        at rest at other joint positions (6,) [rad].
+        """Return a setpoint of the same emulated UR arm with zero speed
+        at the joint positions q (6,) [rad].
+
+        The TCP and the speed limits stay the same.
         """
         other = Setpoint(self.model, self.dh, q)
         other.tcp, other.v_max = self.tcp, self.v_max
@@ -108,8 +110,11 @@ class _Along:
         self._stop: StopJ | None = StopJ(8.0)
 
     def advance(self, s: Setpoint, dt: float) -> tuple[Array, Array] | float:
-        """Return the path fraction (0..1) that the emulated UR motion has reached,
-        or a braking step if the arm still moves.
+        """Advance the emulated UR motion along its path by `dt` [s], and return the reached path fraction
+        (0..1).
+
+        If the arm is still moving when the motion begins, the arm brakes first. Until it is at rest, the
+        result is the joint target of the braking step instead: positions and velocities (6,).
         """
         if self._stop is not None:
             if np.abs(s.v).max() > 1e-6 and not s.compliant:

@@ -9,7 +9,7 @@ from armcell.drivers.ur.wire.modes import SafetyMode
 
 @dataclass(frozen=True)
 class Text:
-    """Notice of a text message that a URScript program sent with `textmsg`."""
+    """Notice from the emulated UR controller: a URScript program has sent a text message with `textmsg`."""
 
     text: str
 
@@ -19,7 +19,7 @@ class Text:
 
 @dataclass(frozen=True)
 class ProgramState:
-    """Notice that a URScript program started or ended."""
+    """Notice from the emulated UR controller: a URScript program has started or ended."""
 
     started: bool
     name: str
@@ -30,7 +30,7 @@ class ProgramState:
 
 @dataclass(frozen=True)
 class ScriptFault:
-    """Notice that a URScript program did not compile, or that an error ended it.
+    """Notice from the emulated UR controller: a URScript program did not compile, or an error ended it.
 
     Attributes:
         line, column: position in the script's text, from 1.
@@ -48,7 +48,7 @@ class ScriptFault:
 
 @dataclass(frozen=True)
 class Popup:
-    """Notice of a popup message that the emulated UR controller shows on the pendant."""
+    """Notice from the emulated UR controller: the teach pendant shows a popup message."""
 
     text: str
     title: str = "Popup"
@@ -61,7 +61,7 @@ class Popup:
 
 @dataclass(frozen=True)
 class SafetyChange:
-    """Notice that the safety mode of the emulated UR controller has changed."""
+    """Notice from the emulated UR controller: the safety mode has changed."""
 
     mode: SafetyMode
 

@@ -228,8 +228,10 @@ class WorldPlant:
         return self._from + share * (self._to - self._from)
 
     def aim(self, time: float) -> None:
-        """Set the joint targets of a UR plant in the physics world,
-        interpolated for a time [s] of that world.
+        """Interpolate the latest joint command of the UR plant at a world time [s],
+        and set the result as the joint targets in the physics world.
+
+        If no new command arrives, the arm holds the latest target.
         """
         over = time > self._begun + 1.5 * self._span  # no new command: hold the target
         self.world.set_arm_target(self._names, self._aimed(time), np.zeros(6) if over else self._speed)

@@ -43,9 +43,11 @@ class Couplings:
     rules: dict[int, tuple[int, float, float]] = field(default_factory=dict)
 
     def add(self, joint: int, other: int, multiplier: float, offset: float) -> None:
-        """Add the coupling q[joint] = multiplier * q[other] + offset of two joints. It must not form a loop.
+        """Add the coupling q[joint] = multiplier * q[other] + offset of two joints.
 
-        Of two joints without a rule, the one with an own actuator drives; else the first in the tree.
+        The coupling connects the drivers of both joints. Of the two drivers, the one with its own actuator
+        stays the driver; if both or neither have one, the first in the tree does. A coupling that forms a
+        loop, or whose multiplier is 0, is ignored.
         """
         a, (ka, ca) = self._root(joint)
         b, (kb, cb) = self._root(other)
@@ -118,10 +120,10 @@ def _joint_equality(model: Any, i: int, found: Couplings) -> None:
 
 
 def _tendon_equality(model: Any, i: int, found: Couplings) -> None:
-    """Couple two joints as mimic joints if they belong to a fixed tendon whose length an equality keeps
-    constant.
+    """Couple two joints as mimic joints if a fixed tendon connects them and an equality constraint keeps the
+    tendon's length constant.
 
-    MJCF models couple opposed fingers like this.
+    MJCF models couple opposed fingers like this. Tendons with more or fewer than two joints are ignored.
     """
     if model.eq_type[i] != mujoco.mjtEq.mjEQ_TENDON or model.eq_obj2id[i] >= 0:
         return

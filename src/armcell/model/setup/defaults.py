@@ -111,10 +111,9 @@ def moveit_controllers(model: RobotModel) -> dict[str, Any]:
 
 
 def _own(model: RobotModel, group: Group) -> bool:
-    """Return whether a planning group gets separate default entries.
-    It gets them only if it contains no smaller group.
+    """Return whether a planning group gets its own controller in moveit_controllers.yaml.
 
-    Such groups get a controller of their own.
+    A group that contains all joints of a smaller group gets none, because the smaller group has its own.
     """
     return not any(
         g.joint_names and set(g.joint_names) < set(group.joint_names) for g in model.groups.values()

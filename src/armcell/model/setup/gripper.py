@@ -77,7 +77,7 @@ class _Jaws:
     """The two jaws of a detected gripper, on the +y side and on the -y side, with the axes of the hand.
 
     Attributes:
-        plus, minus: links of the jaws, each fixed to each other.
+        plus, minus: links of each jaw. Fixed joints connect the links of a jaw.
         axes: (3, 3) rows x, y (closing direction) and z (out of the hand) in the palm's frame.
         closed, opened: positions of the driven joint.
     """
@@ -107,8 +107,10 @@ def _with_gripper(model: RobotModel, end: EndEffector) -> RobotModel:
 
 
 class _Hand:
-    """Candidate for a gripper, with points on the surfaces of its
-    links at any position of its driven joint.
+    """Robot hand that robot setup examines to decide whether it is a two-jaw gripper.
+
+    The class samples points on the surfaces of the hand's links. It computes where these points are at any
+    position of the driven joint.
     """
 
     def __init__(self, model: RobotModel, driver: Joint):
@@ -123,8 +125,9 @@ class _Hand:
         }
 
     def pose(self, link: str, q: float) -> SE3:
-        """Return T_palm_link of a candidate for a gripper when the driven
-        joint is at `q` and all other joints are at zero.
+        """Return the pose T_palm_link of a link in the hand that robot setup examines.
+
+        The driven joint is at `q`. Joints that mimic it follow, and all other joints are at zero.
         """
         T = SE3.identity()
         for joint in self.model.chain(self.palm, link):
@@ -247,7 +250,7 @@ class _Hand:
         return float(np.linalg.norm(others - tip, axis=1).min())
 
     def _branch(self, part: tuple[str, ...]) -> str:
-        """Return the first joint on the path from the palm to given links, in a candidate for a gripper."""
+        """Return the first movable joint on the path from the palm of a hand to the given links."""
         top = min(part, key=lambda n: len(self.model.chain(self.palm, n)))
         return next(j.name for j in self.model.chain(self.palm, top) if j.movable)
 
@@ -384,8 +387,10 @@ class _Hand:
         return {n: p[p[:, 3] < front + FLAT, :3] for n, p in found.items() if (p[:, 3] < front + FLAT).any()}
 
     def _curve(self, jaws: _Jaws, pads: list[dict[str, Array]]) -> Array:
-        """Return the curve of a detected gripper with rows (k, 4): joint position, opening [m],
-        and y and z [m] of the grip center.
+        """Tabulate how the pads of a detected gripper move when its driven joint moves.
+
+        Each row (k, 4) contains the joint position, the opening [m] between the pads, and y and z [m] of the
+        center between the pads, in the axes of the hand.
 
         The rows begin at the closed end; they end where the opening stops growing, or a jaw has turned too
         far to hold an object.
@@ -424,8 +429,11 @@ class _Hand:
         return float(min((self.at(p, q) @ jaws.axes[2]).max() for p in (jaws.plus, jaws.minus))) - z
 
     def _existing(self, T_palm_tcp: SE3, reach: float) -> tuple[str | None, SE3, float]:
-        """Return a frame that can serve as a gripper's tcp, T_frame_tcp, and 1,
-        or -1 if the frame's y axis is reversed.
+        """Find an existing frame of the robot that can serve as a gripper's tcp.
+
+        Returns:
+            The name of the frame (None if there is none), the pose T_frame_tcp, and a sign: -1 if the y axis
+            of the frame is reversed, else 1.
         """
         model, rigid = self.model, self.rigid[self.palm]
         for name in rigid:

@@ -20,8 +20,8 @@ CHARACTERS = 64  # number of characters that count as one item
 
 
 class XacroError(Exception):
-    """Error in a xacro file.
-    It can also be a feature that armcell does not support, or work beyond the budget.
+    """Error for a xacro file that is invalid, uses a feature that armcell does not support, or exceeds the
+    budget.
     """
 
     def __init__(self, reason: str, hint: str | None = None):
@@ -77,10 +77,10 @@ class Budget:
 
 
 def size(value: Any) -> int:
-    """Return the number of items, including nested ones, for which a xacro value is charged to the budget.
+    """Return the size of a xacro value, which is subtracted from the budget: its number of items.
 
-    64 characters of a string count as one item. An item that occurs twice counts twice, because printing and
-    comparing it takes twice as long.
+    Nested items count too. A string counts as one item plus one for every 64 characters. An item that occurs
+    twice counts twice, because printing and comparing it takes twice as long.
 
     Raises:
         XacroError: the value is too large, or xacro does not support its type.

@@ -199,10 +199,13 @@ class _Evaluator:
         return answer
 
     def data(self, *values: Any) -> None:
-        """Charge the size of the operands in a xacro expression to the budget.
+        """Deduct the size of a xacro operator's operands from the budget for expanding the xacro file.
+
+        Numbers and None are free.
 
         Raises:
-            XacroError: an operand is a namespace or another value that has no operators.
+            XacroError: the budget is exhausted, an operand is too large, or an operand is a namespace or
+                another value that has no operators.
         """
         for value in values:
             if not isinstance(value, int | float) and value is not None:

@@ -166,10 +166,10 @@ def orientation_error(n, c, x, turn):
 
 @njit(cache=True)
 def point_at(n, c, x, point):
-    """Compute the world position of a point with a position constraint, in a compiled kernel for constraint
-    errors.
+    """Compute the world position of the point that a position constraint restricts.
 
-    Call `place_links` first.
+    This compiled kernel takes the pose of the point's link from the scratch memory x. Call `place_links`
+    first.
     """
     t = n[AT_POINTS] + point * POINT_WIDTH
     at, o = n[t + POINT_NUMBERS], n[n[AT_LINKS] + n[t] * LINK_WIDTH + PLACE]
@@ -183,8 +183,7 @@ def point_at(n, c, x, point):
 
 @njit(cache=True)
 def signed_distance(n, c, shape, sizes, px, py, pz):
-    """Compute the signed distance [m] from a point in the world to a convex
-    shape of a constraint region, in a compiled kernel.
+    """Compute the signed distance [m] from a world point to a convex shape of a constraint region.
 
     `sizes` is the offset of the shape's sizes: SIZE or INNER_SIZE.
     """
@@ -214,8 +213,10 @@ def signed_distance(n, c, shape, sizes, px, py, pz):
 
 @njit(cache=True)
 def nearest_region_shape(n, c, point, sizes, px, py, pz):
-    """Find the shape of a constraint region that is nearest to a point,
-    and the signed distance [m] to it, in a compiled kernel.
+    """Find the shape of a constraint region that is nearest to a world point.
+
+    Returns:
+        The number of the shape, and the signed distance [m] from the point to this shape.
     """
     t = n[AT_POINTS] + point * POINT_WIDTH
     best, least = n[t + FIRST_SHAPE], 1e300

@@ -56,9 +56,9 @@ PROGRESS, PATIENCE = 0.8, 3  # give up after PATIENCE iterations that leave over
 @njit(cache=True)
 def _row(n, c, x, link, row, gx, gy, gz, turns, px, py, pz):
     """Write one row of the Jacobian for projection onto constraints: how fast each joint rotates a link about
-    the direction g, or moves a point along g.
+    the direction g, or moves the point (px, py, pz) along g.
 
-    `turns` selects the angular velocity.
+    If `turns` is true, the row contains the angular velocities.
     """
     dof, at = n[DOF], n[WORK] + 32 + row * n[DOF]
     for j in range(dof):
@@ -97,8 +97,11 @@ def _local_row(n, c, x, point, s, row, ga, gb, gd, excess, px, py, pz):
 
 @njit(cache=True)
 def _axis(n, c, x, point, s, row, value, axis, full, inner, px, py, pz):
-    """Add a row to the projection that moves a constrained point along one axis of a shape, until the
-    absolute value of its coordinate is at most `inner`.
+    """Write the Jacobian row and the residual for one axis of a region's shape, if a constrained point is
+    outside the shape on this axis.
+
+    The point is outside if its coordinate `value` [m] exceeds `inner` [m] in magnitude. The projection moves
+    the point back along the axis.
 
     Return the row count.
     """
@@ -172,7 +175,7 @@ def _step(n, x, count, damping):
     """Compute one step of the projection onto the constraints, `J^T (J J^T + damping)^-1 r`, by L D L^T
     decomposition.
 
-    Return the offset of the result in x; it follows the system.
+    Return the offset in x at which the step is stored, behind the linear system.
     """
     dof, J = n[DOF], n[WORK] + 32
     r, A = J + MAX_ROWS * dof, J + MAX_ROWS * (dof + 2)

@@ -64,10 +64,11 @@ KEEPS, UNKNOWN, LEAVES = 1, 0, -1
 
 @njit(cache=True)
 def _bends(angle):
-    """Return bounds g and c on how much an orientation can change, for rotation vectors of up to `angle`
-    [rad]. The bounds are used to prove orientation constraints.
+    """Return two bounds, g and c, on the derivatives of an orientation error e (a rotation vector of at most
+    `angle` [rad]). They are used to prove orientation constraints.
 
-    Both bounds increase with the angle.
+    With the angular velocity u: |e'| <= g |u| and |e''| <= g (|u'| + c |u|^2). Both bounds increase with the
+    angle.
     """
     half = 0.5 * max(angle, 1e-2)
     g = half / np.sin(half)

@@ -84,10 +84,11 @@ def _sampled(n, c, x, p, a, b, step):
 
 @njit(cache=True)
 def _clear(k, p, a, out, first, end, step):
-    """Count how many configurations of an RRT-Connect edge under constraints, from row `first` to row `end`,
-    the arm reaches before the first contact.
+    """Check the steps of a walk in RRT-Connect for collisions. Return the number of collision-free steps
+    before the first contact.
 
-    Row -1 is p[a:]. Short steps share one block of samples.
+    Step e leads from row e - 1 to row e of the walk, for e from `first` to `end` - 1; row -1 is p[a:]. Short
+    steps share one block of samples.
     """
     I, w, edges = ints(k), lanes_of(k), end - first
     dof = I[DOF_OF_PACK]
@@ -174,8 +175,9 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
 def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, delta, step, allowance,
             projecting, nodes, parents, leaves, leaf_ints, capacity, room, stop, max_iterations,
             found):  # fmt: skip
-    """Run RRT-Connect with constraints on raw pointers.
-    Its trees have the memory layout of `native.rrt_connect`.
+    """Run the search loop of RRT-Connect under path constraints, in compiled code.
+
+    The arguments are pointers to arrays. The trees have the memory layout of `native.rrt_connect`.
     """
     dof = n[DOF]
     q, out = dof, 2 * dof

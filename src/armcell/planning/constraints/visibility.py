@@ -73,8 +73,10 @@ class VisibilityManifold(ConstraintManifold):
             self._back = (0.0, 0.0)
 
     def forbids(self, q: Array) -> bool:
-        """Return whether joint positions q (dof,) violate a visibility constraint; a small margin is kept if
-        possible.
+        """Return whether a planner must reject joint positions q (dof,) because they violate a constraint.
+
+        Positions within a small margin of a visibility constraint's limits are rejected, too. The margin is
+        zero if the start or a goal would be rejected (`relax_boundary`).
         """
         return bool(super().violations(q)) or any(
             self._room(view, q, np.zeros(self.dof), *self._back) < 0.0 for view in self._views

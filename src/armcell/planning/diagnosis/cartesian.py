@@ -161,7 +161,11 @@ def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, 
 
 
 def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) -> None:
-    """Find the largest part of the last tip rotation with which the Cartesian path can still be completed."""
+    """Suggest a smaller tip rotation on the last line of a Cartesian path, with which the path is feasible.
+
+    Bisection finds the largest such rotation. The position of the last waypoint does not change. There is no
+    suggestion if the path fails even without this rotation.
+    """
     before = [here, *request.waypoints][-2]
     goal = request.waypoints[-1]
     total = before.distance_to(goal)[1]

@@ -345,8 +345,11 @@ def _moved(diagnosis: Diagnosis, q: Array) -> Array | None:
 
 
 def _goal_states(diagnosis: Diagnosis, goal: Goal) -> list[State]:
-    """List the collision-free states that reach a goal, with the constraints that they violate; the smallest
+    """List states that reach a goal, each with the constraints that it violates. The state with the smallest
     violation comes first.
+
+    States that are sampled for a goal are collision-free. The only state of a joint goal or named goal may be
+    in collision.
     """
     if isinstance(goal, JointGoal | NamedGoal):
         wanted = wanted_joints(diagnosis, goal)
@@ -365,7 +368,11 @@ def _amount(state: State) -> float:
 
 
 def _nearest_goal(diagnosis: Diagnosis, number: int, goal: Goal, states: list[Array]) -> None:
-    """Suggest the first goal state that can be moved so that it satisfies the constraints."""
+    """Suggest changing a goal so that it satisfies the path constraints.
+
+    The new goal is the first of the given goal states that can be projected onto the constraints without
+    causing a collision.
+    """
     both = next(((q, m) for q in states if (m := _moved(diagnosis, q)) is not None), None)
     if both is None:
         diagnosis.add_finding("no free state near the goal was found that keeps to the constraints")

@@ -50,8 +50,8 @@ def solve_ik(
     avoid_collisions: bool = True,
     seed: int = 0,
 ) -> IKResult:
-    """Find joint positions that bring a link (by default, the tip) to a pose. The result can explain a
-    failure.
+    """Find joint positions of a planning group that bring a link (by default, the tip) to a pose.
+    If there are none, `explain()` of the result returns the reasons.
 
     Returns:
         SUCCESS with `positions` (n,) of the group; NO_IK_SOLUTION if no solution is within limits, or all

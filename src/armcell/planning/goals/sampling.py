@@ -48,8 +48,10 @@ EQUIVALENTS = 4  # number of positions that differ by full turns
 
 
 def is_region(goal: Goal) -> bool:
-    """Return whether a goal must be sampled because it has more joint solutions than the few that are tried
-    first.
+    """Return whether a planner can sample many different joint positions for a goal.
+
+    This is the case for pose goals, constraint goals, and joint goals with a tolerance above `WIDE[0]`. All
+    other joint goals specify one configuration, apart from full turns of joints.
     """
     return isinstance(goal, PoseGoal | ConstraintGoal) or (
         isinstance(goal, JointGoal) and goal.tolerance > WIDE[0]

@@ -52,7 +52,7 @@ class RunningMotion:
 
     @staticmethod
     def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
-        """Create the running motion of an arm that stands still at its position in the scene."""
+        """Create a `RunningMotion` for an arm at rest: the arm keeps its joint positions from the scene."""
         names = scene.model.group(group).joint_names
         return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
 
@@ -219,10 +219,10 @@ def _searched(
     alone: PlanningScene, timeline: MovingArmTimeline, request: PlanRequest, first: PlanResult, latest: float,
     deadline: float, cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in joint space and time for a motion around the moving arm that arrives before time `latest`
-    [s].
+    """Search in joint space and time for a motion of the planned arm that avoids the moving arm.
 
-    The search seeks the earliest arrival. Return a proven smooth motion or None.
+    The motion must reach a goal before time `latest` [s], as early as possible. Return a certified smooth
+    motion, or None if the search finds none.
     """
     endpoints = find_start_and_goals(validate_request(alone, request, cancel))
     if isinstance(endpoints, Outcome) or first.trajectory is None:
@@ -247,9 +247,10 @@ def _earliest(
     latest: float, deadline: float,
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in joint space and time for the motion past the moving arm that arrives as early as possible.
+    """Search in joint space and time for the motion of the planned arm that reaches a goal earliest and
+    avoids the moving arm.
 
-    See `_searched`.
+    Return a certified smooth motion that arrives before `latest` [s], or None. See `_searched`.
     """
     names, model = endpoints.checker.joint_names, alone.model
     velocity = model.limits(names, "velocity") * request.velocity_scaling

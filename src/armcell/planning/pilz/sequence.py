@@ -52,7 +52,9 @@ BISECTIONS = 40
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """Blend in a motion sequence, which replaces the end of one motion and the beginning of the next.
+    """Blend between two consecutive motions of a sequence.
+
+    The blend replaces the end of the first motion and the beginning of the second motion.
 
     Attributes:
         leaves: time [s] in the first motion at which the blend begins.

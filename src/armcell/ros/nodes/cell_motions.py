@@ -314,10 +314,10 @@ class CellMotions:
         return next((w for w in (*before, *late) if not w.is_over), None)
 
     def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
-        """Describe the conflict between a new motion and running motions of the cell, if the conflict is over
-        once these motions have ended.
+        """Describe the temporary conflict between a new motion and running motions of the cell: the new
+        motion can start once the running motions have ended.
 
-        Returns an empty string if there is no such conflict.
+        Return an empty string if there is no conflict, or if waiting does not resolve the conflict.
         """
         running = [w.trajectory for w in others if w.trajectory is not None and not w.is_over]
         if not running:

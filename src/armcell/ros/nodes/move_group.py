@@ -118,7 +118,7 @@ class MoveGroupNode:
 
     # --- planning ---
     def plan(self, request: Any, scene: PlanningScene, cancel: threading.Event | None = None) -> PlanResult:
-        """Plan a motion for a moveit_msgs/MotionPlanRequest to move_group in a given scene.
+        """Plan the motion that a client of move_group requests with a MotionPlanRequest message.
 
         Args:
             request: the MotionPlanRequest message.

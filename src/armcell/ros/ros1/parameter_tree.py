@@ -110,16 +110,15 @@ class ParameterTree:
 
 
 def subscriber_update(subscribed: str, changed: str, value: Any) -> tuple[str, Any] | None:
-    """Return the key and the value that a node must be sent when a ROS
-    1 parameter to which it has subscribed changes.
+    """Return the update that a ROS 1 parameter server sends to a subscriber after a parameter has changed.
 
     Args:
         subscribed: full name that the node subscribed to.
         changed: full name that was set or deleted.
         value: the new value; an empty dict for a deleted parameter.
     Returns:
-        Key and value, or None if the change does not affect the subscribed parameter. Source: the answers of
-        rosmaster.
+        Key and value of the update, or None if the change does not affect the subscribed parameter.
+        Source: the answers of rosmaster.
     """
     inner, outer = _parts(subscribed), _parts(changed)
     if outer[: len(inner)] == inner:  # the subscribed key or a descendant changed

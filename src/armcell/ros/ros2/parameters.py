@@ -144,9 +144,7 @@ class ParameterServices:
         return self._new("rcl_interfaces/SetParametersResult", not reason, reason)
 
     def _check(self, parameter: Any) -> str:
-        """Return the reason for which a ROS 2 client cannot set a parameter.
-        The text is empty if the client can set it.
-        """
+        """Return why a ROS 2 client cannot set a parameter, or an empty text if the client can set it."""
         if parameter.name == USE_SIM_TIME:
             return "use_sim_time follows the clock of the cell"
         if parameter.value.type not in (NOT_SET, *FIELDS):

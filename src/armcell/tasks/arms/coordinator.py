@@ -228,9 +228,10 @@ class MotionCoordinator:
 
     # --- zones and rendezvous ---
     def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Choose for a coordinated arm the first item whose zone the other arm neither uses nor approaches.
+        """Return the first item whose zone the other coordinated arm neither uses, requests nor approaches.
 
-        If there is none, return the first item.
+        If all zones are busy, return the first of all items. In both cases, the coordinator records that the
+        arm approaches the zone of the returned item.
 
         Args:
             items: the remaining items, not empty.

@@ -91,7 +91,7 @@ class HandPair:
         self.hold: PairHold | None = None
 
     def other(self, group: str) -> str:
-        """Return the planning group of the other arm, given the group of one arm in a pair of hands."""
+        """Return the planning group of the partner arm, which carries the object with the arm `group`."""
         return next(g for g in self.groups if g != group)
 
     def tcp_poses_at(self, q: Array) -> dict[str, SE3]:

@@ -75,7 +75,7 @@ def earliest(
 
     Args:
         tours: computes an arm's tour for an order.
-        conflicts: where an arm's motion conflicts with the other arm at work; None: no conflicts.
+        conflicts: cache of the conflicts of an arm's motions with the other arm at work; None: no conflicts.
     """
     one, two = cache(tours[0]), cache(tours[1])
 
@@ -118,10 +118,12 @@ def _changed(order: Order) -> Iterator[Order]:
 
 
 def timetable(arms: Sequence[Tour]) -> list[list[Span]]:
-    """Schedule arms that take objects in a given order: return the times [s] of each tour segment. Each zone
-    serves only one arm at a time.
+    """Compute when each arm executes each segment of its tour, if only one arm at a time may reserve a zone.
 
-    Arms get a zone in the order of their arrival.
+    An arm waits at the start of a segment until its zone is free. The arm that requests a zone first gets it.
+
+    Returns:
+        For each arm and segment: the start, the end of the motion, and the end of the work [s].
     """
     now, free = [0.0] * len(arms), dict[str, float]()
     spans: list[list[Span]] = [[] for _ in arms]
@@ -169,8 +171,8 @@ DECIMALS = 3  # [rad] positions that agree to these decimals share a cache entry
 
 
 class ConflictCache:
-    """Cache for the search of object orders: where the motion of one
-    arm conflicts with the working pose of the other.
+    """Cache for comparing object orders: it stores where the motion of one arm conflicts with the working
+    pose of the other arm.
     """
 
     def __init__(self, scene: PlanningScene, groups: tuple[str, str]):
@@ -178,11 +180,16 @@ class ConflictCache:
         self._known: dict[tuple[int, bytes], tuple[float, float] | None] = {}
 
     def share(self, arm: int, segment: TourSegment, other: TourSegment) -> tuple[float, float] | None:
-        """Return the section (from, to, in 0..1) of an arm's motion that is close to the other arm while that
-        arm works. Object orders are compared by these sections.
+        """Return the section of an arm's motion in which the arm comes too close to the working pose of the
+        other arm. Return None if the arms keep their clearance or a motion is unknown.
+
+        The section is a pair of fractions (0..1) of the motion. `detours` tests whether the arm passes this
+        section while the other arm works.
 
         Args:
             arm: index of the moving arm, 0 or 1.
+            segment: tour segment with the motion.
+            other: tour segment of the other arm, which works at the end of its motion.
         """
         if segment.motion_ends is None or other.motion_ends is None:
             return None

@@ -68,8 +68,8 @@ Program = Callable[[ArmContext], Outcome | None]
 
 @dataclass(frozen=True)
 class SideBySide(Outcome):
-    """Result of the programs of two arms side by side: the error code and message of the first failure,
-    and statistics for each arm.
+    """Result of two arms that worked side by side, each with its own program: the error code and message of
+    the first failure, and statistics for each arm.
     """
 
     makespan: float = 0.0  # [s] of the driver's clock

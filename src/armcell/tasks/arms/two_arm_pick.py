@@ -41,7 +41,8 @@ OPEN_SETTLE = 0.3  # [s] pause after opening both hands
 
 
 class PickWithTwoArms(Pick):
-    """Pick of one object by two arms, each at one end. `Carrying.move` lifts the object afterwards.
+    """Pick recipe in which two arms grasp one object at the same time, each at one end. The recipe does not
+    lift the object; `Carrying.move` does.
 
     Args:
         route: later poses of the object; grasps that cannot reach them are rejected.

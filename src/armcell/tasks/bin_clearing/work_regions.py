@@ -101,9 +101,11 @@ def _outline(item: CollisionObject, room: float) -> Rectangle:
 def first_not_empty(
     ctx: TaskContext, regions: Sequence[tuple[Look, WorkRegion]], s: ClearSettings
 ) -> RegionView | Outcome:
-    """Return the view of the first work region in which objects are visible.
+    """Look at the work regions one after the other, and return the view of the first region that contains
+    visible objects.
 
-    Return an outcome instead if all regions are empty or an image is missing.
+    If all regions are empty, the result is an outcome with SUCCESS. If an image is unusable, the result is
+    the failure.
     """
     for look, region in regions:
         seen = look_at(ctx, look, region, s)

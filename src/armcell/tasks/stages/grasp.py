@@ -227,8 +227,10 @@ class Close:
 
 
 def _turned(proof: Proof) -> Iterator[Grasp]:
-    """Yield two variants of a grasp: the object has turned between the finger pads, in either direction, as
-    far as in the simulated trials.
+    """Yield the grasp that results if the object rotates between the finger pads, once for each direction of
+    rotation.
+
+    The angle is the median rotation of the object in the simulated trials of this grasp.
     """
     T = proof.grasp.T_object_tcp
     for angle in (-proof.turn, proof.turn):

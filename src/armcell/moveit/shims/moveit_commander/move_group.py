@@ -245,9 +245,7 @@ class MoveGroupCommander(GroupSettings):
         return bool(finished(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
-        """Return the reason for which a plan of the MoveGroupCommander does not reach its goal.
-        The text is empty if it does.
-        """
+        """Return why a plan of the MoveGroupCommander is incomplete, or an empty text if it is complete."""
         fraction = next((f for p, f in self._partial if p is plan), 1.0)
         if fraction <= 0:
             return "the straight line could not begin, its fraction is 0; the reason is in the line above"

@@ -65,8 +65,9 @@ def _shortcut(k, p, count, first, last, at, mode, stop):
 
 @inner_njit
 def _round_corners(k, p, count, room, first, last, at, mode):
-    """Round the corners of a path in the kernel for path simplification, where the new edges are proven
-    collision-free.
+    """Round the corners of a path, in the compiled kernel for path simplification.
+
+    A corner stays sharp if the kernel cannot prove that the new edges are collision-free.
 
     p: rows, count of them; behind `room` rows there is memory for three times as many tried rows and then
     for the new path. Returns count, changed.
@@ -124,8 +125,9 @@ def _round_corners(k, p, count, room, first, last, at, mode):
 
 @njit(cache=True, nogil=True)
 def simplify_path(handle, path, count, space, index, room, mode, stop):
-    """Shorten a path (path[:count]) in place, in a compiled kernel for path simplification; every edge is
-    proven collision-free.
+    """Simplify a path (path[:count]) in place: shorten the path and round its corners.
+
+    This compiled kernel proves that every edge of the resulting path is collision-free.
 
     Args:
         path: (m, dof). space: float64 scratch of 6 m (dof + 1) + 2 m numbers. index: int64 scratch of 4 m.

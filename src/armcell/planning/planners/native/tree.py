@@ -24,9 +24,9 @@ FAR = 1e9
 
 
 def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Allocate the memory for two native search trees of `capacity` nodes each (a multiple of L).
+    """Allocate the memory for two native search trees. Each tree has space for `capacity` nodes.
 
-    `put` fills them block by block.
+    `capacity` must be a multiple of L, the number of nodes per block. `put` fills the blocks in order.
 
     Returns:
         Nodes (blocks, dof, L) as one float32 array, parents (-1 - r for root r), radii of the dynamic
