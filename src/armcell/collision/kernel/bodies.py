@@ -22,7 +22,7 @@ from armcell.model import Link
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-FINGER_OVERSHOOT = 0.003  # [m]
+FINE_OVERSHOOT = 0.003  # [m] for fingers, and for base links in `narrow_gaps`
 LINK_OVERSHOOT = 0.010
 OBJECT_OVERSHOOT = 0.005  # [m] for held objects, or `OBJECT_SHARE` of the largest extent if that is larger:
 LARGE_LINK = 1.5  # [m] longer shapes of links, such as a linear axis, get the coarser covers of objects

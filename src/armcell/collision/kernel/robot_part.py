@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armcell.collision.kernel import near
 from armcell.collision.kernel.bodies import (
-    FINGER_OVERSHOOT,
+    FINE_OVERSHOOT,
     LINK_OVERSHOOT,
     UP,
     Body,
@@ -22,6 +22,7 @@ from armcell.collision.kernel.bodies import (
     link_body,
 )
 from armcell.collision.kernel.lru_cache import LruCache
+from armcell.collision.kernel.narrow_gaps import narrow_gaps
 from armcell.collision.kernel.pieces import Pieces, concatenate
 from armcell.core import SO3
 from armcell.kinematics import kinematic_tree
@@ -422,11 +423,11 @@ def _all_meet(g: int, h: int) -> _Meeting:
 def _links_of(model: RobotModel, scales: tuple[tuple[str, float], ...]) -> tuple[tuple[str, int, Body], ...]:
     """Return the name, index and kernel body of each link with a collision shape."""
     scale_of, tree = dict(scales), kinematic_tree(model)
-    fingers = {f for g in model.grippers.values() for f in g.finger_links}
+    fine = {f for g in model.grippers.values() for f in g.finger_links} | narrow_gaps(model)
     found = []
     for link in model.links.values():
         if link.collisions:
-            overshoot = FINGER_OVERSHOOT if link.name in fingers else LINK_OVERSHOOT
+            overshoot = FINE_OVERSHOOT if link.name in fine else LINK_OVERSHOOT
             body = link_body(link, scale_of.get(link.name, 1.0), overshoot)
             found.append((link.name, tree.link_index[link.name], body))
     return tuple(found)
