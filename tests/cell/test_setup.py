@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import yaml
 from tests.cell.written import Written
 from tests.model.helpers import EXAMPLES, MBM, collision, joint, link, robot
+from tests.once import once
 
 import armcell
 from armcell.cell.setup import Proposal, cell_files, propose, propose_from_package, write_cell
@@ -33,11 +35,15 @@ CHECKED = 500  # by the other collision library; 100,000 are in docs/setup.md
 BOX = collision('<box size="0.05 0.05 0.05"/>')
 
 
-@lru_cache
-def proposed(name: str) -> Proposal:
-    if not ROBOTS[name].exists():
-        pytest.skip(f"{ROBOTS[name]} is not there")
-    return propose([UrdfPart(ROBOTS[name])], SAMPLES)
+@pytest.fixture(scope="module")
+def proposed(tmp_path_factory) -> Callable[[str], Proposal]:
+    @lru_cache
+    def of(name: str) -> Proposal:
+        if not ROBOTS[name].exists():
+            pytest.skip(f"{ROBOTS[name]} is not there")
+        return once(tmp_path_factory, f"proposal-{name}", lambda: propose([UrdfPart(ROBOTS[name])], SAMPLES))
+
+    return of
 
 
 def small_arm(folder: Path, name: str = "small") -> Path:
@@ -54,7 +60,7 @@ def small_arm(folder: Path, name: str = "small") -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
-def test_ignored_pairs_never_touch_or_always(name, tmp_path):
+def test_ignored_pairs_never_touch_or_always(name, tmp_path, proposed):
     write_cell(proposed(name), tmp_path / "cell")
     written = Written(tmp_path / "cell")
     counts = written.count(CHECKED, seed=99)
@@ -69,7 +75,7 @@ def test_ignored_pairs_never_touch_or_always(name, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_what_touches_is_checked(name):
+def test_what_touches_is_checked(name, proposed):
     """The other way round, by the exact checker: every pair seen in contact is not ignored as "Never"."""
     model = proposed(name).model
     counts = {p.links: p for p in proposed(name).pairs}
@@ -83,7 +89,7 @@ def test_what_touches_is_checked(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_a_written_cell_plans_at_once(name, tmp_path):
+def test_a_written_cell_plans_at_once(name, tmp_path, proposed):
     write_cell(proposed(name), tmp_path / "cell")
     cell = armcell.load(tmp_path / "cell")
     scene = cell.scene()
@@ -100,7 +106,7 @@ def test_a_written_cell_plans_at_once(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_moveit_reads_the_same(name, tmp_path):
+def test_moveit_reads_the_same(name, tmp_path, proposed):
     """A round trip: the files read as a MoveIt package give the model that was proposed."""
     write_cell(proposed(name), tmp_path / "cell")
     config, model = MoveItConfig.load(tmp_path / "cell"), proposed(name).model
@@ -120,7 +126,7 @@ def test_moveit_reads_the_same(name, tmp_path):
     assert again.srdf == config.srdf and again.files == config.files
 
 
-def test_a_gripper_measured_on_the_meshes_is_the_library_s():
+def test_a_gripper_measured_on_the_meshes_is_the_library_s(proposed):
     found, known = proposed("panda").model.gripper(), load_robot("panda").gripper()
     for field in ("tcp_link", "finger_links", "width_per_joint", "hand_links", "joint_name"):
         assert getattr(found, field) == getattr(known, field), field
