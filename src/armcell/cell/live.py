@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from typing import Any
 
@@ -11,6 +11,7 @@ from armcell import _interrupts
 from armcell.cell.bin_clearing import clear_with
 from armcell.cell.live_cameras import CameraWatch, LiveCamera, live_cameras
 from armcell.cell.perceiving import Seen, look_with
+from armcell.collision.arms import combined_group
 from armcell.core import (
     SE3,
     ArmcellError,
@@ -183,18 +184,18 @@ class Arm:
         return hold(self._ctx, duration)
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
-        """Reserve a zone for an arm of the live cell: `with arm.reserve("bin"):` keeps the other arm out."""
+        """Reserve a zone for an arm of the live cell: `with arm.reserve("bin"):` keeps other arms out."""
         return self._ctx.reserve(zone)
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the first item whose zone the other arm of a live cell neither occupies nor approaches.
+        """Return the first item whose zone no other arm of a live cell occupies or approaches.
 
-        If the other arm occupies or approaches all zones, return the first item.
+        If other arms occupy or approach all zones, return the first item.
         """
         return self._ctx.choose(items, zone)
 
     def rendezvous(self, name: str) -> None:
-        """Pause the program of one arm in a live cell until the other arm reaches the same rendezvous."""
+        """Pause the program of one arm in a live cell until all other arms reach the same rendezvous."""
         self._ctx.rendezvous(name)
 
 
@@ -309,7 +310,7 @@ class LiveCell:
         self, to: Callable[[str], str], cycle_times: CycleTimes = CycleTimes(), **streams: Sequence[str]
     ) -> dict[str, list[str]]:  # fmt: skip
         """Return the order in which each arm of a live cell should
-        handle its objects so that both arms finish early.
+        handle its objects so that all arms finish early.
 
         With these orders, the arms rarely wait for each other at a zone.
 
@@ -333,7 +334,7 @@ class LiveCell:
         """
         for group in ends:
             _ = self[group]
-        return Carrying(self.ctx, self._both(ends), item, ends, settings)
+        return Carrying(self.ctx, combined_group(self.model, ends), item, ends, settings)
 
     def hand_over(self, item: str, to: str, at: Sequence[SE3] = ()) -> Outcome:
         """Hand an object over in the air between two arms of a live cell.
@@ -346,24 +347,12 @@ class LiveCell:
         return hand_over(self.ctx, item, self.model.gripper(arm_group=to), at)
 
     def move_together(self, **targets: Target) -> Outcome:
-        """Move two arms of a live cell, each to its own target.
-        Both arms start at the same time and arrive at the same time.
+        """Move several arms of a live cell, each to its own target.
+        All of them start at the same time and arrive at the same time.
         """
         scene = self.ctx.scene()
         goals = {group: goal_of(scene.model, group, target) for group, target in targets.items()}
-        return move_together(self.ctx, self._both(targets), goals)
-
-    def _both(self, groups: Iterable[str]) -> str:
-        """Return the planning group of a live cell that contains exactly the joints of the given groups.
-
-        Raises:
-            InputError: the model has no such group.
-        """
-        wanted = {n for group in groups for n in self.model.group(group).joint_names}
-        for group in self.model.groups.values():
-            if set(group.joint_names) == wanted:
-                return group.name
-        raise InputError(f"no planning group has the joints of {' and '.join(groups)}")
+        return move_together(self.ctx, combined_group(self.model, targets), goals)
 
     @property
     def reports(self) -> list[StageReport]:

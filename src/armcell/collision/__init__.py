@@ -1,6 +1,6 @@
 """Collision checking, distance queries, and certification of whole motions."""
 
-from armcell.collision.arms import Arms, without_arm
+from armcell.collision.arms import Arms, without_arms
 from armcell.collision.certificate import Certificate
 from armcell.collision.certify import MotionBound, certify_path
 from armcell.collision.certify_timed import TimedCertificate, certify_timed
@@ -27,6 +27,6 @@ __all__ = [
     "robot_mask",
     "touching_links",
     "view_cone",
-    "without_arm",
+    "without_arms",
     "without_robot",
 ]

@@ -1,13 +1,13 @@
-"""Collision checks of two arms of one robot: scenes without one arm, clearance of motions.
+"""Collision checks between the arms of one robot: scenes without other arms, clearance of motions.
 
-When the motion of one arm is planned, a scene "without" the other arm serves to certify it against the world
-and the arm itself. This module certifies the rest: two motions on one clock keep the arms and their held
-objects apart.
+When the motion of one arm is planned, a scene "without" the other arms serves to certify it against the world
+and the arm itself. This module certifies the rest: the motions of several arms on one clock keep the arms and
+their held objects apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import combinations, pairwise
@@ -35,7 +35,7 @@ FINE = 0.01  # [rad] smallest boxes of joint positions in `certify_any_time`
 @lru_cache(maxsize=64)
 def moved_links(model: RobotModel, group: str) -> frozenset[str]:
     """Return the links that the joints of an arm move, including links mounted on them.
-    Used to check one arm against another.
+    Used to check the arms against each other.
     """
     tree, columns = kinematic_tree(model), set(model.columns(model.group(group).joint_names))
     return frozenset(
@@ -47,36 +47,52 @@ def moved_links(model: RobotModel, group: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _blind_model(model: RobotModel, links: frozenset[str]) -> RobotModel:
-    """Return a copy of the robot model in which the given links are not checked
-    for collisions with any other link. Used for two arms.
+    """Return a copy of the robot model in which the links of some arms
+    are not checked for collisions with any other link.
     """
     pairs = {frozenset((a, b)): "Other arm" for a in links for b in model.links if a != b}
     return replace(model, disabled_collisions={**model.disabled_collisions, **pairs})
 
 
 @lru_cache(maxsize=64)
-def _between_model(model: RobotModel, a: frozenset[str], b: frozenset[str]) -> RobotModel:
-    """Return a copy of the robot model in which only collisions between link
-    set a and link set b are checked. Used for two arms.
+def _between_model(model: RobotModel, groups: tuple[str, ...], mover: str | None) -> RobotModel:
+    """Return a copy of the robot model in which only collisions between different arms are checked.
+
+    Args:
+        mover: check only the collisions of this arm's links with those of the other arms; None: every arm.
     """
+    side = {link: k for k, g in enumerate(groups) for link in moved_links(model, g)}
+    focus = None if mover is None else groups.index(mover)
     pairs = combinations(model.links, 2)
     never = {
-        frozenset((p, q)): "One arm" for p, q in pairs if not ((p in a and q in b) or (p in b and q in a))
+        frozenset((p, q)): "One arm" for p, q in pairs if not _are_tested(side.get(p), side.get(q), focus)
     }
     return replace(model, disabled_collisions={**model.disabled_collisions, **never})
 
 
+def _are_tested(a: int | None, b: int | None, focus: int | None) -> bool:
+    """Return whether bodies of arms a and b are checked against each other; None: a body of no arm.
+
+    Args:
+        focus: index of the only arm that is checked against the others; None: every pair of arms is checked.
+    """
+    return a is not None and b is not None and a != b and (focus is None or focus in (a, b))
+
+
 @lru_cache(maxsize=64)
 def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
-    """Return the arm groups that make up a planning group, to check two arms against each other.
+    """Return the arm groups that make up a planning group, to check the arms against each other.
     Empty if the group is a single arm.
 
-    The result has two or more groups, and no arm moves a link of another.
+    The result has two or more groups, and no arm moves a link of another. A group of several arms is never
+    part of the result, only its arms are.
     """
     joints = set(model.group(group).joint_names)
     parts: dict[frozenset[str], str] = {}
     for name, part in model.groups.items():
-        if len(part.joint_names) >= ARM_JOINTS and set(part.joint_names) < joints:
+        if len(part.joint_names) < ARM_JOINTS or not set(part.joint_names) < joints:
+            continue
+        if not arms_of(model, name):
             parts.setdefault(frozenset(part.joint_names), name)
     largest = [name for own, name in parts.items() if not any(own < other for other in parts)]
     links = [moved_links(model, name) for name in largest]
@@ -85,7 +101,7 @@ def arms_of(model: RobotModel, group: str) -> tuple[str, ...]:
 
 def sides_of(scene: PlanningScene, groups: tuple[str, ...]) -> dict[str, int]:
     """Return a mapping from each body (link or held object) to the arm that moves it, for collision checks
-    between two arms.
+    between arms.
 
     Args:
         groups: the arms' groups; the result maps a body's name to an index of this tuple.
@@ -118,25 +134,50 @@ def nearest_between(exact: ExactChecker, sides: Mapping[str, int], q: ArrayLike)
     return None if nearest is None else exact.contact_of(*nearest)
 
 
-def check_two(model: RobotModel, groups: tuple[str, str]) -> None:
-    """Check that both groups of a two-arm collision check have joints and share none.
-    Otherwise raise an InputError.
+def check_arms(model: RobotModel, groups: Sequence[str], what: str = "group") -> None:
+    """Check that there are two or more groups, and that they have joints and share none.
+
+    Args:
+        what: what the caller was given for each arm, for the message.
+    Raises:
+        InputError: they are not the groups of different arms.
     """
-    names = [set(model.group(g).joint_names) for g in groups]
-    if not all(names):
-        raise InputError(f"group {groups[0] if not names[0] else groups[1]!r} has no joints")
-    if shared := sorted(names[0] & names[1]):
-        raise InputError(f"groups {groups[0]!r} and {groups[1]!r} share {shared[0]!r}: they are not two arms")
+    if len(groups) < 2:
+        raise InputError(f"{len(groups)} {what}{'s' * (not groups)} given, at least two arms need one each")
+    joints = {g: set(model.group(g).joint_names) for g in groups}
+    if empty := [g for g in groups if not joints[g]]:
+        raise InputError(f"group {empty[0]!r} has no joints")
+    for a, b in combinations(groups, 2):
+        if shared := sorted(joints[a] & joints[b]):
+            raise InputError(f"groups {a!r} and {b!r} share {shared[0]!r}: they are not different arms")
 
 
-def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
-    """Return the scene without one arm and the objects it holds, so that the other arm can be checked for
-    collisions alone.
+def combined_group(model: RobotModel, groups: Iterable[str]) -> str:
+    """Return the planning group that has exactly the joints of the given groups.
 
-    The arm is placed at its model's default state, so that cached data of one plan can be reused for the
-    next, wherever the arm is.
+    Raises:
+        InputError: the model has no such group.
+        UnknownNameError: no such group.
     """
-    links = moved_links(scene.model, group)
+    groups = tuple(groups)
+    wanted = {n for group in groups for n in model.group(group).joint_names}
+    for group in model.groups.values():
+        if set(group.joint_names) == wanted:
+            return group.name
+    raise InputError(
+        f"no planning group has the joints of {' and '.join(map(repr, groups))}",
+        hint="add one under 'groups' in robot.yaml",
+    )
+
+
+def without_arms(scene: PlanningScene, *groups: str) -> PlanningScene:
+    """Return the scene without some arms and the objects they hold, so that another arm can be checked for
+    collisions without them.
+
+    The arms are placed at their model's default state, so that cached data of one plan can be reused for the
+    next, wherever the arms are.
+    """
+    links = frozenset[str]().union(*(moved_links(scene.model, group) for group in groups))
     model = _blind_model(scene.model, links)
     q, at = scene.positions.copy(), _columns_of(scene.model, links)
     q[at] = scene.model.default_positions()[at]
@@ -151,8 +192,8 @@ def without_arm(scene: PlanningScene, group: str) -> PlanningScene:
 
 
 def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
-    """Return the column indices of the joints that move the links of one arm,
-    for collision checks between two arms.
+    """Return the column indices of the joints that move the links of some arms,
+    for collision checks without them.
     """
     names = [model.parent_joint[n].name for n in links if n in model.parent_joint]
     return [i for i, n in enumerate(model.joint_names) if n in set(names)]
@@ -160,18 +201,23 @@ def _columns_of(model: RobotModel, links: frozenset[str]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """Collision checker that tests two arms of a robot and the objects they hold against each other, but not
+    """Collision checker that tests the arms of a robot and the objects they hold against each other, but not
     against the world.
 
-    Positions `q` are those of the first group followed by those of the second. The gripper fingers are
+    Positions `q` are those of the first group followed by those of the others. The gripper fingers are
     assumed fully open, which is conservative.
+
+    Attributes:
+        groups: two or more arms.
+        mover: test only this arm against all others; None: test every pair of arms.
     """
 
     scene: PlanningScene
-    groups: tuple[str, str]
+    groups: tuple[str, ...]
+    mover: str | None = None
 
     def __post_init__(self) -> None:
-        check_two(self.scene.model, self.groups)
+        check_arms(self.scene.model, self.groups)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
@@ -180,7 +226,6 @@ class Arms:
     @cached_property
     def _bare(self) -> PlanningScene:
         scene, model = self.scene, self.scene.model
-        a, b = (moved_links(model, g) for g in self.groups)
         q = model.default_positions()
         for gripper in model.grippers.values():
             q[model.columns((gripper.joint_name,))] = gripper.joint_position(gripper.max_width)
@@ -188,14 +233,15 @@ class Arms:
         held = {name: side[name] for name in scene.attached if name in side}
         inner_pairs = {pair: True for pair, yes in scene.allowed_pairs.items() if yes and pair <= set(side)}
         bare = replace(
-            scene, model=_between_model(model, a, b), positions=np.clip(q, model.lower, model.upper),
+            scene, model=_between_model(model, self.groups, self.mover),
+            positions=np.clip(q, model.lower, model.upper),
             attached={n: scene.attached[n] for n in held}, objects={}, allowed_pairs=inner_pairs,
             allowed_defaults={}, padding=0.0, link_padding={},
         )  # fmt: skip
+        focus = None if self.mover is None else self.groups.index(self.mover)
         for name, mine in held.items():
-            bare = bare.with_allowed(
-                name, [n for n in (*model.links, *held) if n != name and side.get(n) in (None, mine)]
-            )
+            others = [n for n in (*model.links, *held) if n != name]
+            bare = bare.with_allowed(name, [n for n in others if not _are_tested(mine, side.get(n), focus)])
         return bare
 
     @cached_property
@@ -204,20 +250,20 @@ class Arms:
 
     @cached_property
     def exact(self) -> ExactChecker:
-        """Return the exact but slow collision checker for body pairs of two arms.
+        """Return the exact but slow collision checker for body pairs of different arms.
         Use it for single configurations.
         """
         return ExactChecker(self._bare, self.joint_names)
 
     def find_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Return a position along a motion where two arms are closer than `clearance`, or -1.0 if there is
+        """Return a position along a motion where arms are closer than `clearance`, or -1.0 if there is
         none.
 
         The position is counted in edges: 2.5 is the middle of the third edge. -1.0 is a certificate for the
         whole motion.
 
         Args:
-            points: (k, n) waypoints of a piecewise linear motion of both arms.
+            points: (k, n) waypoints of a piecewise linear motion of all arms.
             room: (n,) largest deviation of each joint from the straight edges [rad or m].
             clearance: distance to keep [m].
         """
@@ -228,8 +274,8 @@ class Arms:
         return float(first_below_clearance(self.checker.handle, points, room, float(clearance)))
 
     def first_too_close(self, points: ArrayLike, room: Array | None = None, clearance: float = 0.0) -> float:
-        """Return the first position along a motion where two arms are closer than `clearance`, or -1.0 if
-        there is none.
+        """Return the first position along a motion where arms are closer than `clearance`, or -1.0 if there
+        is none.
 
         Like `find_too_close`, but the position is on the first edge where the arms are too close.
         """
@@ -243,28 +289,26 @@ class Arms:
         return found
 
     def contact(self, q: ArrayLike) -> Contact | None:
-        """Return the nearest pair of bodies of the two arms at configuration q (n,)."""
+        """Return the nearest pair of bodies of different arms at configuration q (n,)."""
         return self.exact.nearest(q)
 
     def certify(
         self,
-        first: JointTrajectory,
-        second: JointTrajectory,
-        starts: tuple[float, float] = (0.0, 0.0),
+        *motions: JointTrajectory,
+        starts: tuple[float, ...] = (),
         clearance: float = 0.0,
         begin: float | None = None,
         until: float | None = None,
         evidence: bool = True,
     ) -> TimedCertificate:
-        """Certify that two arms stay apart while their motions run on a common clock. Otherwise return the
+        """Certify that the arms stay apart while their motions run on a common clock. Otherwise return the
         bodies that touch and the time.
 
         Each arm stays still before and after its motion.
 
         Args:
-            first: motion of the first arm.
-            second: motion of the second arm.
-            starts: start time of each motion [s, common clock].
+            motions: the motion of each arm, in the order of the groups.
+            starts: start time of each motion [s, common clock]; by default, all start at 0.
             clearance: distance to keep [m].
             begin, until: time interval to certify; by default from the earlier start to the later end.
             evidence: if the certification fails, find the pair and the first time (takes milliseconds);
@@ -272,14 +316,15 @@ class Arms:
         Raises:
             InputError: a trajectory has other joints, has no velocities, or is not at rest at its ends.
         """
-        for trajectory, group in zip((first, second), self.groups, strict=True):
+        starts = starts or (0.0,) * len(motions)
+        for trajectory, group in zip(motions, self.groups, strict=True):
             names = self.scene.model.group(group).joint_names
             if trajectory.joint_names != names:
                 raise InputError(f"the trajectory's joints are not those of group {group!r}, in its order")
-        ends = [s + t.duration for s, t in zip(starts, (first, second), strict=True)]
+        ends = [s + t.duration for s, t in zip(starts, motions, strict=True)]
         begin = min(starts) if begin is None else begin
         until = max(ends) if until is None else until
-        times, points, room = chords((first, second), starts, begin, max(until, begin))
+        times, points, room = chords(motions, starts, begin, max(until, begin))
         at = (self.first_too_close if evidence else self.find_too_close)(points, room, clearance)
         if at < 0:
             return TimedCertificate(True)
@@ -292,6 +337,7 @@ class Arms:
         self, first: JointTrajectory, second: JointTrajectory, clearance: float = 0.0
     ) -> bool:
         """Certify that two arms stay apart whenever each of their motions starts and however fast it runs.
+        For more arms, certify each pair.
 
         The function tests every position of one motion against every position of the other: it tests boxes of
         joint positions of the second motion against the whole first motion, and splits boxes that are too

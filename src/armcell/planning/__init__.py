@@ -16,7 +16,7 @@ from armcell.planning.multi_arm import (
     CarriedObject,
     RunningMotion,
     SynchronizedPlan,
-    plan_around_moving_arm,
+    plan_around_moving_arms,
     plan_carry,
     plan_synchronized,
 )
@@ -58,7 +58,7 @@ __all__ = [
     "pipelines",
     "plan",
     "plan_among_moving",
-    "plan_around_moving_arm",
+    "plan_around_moving_arms",
     "plan_carry",
     "plan_cartesian",
     "plan_sequence",

@@ -122,7 +122,7 @@ class TaskContext:
         self.expected: set[frozenset[str]] = set()  # pairs whose contact is currently part of the task
         self.holding: dict[str, Holding] = {}  # object -> holding
         self.lost: dict[str, str] = {}  # lost object -> cause, until it is grasped again
-        # contexts of two arms side by side, with their held objects
+        # contexts of arms side by side, with their held objects
         self.at_work: tuple[TaskContext, ...] = ()
         self.reports: list[StageReport] = []
         self.events: list[Event] = []
@@ -155,7 +155,7 @@ class TaskContext:
 
     def whole_scene(self) -> PlanningScene:
         """Return the scene of a task's context with all arms.
-        If two arms work side by side, `scene` contains only one of them.
+        If arms work side by side, `scene` contains only one of them.
         """
         return self._measured(self.base)
 
@@ -263,7 +263,7 @@ class TaskContext:
         T_world_object = self.driver.object_poses().get(item, scene.object(item).T_world_object)
         return scene.frame_pose(gripper.tcp_link).inv() @ T_world_object
 
-    # --- coordination with the other arm ---
+    # --- coordination with other arms ---
     def clear(self, motion: Any) -> JointTrajectory | Outcome:
         """Return the trajectory of a motion if the task's context allows it to start,
         or else the reason for the refusal.
@@ -283,14 +283,14 @@ class TaskContext:
         return nullcontext()
 
     def choose(self, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the next item, in a task's context, whose zone the other arm does not use.
+        """Return the next item, in a task's context, whose zone no other arm uses.
 
         For a single arm, this is the first item.
         """
         return items[0]
 
     def rendezvous(self, name: str) -> None:
-        """Wait in a task's context until the program of the other arm reaches the same rendezvous point.
+        """Wait in a task's context until the programs of all other arms reach the same rendezvous point.
 
         A single arm does not wait.
         """

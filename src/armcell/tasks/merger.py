@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 from armcell.collision.arms import CLEARANCE, Arms
 from armcell.core import InputError, JointState, JointTrajectory, UnknownNameError
@@ -22,9 +23,9 @@ from armcell.timing import merged
 @checked()
 class Merger:
     """Merger: a container that runs its stages at the same time,
-    either for two arms or for arms and grippers.
+    either for several arms or for arms and grippers.
 
-    Each stage contributes one arm motion or one gripper motion from the same start. Two arms are certified to
+    Each stage contributes one arm motion or one gripper motion from the same start. The arms are certified to
     keep their distance on one clock; an arm and fingers are certified for every finger position between start
     and end. An uncertified merge is rejected: as an alternative, put the same stages in sequence after it, in
     `Fallbacks`.
@@ -32,7 +33,7 @@ class Merger:
 
     name: str
     stages: tuple[Stage, ...]
-    clearance: float = CLEARANCE  # [m] between two arms
+    clearance: float = CLEARANCE  # [m] between the arms
 
     def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
         for choice in _choices(solution, planning, self.stages):
@@ -65,8 +66,8 @@ class Merger:
             planning.reject(self.name, solution.data.get("candidate", ""), reason)
             return None
         motion = motions[0] if motions else None
-        if len(motions) == 2:
-            trajectory = merged(motions[0].trajectory, motions[1].trajectory)
+        if len(motions) > 1:
+            trajectory = merged(*(m.trajectory for m in motions))
             near = [m.clearance for m in motions if m.clearance is not None]
             motion = Motion(
                 self.name,
@@ -74,7 +75,7 @@ class Merger:
                 "merged",
                 sum(m.planning_time for m in motions),
                 min(near, default=None),
-                _both_allow(motions[0].planned_in, motions[1].planned_in),
+                reduce(_both_allow, (m.planned_in for m in motions)),
                 {m.name: m.evidence for m in motions},
             )
         return Together(motion, tuple(grips))
@@ -91,8 +92,6 @@ class Merger:
         why = ""
         if len(steps) != len(choice) or len(motions) + len(grips) != len(steps):
             why = "each of its stages must be one arm motion or one gripper motion"
-        elif len(motions) > 2:
-            why = f"{len(motions)} arms move: at most two can be certified together"
         elif len(set(joints)) < len(joints):
             why = "two of its stages move the same joint"
         elif any(grip.width <= 0 for grip in grips):
@@ -104,10 +103,10 @@ class Merger:
         """Check whether motions of arms and grippers are certified to run at the same time.
         Return the reason if they are not, else an empty text.
         """
-        if len(motions) == 2:
-            first, second = (m.trajectory for m in motions)
-            groups = _group_of(scene, first), _group_of(scene, second)
-            proof = Arms(scene, groups).certify(first, second, clearance=self.clearance)
+        if len(motions) > 1:
+            trajectories = [m.trajectory for m in motions]
+            arms = Arms(scene, tuple(_group_of(scene, t) for t in trajectories))
+            proof = arms.certify(*trajectories, clearance=self.clearance)
             if not proof.free:
                 what = proof.contact.describe() if proof.contact else "the arms come too near"
                 return f"the arms come within {self.clearance * 1000:.0f} mm after {proof.time:.2f} s: {what}"

@@ -227,14 +227,13 @@ def concatenated(*parts: JointTrajectory) -> JointTrajectory:
     )
 
 
-def merged(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Merge two trajectories of different joints that start at the same time into one trajectory.
+def merged(*trajectories: JointTrajectory) -> JointTrajectory:
+    """Merge trajectories of different joints that start at the same time into one trajectory.
 
-    The joints of the shorter motion stay at its end.
+    The joints of a shorter motion stay at its end.
     """
-    times = np.union1d(first.times, second.times)
+    times = np.unique(np.concatenate([t.times for t in trajectories]))
     times = times[np.concatenate([[True], np.diff(times) > SAME_TIME])]
-    if times[-1] < max(first.duration, second.duration):
-        times[-1] = max(first.duration, second.duration)
-    q, v, a = map(np.hstack, zip(first.samples(times), second.samples(times), strict=True))
-    return JointTrajectory(first.joint_names + second.joint_names, times, q, v, a)
+    times[-1] = max(times[-1], *(t.duration for t in trajectories))
+    q, v, a = map(np.hstack, zip(*(t.samples(times) for t in trajectories), strict=True))
+    return JointTrajectory(tuple(n for t in trajectories for n in t.joint_names), times, q, v, a)

@@ -8,7 +8,7 @@ import numpy as np
 
 import armcell
 from armcell.collision import ExactChecker
-from armcell.collision.arms import without_arm
+from armcell.collision.arms import without_arms
 from armcell.core import SE3, JointTrajectory, PlanRequest, PoseGoal
 from armcell.planning import RunningMotion, plan
 from armcell.scene import PlanningScene
@@ -31,7 +31,7 @@ def tip(x: float, y: float, z: float = 1.05, yaw: float = 0.0) -> PoseGoal:
 
 def motion(at: PlanningScene, group: str, goal: PoseGoal, **speeds) -> JointTrajectory:
     """One arm alone to a pose."""
-    result = plan(without_arm(at, OTHER[group]), PlanRequest(group, (goal,), **(speeds or FAST)))
+    result = plan(without_arms(at, OTHER[group]), PlanRequest(group, (goal,), **(speeds or FAST)))
     assert result.ok and result.trajectory is not None, result.message
     return result.trajectory
 

@@ -44,8 +44,8 @@ def test_a_pair_that_only_its_times_keep_apart_is_refused(arms):
     left, right = motion(scene(), LEFT, tip(0.0, -0.1)), motion(scene(), RIGHT, tip(0.0, 0.1))
     back = reversed_in_time(left)
     start = left.duration + 0.5  # the right arm goes in when the left one has gone out again
-    assert arms.certify(back, right, (0.0, start), CLEARANCE).free
+    assert arms.certify(back, right, starts=(0.0, start), clearance=CLEARANCE).free
     assert not arms.certify_any_time(back, right, CLEARANCE)
     apart = motion(scene(), LEFT, tip(-0.5, 0.2)), motion(scene(), RIGHT, tip(0.5, -0.2))
-    assert arms.certify(*apart, (0.0, 0.0), CLEARANCE).free
+    assert arms.certify(*apart, clearance=CLEARANCE).free
     assert arms.certify_any_time(*apart, CLEARANCE)

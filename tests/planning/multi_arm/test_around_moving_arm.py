@@ -7,9 +7,9 @@ import pytest
 from tests.planning.multi_arm.dual import FAST, LEFT, OTHER, RIGHT, SLOW, Judge, motion, scene, tip, with_tips
 
 from armcell.collision import ExactChecker
-from armcell.collision.arms import without_arm
+from armcell.collision.arms import without_arms
 from armcell.core import InputError, PlanRequest
-from armcell.planning import RunningMotion, plan_around_moving_arm
+from armcell.planning import RunningMotion, plan_around_moving_arms
 from armcell.planning.multi_arm.space_time_search import SpaceTimeProblem, search, shortened
 from armcell.timing import reversed_in_time
 from armcell.timing.averaged import averaged_pieces
@@ -26,7 +26,7 @@ SWAPS = {
 
 def beside(at, goal, running, seed=0, start=0.0):
     request = PlanRequest(LEFT, (goal,), seed=seed, **FAST)
-    return plan_around_moving_arm(at, request, RIGHT, running, start)
+    return plan_around_moving_arms(at, request, {RIGHT: running}, start)
 
 
 def judged(at, result, running, start=0.0):
@@ -38,7 +38,7 @@ def judged(at, result, running, start=0.0):
     for k, kind, share in ((1, "velocity", 0.6), (2, "acceleration", 0.25)):
         most = np.abs([s[k] for s in samples]).max(axis=0)
         assert np.all(most <= share * model.limits(trajectory.joint_names, kind) * (1 + 1e-3)), kind
-    alone = ExactChecker(without_arm(at, RIGHT), trajectory.joint_names)
+    alone = ExactChecker(without_arms(at, RIGHT), trajectory.joint_names)
     assert all(not alone.contacts(s[0], padded=False) for s in samples[::5])
     assert Judge(at).nearest(RunningMotion(trajectory, start), running, step=4e-3) >= 0.02 - 1e-5
 
@@ -96,7 +96,7 @@ def test_misuse():
     with pytest.raises(InputError, match="finite"):
         beside(scene(), tip(0, 0), running, start=np.inf)
     with pytest.raises(InputError, match="share"):
-        plan_around_moving_arm(scene(), PlanRequest("both_arms", (tip(0, 0),)), RIGHT, running)
+        plan_around_moving_arms(scene(), PlanRequest("both_arms", (tip(0, 0),)), {RIGHT: running})
     assert OTHER[LEFT] == RIGHT
 
 

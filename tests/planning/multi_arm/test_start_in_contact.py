@@ -8,9 +8,9 @@ from tests.planning.multi_arm.dual import FAST, LEFT, RIGHT, SLOW, Judge, motion
 from tests.planning.resting import SINK, brought_to, judge_from_rest
 from tests.scene.helpers import box
 
-from armcell.collision.arms import without_arm
+from armcell.collision.arms import without_arms
 from armcell.core import SE3, JointGoal, PlanRequest
-from armcell.planning import RunningMotion, plan, plan_around_moving_arm, plan_synchronized
+from armcell.planning import RunningMotion, plan, plan_around_moving_arms, plan_synchronized
 from armcell.scene import PlanningScene
 
 pytestmark = pytest.mark.slow  # two arms: proofs and searches by the second
@@ -59,9 +59,9 @@ def test_beside_a_running_arm(how):
     else:
         at, there, goal = on_a_block((0.4, 0.0), (-0.4, 0.0)), (0.4, 0.0, 1.12), tip(-0.4, 0.0)
     running = RunningMotion(motion(at, RIGHT, tip(*there), **SLOW), 0.0)
-    result = plan_around_moving_arm(at, PlanRequest(LEFT, (goal,), **FAST), RIGHT, running)
+    result = plan_around_moving_arms(at, PlanRequest(LEFT, (goal,), **FAST), {RIGHT: running})
     assert result.ok, result.message
     assert result.evidence["beside"] == how
-    judge_from_rest(without_arm(at, RIGHT), result.trajectory)
+    judge_from_rest(without_arms(at, RIGHT), result.trajectory)
     nearest = Judge(at).nearest(RunningMotion(result.trajectory, 0.0), running, step=4e-3)
     assert nearest >= 0.02 - 1e-5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.planning.multi_arm.dual import FAST, LEFT, OTHER, RIGHT, Judge, motion, scene, tip
 
-from armcell.collision.arms import Arms, without_arm
+from armcell.collision.arms import Arms, without_arms
 from armcell.core import Box, ErrorCode, InputError, JointTrajectory, PlanRequest
 from armcell.planning import RunningMotion, plan, plan_synchronized
 from armcell.scene import CollisionObject
@@ -148,7 +148,7 @@ def test_they_start_and_arrive_together_and_apart(name):
 def test_a_pair_that_meets_is_repaired():
     goals = dict(zip((LEFT, RIGHT), (tip(*xyz) for xyz in CASES["through each other"]), strict=True))
     alone = {
-        g: plan(without_arm(scene(), OTHER[g]), PlanRequest(g, (goal,), **FAST)).trajectory
+        g: plan(without_arms(scene(), OTHER[g]), PlanRequest(g, (goal,), **FAST)).trajectory
         for g, goal in goals.items()
     }
     first, second = synchronized([alone[LEFT], alone[RIGHT]])
@@ -170,7 +170,7 @@ def test_one_arm_s_own_failure_is_told_with_its_name():
 
 
 def test_misuse():
-    with pytest.raises(InputError, match="two arms have two"):
+    with pytest.raises(InputError, match="two arms need one each"):
         plan_synchronized(scene(), {LEFT: tip(0, 0)})
     with pytest.raises(InputError, match="share"):
         plan_synchronized(scene(), {LEFT: tip(0, 0), "both_arms": tip(0, 0)})

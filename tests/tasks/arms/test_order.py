@@ -167,7 +167,7 @@ def test_where_arms_meet(cell):
     met = 0
     for k in range(40):
         segment, other = segments[RIGHT][int(rng.integers(54))], segments[LEFT][int(rng.integers(54))]
-        share = conflicts.share(1, segment, other)
+        share = conflicts.share(1, segment, 0, other)
         begin, end = segment.motion_ends
         there = stands(LEFT, other.motion_ends[1])
         along = np.linspace(0.0, 1.0, 61)
@@ -186,7 +186,7 @@ def test_what_cannot_be_ordered(cell):
     scene = cell.scene(0)
     with pytest.raises(InputError, match="given twice"):
         orders(scene, {LEFT: ["left_red_1"], RIGHT: ["left_red_1"]}, tray_of)
-    with pytest.raises(InputError, match="two arms need two"):
+    with pytest.raises(InputError, match="two arms need one each"):
         orders(scene, {LEFT: ["left_red_1"]}, tray_of)
     with pytest.raises(UnknownNameError):
         orders(scene, {LEFT: ["left_red_9"], RIGHT: []}, tray_of)

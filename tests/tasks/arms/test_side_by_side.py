@@ -187,7 +187,7 @@ def test_the_same_seed_gives_the_same_run(cell):
 
 def test_misuse(cell):
     with cell.connect("fake") as live:
-        with pytest.raises(InputError, match="two arms need two"):
+        with pytest.raises(InputError, match="two arms need one each"):
             live.side_by_side(left_arm=tour(SAME))
         with pytest.raises(InputError, match="unknown arm 'middle_arm'"):
             live.side_by_side(left_arm=tour(SAME), middle_arm=tour(SAME))

@@ -44,7 +44,8 @@ def find_chains(model: RobotModel) -> list[Chain]:
 def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
     """Return the robot with planning groups for the arm chains and grippers that were detected.
 
-    A robot with exactly two arms that share no joint also gets the group `both_arms`.
+    A robot with several arms that share no joint also gets a group of all arms: `both_arms` for two,
+    `all_arms` for more.
 
     Args:
         model: the robot.
@@ -69,12 +70,14 @@ def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
         groups[hand] = _hand(model, hand, links)
         parent = chain.palm if mount.movable else mount.parent
         ends[hand] = EndEffector(hand, hand, parent, arm)
-    if len(chains) == 2 and not set(chains[0].joints) & set(chains[1].joints):
+    joints = [n for chain in chains for n in chain.joints]
+    if len(chains) > 1 and len(set(joints)) == len(joints):
+        name = "both_arms" if len(chains) == 2 else "all_arms"
         arms = [g for g in groups.values() if g.tip_link]
         driven = {n for g in arms for n in g.joint_names}
         moved = {n for g in arms for n in g.link_names}
-        groups["both_arms"] = Group(
-            "both_arms",
+        groups[name] = Group(
+            name,
             tuple(n for n in model.joint_names if n in driven),
             tuple(n for n in model.links if n in moved),
         )

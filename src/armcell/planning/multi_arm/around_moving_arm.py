@@ -1,4 +1,4 @@
-"""Planning of one arm's motion around the running motion of the other arm.
+"""Planning of one arm's motion around the running motions of the other arms.
 
 The planner returns the motion unchanged, delayed, or searched in joint positions and time.
 """
@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import CLEARANCE, Arms, without_arm
+from armcell.collision.arms import CLEARANCE, Arms, without_arms
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Contact, ErrorCode, InputError, JointTrajectory, Outcome, PlanRequest, PlanResult
 from armcell.planning.certify import time_lead_in
@@ -36,7 +37,7 @@ SEARCHES = 3  # searches, each for an earlier arrival than the last
 
 @dataclass(frozen=True, eq=False)
 class RunningMotion:
-    """Motion of the moving arm that a plan for the other arm must avoid; it begins at time `start` [s], in
+    """Motion of a moving arm that a plan for another arm must avoid; it begins at time `start` [s], in
     the past or in the future.
 
     The arm rests after the end of the motion.
@@ -57,22 +58,21 @@ class RunningMotion:
         return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
 
 
-def plan_around_moving_arm(
+def plan_around_moving_arms(
     scene: PlanningScene,
     request: PlanRequest,
-    other: str,
-    running: RunningMotion,
+    others: Mapping[str, RunningMotion],
     start_time: float = 0.0,
     clearance: float = CLEARANCE,
     cancel: threading.Event | None = None,
 ) -> PlanResult:
-    """Plan a motion of one arm that is proven to avoid the other arm while that arm is moving.
+    """Plan a motion of one arm that is proven to avoid other arms while they are moving.
 
     Args:
-        scene: scene with the planned arm at its start; the other arm's position does not matter.
-        other: the other arm's group. running: the other arm's motion, which must come to rest.
-        start_time: start of the planned motion [s] on the clock of `running.start`.
-        clearance: distance to the other arm and its attached objects [m].
+        scene: scene with the planned arm at its start; the positions of the other arms do not matter.
+        others: the motion of each other arm by its group; it must come to rest.
+        start_time: start of the planned motion [s] on the clock of `RunningMotion.start`.
+        clearance: distance to the other arms and their attached objects [m].
     Returns:
         Like `plan`. `evidence["beside"]` is "as planned", "waits" or "searched"; the trajectory includes
         waits. On failure `evidence["contact"]` is the pair of bodies that would touch and
@@ -83,16 +83,17 @@ def plan_around_moving_arm(
     began = time.monotonic()
     if not np.isfinite(start_time):
         raise InputError("start_time must be a finite number of seconds")
-    arms = Arms(scene, (request.group, other))
-    alone = without_arm(scene, other)
+    arms = Arms(scene, (request.group, *others), request.group)
+    alone = without_arms(scene, *others)
     first = plan(alone, request, cancel)
     if not first.ok or first.trajectory is None:
         return first
+    running = tuple(others.values())
     timeline = MovingArmTimeline(arms, running, start_time, clearance)
     if (at := timeline.first_conflict(first.trajectory)) is None:
         return _with_strategy(first, "as planned", began)
     start = first.trajectory.positions[0]
-    contact = arms.contact(np.concatenate([start, timeline.other_at(start_time)]))
+    contact = arms.contact(np.concatenate([start, timeline.others_at(start_time)]))
     if contact is not None and contact.distance < clearance:
         # The arms start closer than the clearance: keep slightly less than the start distance.
         timeline = MovingArmTimeline(arms, running, start_time, max(contact.distance - 1e-3, 0.0))
@@ -111,7 +112,7 @@ def plan_around_moving_arm(
     return PlanResult(
         ErrorCode.PLANNING_FAILED,
         f"{text}no path in space and time was found that keeps "
-        f"{1000 * timeline.clearance:.0f} mm off {other!r}",
+        f"{1000 * timeline.clearance:.0f} mm off {' and '.join(map(repr, others))}",
         {"contact": pair, "time": when},
         planner_id=first.planner_id,
         planning_time=time.monotonic() - began,
@@ -124,43 +125,45 @@ def _with_strategy(result: PlanResult, how: str, began: float) -> PlanResult:
 
 
 class MovingArmTimeline:
-    """Timeline of the moving arm's motion, approximated by straight pieces. It checks whether a planned
-    motion keeps enough clearance to this arm.
+    """Timeline of the moving arms' motions, approximated by straight pieces. It checks whether a planned
+    motion keeps enough clearance to these arms.
     """
 
-    def __init__(self, arms: Arms, running: RunningMotion, start_time: float, clearance: float):
+    def __init__(
+        self, arms: Arms, running: tuple[RunningMotion, ...], start_time: float, clearance: float
+    ):  # fmt: skip
         self.arms, self.running, self.start_time, self.clearance = arms, running, start_time, clearance
-        end = max(running.end, start_time)
-        self.times, self.points, self.room = chords((running.trajectory,), (running.start,), start_time, end)
-        self.end = end
+        self.motions, self.starts = tuple(m.trajectory for m in running), tuple(m.start for m in running)
+        self.end = max(start_time, *(m.end for m in running))
+        self.times, self.points, self.room = chords(self.motions, self.starts, start_time, self.end)
         self.dof = len(arms.joint_names) - self.points.shape[1]
         self._room = np.concatenate([np.zeros(self.dof), self.room])
 
-    def other_at(self, t: float) -> Array:
-        """Return the joint positions of the moving arm at a time [s], interpolated on its timeline."""
+    def others_at(self, t: float) -> Array:
+        """Return the joint positions of the moving arms at a time [s], interpolated on their timeline."""
         return np.array([np.interp(t, self.times, column) for column in self.points.T])
 
     def first_conflict(self, trajectory: JointTrajectory) -> float | None:
-        """Return the first time [s] at which a planned motion comes closer to the moving arm than the
+        """Return the first time [s] at which a planned motion comes closer to a moving arm than the
         clearance allows, or None.
 
         The arm rests after its motion. None if the motion and the rest keep the clearance.
         """
         found = self.arms.certify(
-            trajectory, self.running.trajectory, (self.start_time, self.running.start), self.clearance,
+            trajectory, *self.motions, starts=(self.start_time, *self.starts), clearance=self.clearance,
             begin=self.start_time, until=max(self.end, self.start_time + trajectory.duration), evidence=False,
         )  # fmt: skip
         return None if found.free else found.time
 
     def contact(self, trajectory: JointTrajectory, at: float) -> Contact | None:
-        """Find the bodies of the planned arm and the moving arm that are nearest to each other at a time [s]
+        """Find the bodies of the planned arm and a moving arm that are nearest to each other at a time [s]
         of the planned motion.
         """
         q = trajectory.sample(at - self.start_time)[0]
-        return self.arms.contact(np.concatenate([q, self.other_at(at)]))
+        return self.arms.contact(np.concatenate([q, self.others_at(at)]))
 
     def keeps_clearance(self, p: Array, s: float, q: Array, t: float, more: float = 0.0) -> bool:
-        """Return whether the motion from (p, s) to (q, t) keeps the required clearance to the moving arm,
+        """Return whether the motion from (p, s) to (q, t) keeps the required clearance to the moving arms,
         plus `more` [m].
         """
         inside = self.times[(self.times > s) & (self.times < t)]
@@ -173,9 +176,9 @@ class MovingArmTimeline:
         return self.arms.find_too_close(points, self._room, self.clearance + more) < 0
 
     def free_after(self, q: Array, more: float) -> float:
-        """Return the time [s] from which the planned arm can stay at q, clear of the moving arm.
+        """Return the time [s] from which the planned arm can stay at q, clear of the moving arms.
 
-        The time is infinite if the moving arm comes to rest too close to q.
+        The time is infinite if a moving arm comes to rest too close to q.
         """
         end = np.concatenate([q, self.points[-1]])[None]
         if self.arms.find_too_close(end, None, self.clearance + more) >= 0:
@@ -186,7 +189,7 @@ class MovingArmTimeline:
 
 
 def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointTrajectory | None:
-    """Delay a motion until the moving arm has passed; the wait is as short as possible. Return None if no
+    """Delay a motion until the moving arms have passed; the wait is as short as possible. Return None if no
     wait helps.
     """
     start = trajectory.positions[0]
@@ -203,7 +206,7 @@ def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointT
 
 class _TimelineValidity:
     """Validity check for edges in joint space and time. Samples must be collision-free, and the clearance to
-    the moving arm must be proven.
+    the moving arms must be proven.
     """
 
     def __init__(self, checker: KernelChecker, timeline: MovingArmTimeline, margin: float):
@@ -219,7 +222,7 @@ def _searched(
     alone: PlanningScene, timeline: MovingArmTimeline, request: PlanRequest, first: PlanResult, latest: float,
     deadline: float, cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Search in joint space and time for a motion of the planned arm that avoids the moving arm.
+    """Search in joint space and time for a motion of the planned arm that avoids the moving arms.
 
     The motion must reach a goal before time `latest` [s], as early as possible. Return a certified smooth
     motion, or None if the search finds none.
@@ -248,7 +251,7 @@ def _earliest(
     cancel: threading.Event | None,
 ) -> JointTrajectory | None:  # fmt: skip
     """Search in joint space and time for the motion of the planned arm that reaches a goal earliest and
-    avoids the moving arm.
+    avoids the moving arms.
 
     Return a certified smooth motion that arrives before `latest` [s], or None. See `_searched`.
     """
@@ -296,9 +299,9 @@ def _earliest(
 
 
 def _horizon(problem: SpaceTimeProblem, timeline: MovingArmTimeline, arrivals: list[float]) -> float:
-    """Compute the latest arrival time [s] that a search around the moving arm should consider.
+    """Compute the latest arrival time [s] that a search around the moving arms should consider.
 
-    The time suffices for a detour after the other arm has come to rest.
+    The time suffices for a detour after the other arms have come to rest.
     """
     soonest = min(arrivals)
     return max(timeline.end, soonest) + 2.0 * (soonest - problem.start_time) + 1.0
@@ -308,7 +311,7 @@ def _smoothed(
     names: tuple[str, ...], path: SpaceTimePath, start_time: float, acceleration: Array,
     checker: KernelChecker, timeline: MovingArmTimeline,
 ) -> JointTrajectory | None:  # fmt: skip
-    """Smooth a path in joint space and time around the moving arm.
+    """Smooth a path in joint space and time around the moving arms.
     Return the motion if it can be certified, else None.
     """
     times, points = path.times, path.points

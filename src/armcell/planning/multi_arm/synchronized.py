@@ -1,20 +1,20 @@
-"""Planning of two arm motions that start and end at the same time."""
+"""Planning of the motions of several arms that start and end at the same time."""
 
 from __future__ import annotations
 
+import heapq
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import CLEARANCE, Arms, without_arm
+from armcell.collision.arms import CLEARANCE, Arms, check_arms, combined_group, sides_of, without_arms
 from armcell.core import (
     ErrorCode,
     Goal,
-    InputError,
     JointGoal,
     JointState,
     JointTrajectory,
@@ -30,15 +30,16 @@ from armcell.timing import merged, synchronized
 Array = NDArray[np.float64]
 
 TOUCHING = 1e-4  # [m] goals closer than this are rejected
-TRIES = 3  # pairs of separate plans with different seeds before planning both arms as one group
+TRIES = 3  # sets of separate plans with different seeds before planning the arms as one group
+COMBINATIONS = 5000  # of joint goals of all arms that are tried
 
 
 @dataclass(frozen=True)
 class SynchronizedPlan(Outcome):
-    """Plan for synchronized motions of two arms that take equally long. It contains one motion per group, and
-    both motions as one trajectory.
+    """Plan for synchronized motions of several arms that take equally long. It contains one motion per group,
+    and all motions as one trajectory.
 
-    Both are None unless planning succeeded.
+    They are None unless planning succeeded.
     """
 
     trajectories: Mapping[str, JointTrajectory] | None = None
@@ -46,42 +47,41 @@ class SynchronizedPlan(Outcome):
     how: str = ""  # "as planned", "planned again" or "as one"
     clearance: float = 0.0  # [m] proven clearance between the arms; `message` explains a smaller one
     planning_time: float = 0.0  # [s], wall clock
-    recheck_time: float = 0.0  # [s] of it for the last proof of the timed pair
+    recheck_time: float = 0.0  # [s] of it for the last proof of the timed motions
 
 
 def plan_synchronized(
     scene: PlanningScene,
     goals: Mapping[str, Goal],
-    both: str | None = None,
+    combined: str | None = None,
     clearance: float = CLEARANCE,
     template: PlanRequest | None = None,
 ) -> SynchronizedPlan:
-    """Plan synchronized motions of two arms, which start and end at the same time and keep a clearance
+    """Plan synchronized motions of several arms, which start and end at the same time and keep a clearance
     between the arms.
 
-    Each arm is planned without the other, the shorter motion is stretched to the longer duration, and the
-    timed pair is proven. If the proof fails, planning repeats with other seeds, then plans both arms as one
-    group. If start or goals are closer than `clearance`, both arms are planned as one group at once; the
+    Each arm is planned without the others, shorter motions are stretched to the longest duration, and the
+    timed motions are proven. If the proof fails, planning repeats with other seeds, then plans the arms as
+    one group. If start or goals are closer than `clearance`, the arms are planned as one group at once; the
     result reports the clearance that is kept.
 
     Args:
-        goals: exactly two goals, by group.
-        both: group of both arms' joints; by default the group with exactly these joints.
+        goals: the goal of each arm, by group; two or more.
+        combined: group of all these arms' joints; by default the group with exactly these joints.
         clearance: distance between the arms [m].
         template: speeds, planner and times of the requests; its group and goals are ignored.
     Returns:
-        GOAL_IN_COLLISION with the pair of bodies if the arms cannot hold both goals without touching.
+        GOAL_IN_COLLISION with the pair of bodies if the arms cannot hold all goals without touching.
     Raises:
-        InputError: not two groups, groups that share joints, no group of both; misuse as of `plan`.
+        InputError: fewer than two groups, groups that share joints, no combined group; misuse as of `plan`.
     """
     began = time.monotonic()
-    if len(goals) != 2:
-        raise InputError(f"{len(goals)} goals given, two arms have two")
     groups = tuple(goals)
-    arms = Arms(scene, (groups[0], groups[1]))
+    check_arms(scene.model, groups, "goal")
+    arms = Arms(scene, groups)
     template = template or PlanRequest(groups[0], ())
     requests = {g: replace(template, group=g, goals=(goal,)) for g, goal in goals.items()}
-    scenes = {g: without_arm(scene, other) for g, other in zip(groups, groups[::-1], strict=True)}
+    scenes = {g: without_arms(scene, *(other for other in groups if other != g)) for g in groups}
     chosen = _goals(arms, requests, scenes, clearance)
     if isinstance(chosen, Outcome):
         return SynchronizedPlan(
@@ -102,24 +102,24 @@ def plan_synchronized(
             return SynchronizedPlan(
                 failed.code, failed.message, failed.evidence, planning_time=time.monotonic() - began
             )
-        pair = synchronized([r.trajectory for r in results if r.trajectory is not None])
+        motions = synchronized([r.trajectory for r in results if r.trajectory is not None])
         t0 = time.perf_counter()
-        proof = arms.certify(pair[0], pair[1], clearance=clearance, evidence=False)
+        proof = arms.certify(*motions, clearance=clearance, evidence=False)
         recheck = time.perf_counter() - t0
         if proof.free:
             how = "as planned" if attempt == 0 else "planned again"
-            return _done(groups, pair, how, began, recheck, clearance)
+            return _done(groups, motions, how, began, recheck, clearance)
         last = proof
-    both = both or _both(scene, arms)
-    names = scene.model.group(both).joint_names
+    combined = combined or combined_group(scene.model, groups)
+    names = scene.model.group(combined).joint_names
     target = {n: v for g in groups for n, v in zip(scene.model.group(g).joint_names, chosen[g], strict=True)}
     goal = JointGoal(JointState(names, np.array([target[n] for n in names])))
-    whole: PlanResult = plan(scene, replace(template, group=both, goals=(goal,), arm_clearance=clearance))
+    whole: PlanResult = plan(scene, replace(template, group=combined, goals=(goal,), arm_clearance=clearance))
     spent = time.monotonic() - began
     if not whole.ok or whole.trajectory is None:
         evidence = {**whole.evidence, "time": last.time if last else None}
         return SynchronizedPlan(
-            whole.code, f"both arms as one: {whole.message}", evidence, planning_time=spent
+            whole.code, f"the arms as one group: {whole.message}", evidence, planning_time=spent
         )
     parts = tuple(whole.trajectory.reindexed(scene.model.group(g).joint_names) for g in groups)
     kept = float(whole.evidence.get("arm_clearance", 0.0))
@@ -127,36 +127,43 @@ def plan_synchronized(
 
 
 def _done(
-    groups, pair, how: str, began: float, recheck: float, clearance: float, words: str = ""
+    groups, motions, how: str, began: float, recheck: float, clearance: float, words: str = ""
 ) -> SynchronizedPlan:
     return SynchronizedPlan(
-        ErrorCode.SUCCESS, words, trajectories=dict(zip(groups, pair, strict=True)), trajectory=merged(*pair),
-        how=how, clearance=clearance, planning_time=time.monotonic() - began, recheck_time=recheck,
+        ErrorCode.SUCCESS, words, trajectories=dict(zip(groups, motions, strict=True)),
+        trajectory=merged(*motions), how=how, clearance=clearance,
+        planning_time=time.monotonic() - began, recheck_time=recheck,
     )  # fmt: skip
 
 
 def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] | Outcome:
-    """Choose goals for synchronized motions of two arms: collision-free positions that are nearest to the
+    """Choose goals for synchronized motions of several arms: collision-free positions that are nearest to the
     start.
     """
-    found, starts = [], []
+    found, costs = [], []
     for group, request in requests.items():
         endpoints = find_start_and_goals(validate_request(scenes[group], request))
         if isinstance(endpoints, Outcome):
             return Outcome(endpoints.code, f"{group}: {endpoints.message}", endpoints.evidence)
         found.append(endpoints.goals)
-        starts.append(endpoints.start)
-    pairs = sorted(
-        product(*found), key=lambda ab: sum(float(np.linalg.norm(q - s)) for q, s in zip(ab, starts))
-    )
+        costs.append([float(np.linalg.norm(q - endpoints.start)) for q in endpoints.goals])
+    side = sides_of(arms.scene, arms.groups)
+    touching: set[frozenset[tuple[int, int]]] = set()  # two arms, each with the number of a goal
     nearest, best = None, None
-    for a, b in pairs:
-        q = np.concatenate([a, b])
+    for choice in islice(_by_cost(costs), COMBINATIONS):
+        if any(pair <= set(enumerate(choice)) for pair in touching):
+            continue
+        positions = [goals[k] for goals, k in zip(found, choice, strict=True)]
+        q = np.concatenate(positions)
         if arms.find_too_close(q[None], None, clearance) < 0:
-            return dict(zip(requests, (a, b), strict=True))
+            return dict(zip(requests, positions, strict=True))
         contact = arms.contact(q)
-        if contact is not None and (nearest is None or contact.distance > nearest.distance):
-            nearest, best = contact, (a, b)
+        if contact is None:
+            continue
+        if nearest is None or contact.distance > nearest.distance:
+            nearest, best = contact, positions
+        if contact.distance <= TOUCHING:
+            touching.add(frozenset((k, choice[k]) for k in (side[contact.body_a], side[contact.body_b])))
     if best is not None and nearest is not None and nearest.distance > TOUCHING:
         return dict(zip(requests, best, strict=True))
     text = f"the goals of {' and '.join(map(repr, requests))} cannot be held at once"
@@ -169,12 +176,25 @@ def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] |
     )
 
 
-def _both(scene: PlanningScene, arms: Arms) -> str:
-    wanted = set(arms.joint_names)
-    for group in scene.model.groups.values():
-        if set(group.joint_names) == wanted:
-            return group.name
-    raise InputError(
-        f"no planning group has the joints of {arms.groups[0]!r} and {arms.groups[1]!r}",
-        hint="add one under 'groups' in robot.yaml",
-    )
+def _by_cost(costs: Sequence[Sequence[float]]) -> Iterator[tuple[int, ...]]:
+    """Yield the combinations of one goal per arm in the order of their total cost: an index for each arm.
+
+    Args:
+        costs: the cost of each goal, by arm.
+    """
+    ranked = [sorted(range(len(row)), key=row.__getitem__) for row in costs]
+
+    def entry(ranks: tuple[int, ...]) -> tuple[float, tuple[int, ...], tuple[int, ...]]:
+        choice = tuple(order[k] for order, k in zip(ranked, ranks, strict=True))
+        return sum(row[k] for row, k in zip(costs, choice, strict=True)), choice, ranks
+
+    waiting = [entry((0,) * len(costs))] if all(costs) else []
+    seen = {ranks for _, _, ranks in waiting}
+    while waiting:
+        _, choice, ranks = heapq.heappop(waiting)
+        yield choice
+        for k, order in enumerate(ranked):
+            after = (*ranks[:k], ranks[k] + 1, *ranks[k + 1 :])
+            if after[k] < len(order) and after not in seen:
+                seen.add(after)
+                heapq.heappush(waiting, entry(after))

@@ -1,4 +1,4 @@
-"""Tasks for two arms that work side by side at their own pace, or on one object."""
+"""Tasks for arms that work side by side at their own pace, and for two arms on one object."""
 
 from armcell.tasks.arms.carry import Carrying, shifted
 from armcell.tasks.arms.coupled import move_together

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import without_arm
+from armcell.collision.arms import without_arms
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode, InputError, JointState, Outcome
 from armcell.execution import Admittance
 from armcell.planning import plan_cartesian
@@ -122,7 +122,7 @@ class Carrying:
         scene = self.ctx.scene()
         retreats = []
         for group, gripper in self.hands.grippers.items():
-            alone = without_arm(scene, self.hands.other(group)).with_allowed(self.item, gripper.hand_links)
+            alone = without_arms(scene, self.hands.other(group)).with_allowed(self.item, gripper.hand_links)
             back = scene.frame_pose(gripper.tcp_link) @ SE3.from_xyz(0, 0, -self.settings.approach)
             near = self.ctx.settings.near
             result = plan_cartesian(

@@ -1,13 +1,13 @@
-"""Coordination of two arms that work side by side: motions, reserved zones and yielding.
+"""Coordination of arms that work side by side: motions, reserved zones and yielding.
 
-A motion starts only when it is certified, with its timing, against the other arm's motion and final pose, and
-when its own final pose is clear of the other arm's motion. A resting arm is therefore always safe. If both
-arms wait for each other, the one that started to wait later goes home and returns when the other has moved.
+A motion starts only when it is certified, with its timing, against the motions and final poses of the other
+arms, and when its own final pose is clear of their motions. A resting arm is therefore always safe. If arms
+wait for each other, those that started to wait later go home and return when the first one has moved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,7 @@ from armcell.core import (
     PlanResult,
 )
 from armcell.execution import execute
-from armcell.planning import RunningMotion, plan_around_moving_arm
+from armcell.planning import RunningMotion, plan_around_moving_arms
 from armcell.scene import PlanningScene
 
 if TYPE_CHECKING:
@@ -33,27 +33,28 @@ if TYPE_CHECKING:
     from armcell.tasks.steps import Motion
 
 RETRY = 0.1  # [s] between attempts of an arm that waits to move
-IDLE = 0.02  # [s] between checks of an arm that waits for a zone or the other arm
+IDLE = 0.02  # [s] between checks of an arm that waits for a zone or another arm
 AWAY = 0.005  # [rad] an arm further than this from a motion's start returns there first
 HOME = "home"
 MOTION = "motion"
 
 
 class MotionCoordinator:
-    """Coordinator of the motions of two arms that work side by side: it decides when an arm may start to
-    move, reserves zones and lets one arm yield to the other.
+    """Coordinator of the motions of arms that work side by side: it decides when an arm may start to
+    move, reserves zones and lets one arm yield to another.
 
-    Only one of the two programs runs at a time, so the state needs no locks.
+    Only one of the arms' programs runs at a time, so the state needs no locks.
     """
 
-    def __init__(self, groups: tuple[str, str], clearance: float, patience: float):
+    def __init__(self, groups: tuple[str, ...], clearance: float, patience: float):
         self.groups, self.clearance, self.patience = groups, clearance, patience
         self.contexts: dict[str, ArmContext] = {}
         self.running: dict[str, RunningMotion] = {}
         self.waits: dict[
             str, tuple[float, str]
         ] = {}  # start of the wait [s], and its subject: MOTION or a zone
-        self.asked: set[str] = set()  # arms that the other asked to go home
+        self.blockers: dict[str, tuple[str, ...]] = {}  # by arm that waits to move: the arms in its way
+        self.asked: dict[str, set[str]] = {group: set() for group in groups}  # to go home, by which arms
         self.zones: dict[str, list[str]] = {}  # the holder, then the queue
         self.waited: dict[str, float] = dict.fromkeys(groups, 0.0)  # [s] in total
         self.yielded: dict[str, int] = dict.fromkeys(groups, 0)
@@ -61,8 +62,11 @@ class MotionCoordinator:
         self._arrived: dict[str, set[str]] = {}
         self._heading: dict[str, str] = {}  # the zone that an arm approaches
 
-    def other(self, group: str) -> str:
-        return self.groups[1] if group == self.groups[0] else self.groups[0]
+    def others(self, group: str) -> tuple[str, ...]:
+        return tuple(other for other in self.groups if other != group)
+
+    def _running_besides(self, group: str) -> dict[str, RunningMotion]:
+        return {other: self.running[other] for other in self.others(group)}
 
     # --- motions ---
     def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
@@ -77,8 +81,9 @@ class MotionCoordinator:
                 self._stop_waiting(me)
                 return found
             if ctx.driver.now - began > self.patience:
+                blockers = self.blockers.get(me, ())
                 self._stop_waiting(me)
-                return self._timed_out(ctx, motion)
+                return self._timed_out(ctx, motion, blockers)
             self.waits.setdefault(me, (ctx.driver.now, MOTION))
             self._resolve_wait(ctx)
             ctx.advance(RETRY)
@@ -88,11 +93,13 @@ class MotionCoordinator:
 
     def _stop_waiting(self, group: str) -> None:
         self.waits.pop(group, None)
-        self.asked.discard(self.other(group))
+        self.blockers.pop(group, None)
+        for askers in self.asked.values():
+            askers.discard(group)
 
     def _try(self, ctx: ArmContext, wanted: JointTrajectory, straight: bool, motion: Motion):
         now, scene, me = ctx.driver.now, ctx.whole_scene(), ctx.group
-        other = self.running[self.other(me)]
+        others = self._running_besides(me)
         q = scene.state.reindexed(wanted.joint_names).positions
         if np.max(np.abs(q - wanted.positions[0])) > AWAY:  # it yielded: return to the motion's start
             if self._has_lower_priority(me):
@@ -100,37 +107,55 @@ class MotionCoordinator:
             back = self._plan(ctx, scene, wanted.positions[0])
             if back is None or not self.perform(ctx, back, f"{me} returns"):
                 return None
-            now, scene, other = ctx.driver.now, ctx.whole_scene(), self.running[self.other(me)]
-        arms = Arms(scene, (me, self.other(me)))
-        if self._free(ctx, arms, scene, wanted, other, now):
+            now, scene, others = ctx.driver.now, ctx.whole_scene(), self._running_besides(me)
+        if self._free(ctx, scene, wanted, others, now):
             self.running[me] = RunningMotion(wanted, now)
             return wanted
+        self.blockers[me] = self._in_the_way(ctx, scene, wanted, others, now)
         if straight or self._has_lower_priority(me):
             return None
-        if not ctx.driver.is_simulated and other.trajectory.duration > 0:
-            return None  # a detour in time relies on the other arm's timing
+        if not ctx.driver.is_simulated and any(o.trajectory.duration > 0 for o in others.values()):
+            return None  # a detour in time relies on the timing of the other arms
         found = self._plan(ctx, scene, wanted.positions[-1], motion)
         if found is not None:
             self.searched[me] += 1
             self.running[me] = RunningMotion(found, now)
         return found
 
-    def _free(self, ctx, arms: Arms, scene: PlanningScene, wanted, other: RunningMotion, now: float) -> bool:
-        """Return whether the coordinator may start a motion of one arm while the other arm is nearby,
-        either moving or at rest.
+    def _free(
+        self, ctx: ArmContext, scene: PlanningScene, wanted: JointTrajectory,
+        others: Mapping[str, RunningMotion], now: float,
+    ) -> bool:  # fmt: skip
+        """Return whether the coordinator may start a motion of one arm while other arms are nearby, either
+        moving or at rest.
 
         Simulated arms keep their timing and are certified with it. Real arms may be slowed by a slider or a
-        pause and move during this check, so they are certified for any timing.
+        pause and move during this check, so each pair of them is certified for any timing.
         """
-        room = self._clearance_now(arms, scene, wanted)
         if not ctx.driver.is_simulated:
-            return arms.certify_any_time(wanted, other.trajectory, room)
+            pairs = [(Arms(scene, (ctx.group, name)), other) for name, other in others.items()]
+            return all(
+                arms.certify_any_time(wanted, other.trajectory, self._clearance_now(arms, scene))
+                for arms, other in pairs
+            )
+        arms = Arms(scene, (ctx.group, *others), ctx.group)
         return arms.certify(
-            wanted, other.trajectory, (now, other.start), room, begin=now,
-            until=max(now + wanted.duration, other.end), evidence=False,
+            wanted, *(other.trajectory for other in others.values()),
+            starts=(now, *(other.start for other in others.values())),
+            clearance=self._clearance_now(arms, scene), begin=now,
+            until=max(now + wanted.duration, *(other.end for other in others.values())), evidence=False,
         ).free  # fmt: skip
 
-    def _clearance_now(self, arms: Arms, scene: PlanningScene, wanted: JointTrajectory) -> float:
+    def _in_the_way(
+        self, ctx: ArmContext, scene: PlanningScene, wanted: JointTrajectory,
+        others: Mapping[str, RunningMotion], now: float,
+    ) -> tuple[str, ...]:  # fmt: skip
+        """Return the arms whose motions or poses keep an arm from starting its motion."""
+        if len(others) == 1:
+            return tuple(others)
+        return tuple(n for n in others if not self._free(ctx, scene, wanted, {n: others[n]}, now))
+
+    def _clearance_now(self, arms: Arms, scene: PlanningScene) -> float:
         """Return the clearance that the coordinator requires between the arms. If the arms are already
         closer, return slightly less than their present distance.
         """
@@ -148,15 +173,14 @@ class MotionCoordinator:
             planning_time=ctx.settings.planning_time, velocity_scaling=speed.velocity,
             acceleration_scaling=speed.acceleration, seed=ctx.seed,
         )  # fmt: skip
-        running = self.running[self.other(ctx.group)]
-        result: PlanResult = plan_around_moving_arm(
-            scene, request, self.other(ctx.group), running, ctx.driver.now, self.clearance, ctx.cancel
+        others = self._running_besides(ctx.group)
+        result: PlanResult = plan_around_moving_arms(
+            scene, request, others, ctx.driver.now, self.clearance, ctx.cancel
         )
         found = result.trajectory if result.ok else None
         if found is None or ctx.driver.is_simulated:
             return found
-        arms = Arms(scene, (ctx.group, self.other(ctx.group)))
-        return found if self._free(ctx, arms, scene, found, running, ctx.driver.now) else None
+        return found if self._free(ctx, scene, found, others, ctx.driver.now) else None
 
     def perform(self, ctx: ArmContext, trajectory: JointTrajectory, name: str) -> bool:
         """Execute a motion that the coordinator itself has planned so that an arm yields or returns."""
@@ -179,30 +203,34 @@ class MotionCoordinator:
         return running.trajectory.duration == 0.0  # a real arm rests when its driver reports it
 
     def _has_lower_priority(self, me: str) -> bool:
-        """Return whether the coordinator gives the other arm priority,
-        because that arm has waited longer for its motion.
+        """Return whether the coordinator gives another arm priority,
+        because that arm has waited longer for its motion and this arm is in its way.
         """
-        mine, theirs = self.waits.get(me), self.waits.get(self.other(me))
-        if mine is None or theirs is None or theirs[1] != MOTION:
-            return False
-        return (theirs[0], self.groups.index(self.other(me))) < (mine[0], self.groups.index(me))
+        mine = self.waits.get(me)
+        return mine is not None and any(
+            (self.waits[other][0], self.groups.index(other)) < (mine[0], self.groups.index(me))
+            for other in self.others(me)
+            if other in self.waits and self.waits[other][1] == MOTION and me in self.blockers.get(other, ())
+        )
 
     def _resolve_wait(self, ctx: ArmContext) -> None:
-        """Resolve a deadlock of two coordinated arms: yield to the other arm if it has priority,
-        or ask it to yield if it is idle.
+        """Resolve a deadlock of coordinated arms: yield to an arm that has priority,
+        or ask the arms in the way to yield if they are idle.
         """
-        me, other = ctx.group, self.other(ctx.group)
-        if self._has_lower_priority(me) or me in self.asked:
-            self.yield_to_other(ctx)
-        elif other in self.waits and self._rests(ctx, other):
-            self.asked.add(other)
+        me = ctx.group
+        if self._has_lower_priority(me) or self.asked[me]:
+            self.yield_to_others(ctx)
+            return
+        for other in self.blockers.get(me, ()):
+            if other in self.waits and self._rests(ctx, other):
+                self.asked[other].add(me)
 
-    def yield_to_other(self, ctx: ArmContext) -> None:
-        """Make an arm yield to the other arm: the coordinator moves it to its home state, if possible.
+    def yield_to_others(self, ctx: ArmContext) -> None:
+        """Make an arm yield to the other arms: the coordinator moves it to its home state, if possible.
 
         An arm that is already there does not move.
         """
-        self.asked.discard(ctx.group)
+        self.asked[ctx.group].clear()
         scene = ctx.whole_scene()
         home = scene.model.named_state(ctx.group, HOME)
         if np.max(np.abs(scene.state.reindexed(home.joint_names).positions - home.positions)) < AWAY:
@@ -214,21 +242,21 @@ class MotionCoordinator:
             self.yielded[ctx.group] += 1
             self.perform(ctx, motion, f"{ctx.group} yields")
 
-    def _timed_out(self, ctx: ArmContext, motion: Motion) -> Outcome:
-        scene = ctx.whole_scene()
-        arms, running = Arms(scene, (ctx.group, self.other(ctx.group))), self.running[self.other(ctx.group)]
-        proof = arms.certify(
-            motion.trajectory, running.trajectory, (ctx.driver.now, running.start), self.clearance,
-            begin=ctx.driver.now,
+    def _timed_out(self, ctx: ArmContext, motion: Motion, blockers: tuple[str, ...]) -> Outcome:
+        scene, others = ctx.whole_scene(), self._running_besides(ctx.group)
+        proof = Arms(scene, (ctx.group, *others), ctx.group).certify(
+            motion.trajectory, *(other.trajectory for other in others.values()),
+            starts=(ctx.driver.now, *(other.start for other in others.values())),
+            clearance=self.clearance, begin=ctx.driver.now,
         )  # fmt: skip
         pair = "" if proof.contact is None else f": {proof.contact.body_a} and {proof.contact.body_b}"
-        other = self.other(ctx.group)
-        text = f"{motion.name}: waited {self.patience:.0f} s for {other} to clear the path{pair}"
+        who = " and ".join(blockers or tuple(others))
+        text = f"{motion.name}: waited {self.patience:.0f} s for {who} to clear the path{pair}"
         return Outcome(ErrorCode.TIMED_OUT, text, {"contact": proof.contact})
 
     # --- zones and rendezvous ---
     def choose(self, group: str, items: Sequence[str], zone: Callable[[str], str]) -> str:
-        """Return the first item whose zone the other coordinated arm neither uses, requests nor approaches.
+        """Return the first item whose zone no other coordinated arm uses, requests or approaches.
 
         If all zones are busy, return the first of all items. In both cases, the coordinator records that the
         arm approaches the zone of the returned item.
@@ -237,19 +265,20 @@ class MotionCoordinator:
             items: the remaining items, not empty.
             zone: the destination of each item.
         """
-        other = self.other(group)
-        busy = {name for name, queue in self.zones.items() if other in queue} | {self._heading.get(other)}
+        others = self.others(group)
+        busy = {name for name, queue in self.zones.items() if any(other in queue for other in others)}
+        busy |= {self._heading.get(other) for other in others}
         item = next((i for i in items if zone(i) not in busy), items[0])
         self._heading[group] = zone(item)
         return item
 
     @contextmanager
     def reserved(self, ctx: ArmContext, zone: str) -> Iterator[None]:
-        """Reserve a zone for one of two coordinated arms.
+        """Reserve a zone for one of the coordinated arms.
         Arms receive the zone in the order of their requests.
 
         Raises:
-            InputError: the arm already holds a zone (two arms with a zone each could wait forever).
+            InputError: the arm already holds a zone (arms with a zone each could wait forever).
         """
         for name, queue in self.zones.items():
             if queue and queue[0] == ctx.group:
@@ -270,29 +299,32 @@ class MotionCoordinator:
             self._heading.pop(ctx.group, None)
 
     def rendezvous(self, ctx: ArmContext, name: str) -> None:
-        """Pause the program of a coordinated arm until the other arm reaches the same rendezvous,
-        or until the other program ends.
+        """Pause the program of a coordinated arm until all other arms have reached the same rendezvous or
+        their programs have ended.
         """
         here = self._arrived.setdefault(name, set())
         here.add(ctx.group)
-        other = self.other(ctx.group)
-        while other not in here and not self.contexts[other].ended and not ctx.cancel.is_set():
+        while not ctx.cancel.is_set() and any(
+            other not in here and not self.contexts[other].ended for other in self.others(ctx.group)
+        ):
             self.waits.setdefault(ctx.group, (ctx.driver.now, name))
             self._idle(ctx)
         self.waits.pop(ctx.group, None)
 
     def park(self, ctx: ArmContext) -> None:
         """Keep a coordinated arm at rest after the end of its program.
-        Until the other program ends, the arm yields if asked to.
+        Until all other programs end, the arm yields if asked to.
         """
         ctx.ended = True
-        while not self.contexts[self.other(ctx.group)].ended and not ctx.cancel.is_set():
+        while not ctx.cancel.is_set() and not all(
+            self.contexts[other].ended for other in self.others(ctx.group)
+        ):
             self.waits.setdefault(ctx.group, (ctx.driver.now, "the end"))
             self._idle(ctx)
 
     def _idle(self, ctx: ArmContext) -> None:
-        if ctx.group in self.asked:
-            self.yield_to_other(ctx)
+        if self.asked[ctx.group]:
+            self.yield_to_others(ctx)
         ctx.advance(IDLE)
 
 

@@ -1,4 +1,4 @@
-"""Synchronized motions of two arms: one goal per arm, or one trajectory of both arms."""
+"""Synchronized motions of several arms: one goal per arm, or one trajectory of all arms."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from armcell.tasks.steps import staged
 
 
 def move_together(
-    ctx: TaskContext, both: str, goals: Mapping[str, Goal], name: str = "move together"
+    ctx: TaskContext, combined: str, goals: Mapping[str, Goal], name: str = "move together"
 ) -> Outcome:
-    """Move two coupled arms to one goal each, so that both start and arrive at the same time."""
+    """Move coupled arms to one goal each, so that all start and arrive at the same time."""
     s, scene = ctx.settings, ctx.scene()
     template = PlanRequest(
         next(iter(goals)), (), planner_id=s.planner_id, planning_time=s.planning_time,
         velocity_scaling=s.free.velocity, acceleration_scaling=s.free.acceleration, seed=ctx.seed,
     )  # fmt: skip
-    pair = plan_synchronized(scene, goals, both, template=template)
-    if not pair.ok or pair.trajectory is None:
-        ctx.emit("error", f"{name}: {pair.message}")
-        return Outcome(pair.code, f"{name}: {pair.message}", pair.evidence)
-    report = StageReport(name, pair.how, pair.planning_time)
+    planned = plan_synchronized(scene, goals, combined, template=template)
+    if not planned.ok or planned.trajectory is None:
+        ctx.emit("error", f"{name}: {planned.message}")
+        return Outcome(planned.code, f"{name}: {planned.message}", planned.evidence)
+    report = StageReport(name, planned.how, planned.planning_time)
     evidence = {"goals": {group: goal_data(goal) for group, goal in goals.items()}, "seed": ctx.seed,
-            "between_arms_m": pair.clearance, "message": pair.message, **pair.evidence}  # fmt: skip
-    trajectory = pair.trajectory.reindexed(scene.model.group(both).joint_names)
+            "between_arms_m": planned.clearance, "message": planned.message, **planned.evidence}  # fmt: skip
+    trajectory = planned.trajectory.reindexed(scene.model.group(combined).joint_names)
     return play(ctx, trajectory, report, evidence=evidence, planned_in=scene)
 
 
@@ -41,7 +41,7 @@ def play(
     evidence: Mapping[str, Any] = MappingProxyType({}), scene: Callable[[], PlanningScene] | None = None,
     planned_in: PlanningScene | None = None,
 ) -> Outcome:  # fmt: skip
-    """Execute a trajectory of two coupled arms as one stage of a task.
+    """Execute a trajectory of coupled arms as one stage of a task.
 
     Args:
         evidence: planning metadata for the record.

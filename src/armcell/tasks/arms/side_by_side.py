@@ -1,4 +1,4 @@
-"""Programs of two arms that work side by side, each at its own pace.
+"""Programs of several arms that work side by side, each at its own pace.
 
 Each program has its own task context.
 """
@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
-from armcell.collision.arms import check_two, without_arm
-from armcell.core import ErrorCode, InputError, JointTrajectory, Outcome
+from armcell.collision.arms import check_arms, without_arms
+from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.drivers import Driver
 from armcell.execution import ArmDriver, run_cooperatively
 from armcell.planning import RunningMotion
@@ -21,7 +21,7 @@ from armcell.tasks.steps import Motion
 
 
 class ArmContext(TaskContext):
-    """Task context of one of two arms that work side by side."""
+    """Task context of one of several arms that work side by side."""
 
     def __init__(self, parent: TaskContext, group: str, driver: Driver, coordinator: MotionCoordinator):
         super().__init__(driver, parent.base, parent.settings, parent.observers, parent.seed, parent.cancel)
@@ -36,7 +36,7 @@ class ArmContext(TaskContext):
         return self.parent.hands()
 
     def scene(self) -> PlanningScene:
-        return without_arm(self.whole_scene(), self.coordinator.other(self.group))
+        return without_arms(self.whole_scene(), *self.coordinator.others(self.group))
 
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         self.parent.expect_contact(body, others, expected)
@@ -68,8 +68,8 @@ Program = Callable[[ArmContext], Outcome | None]
 
 @dataclass(frozen=True)
 class SideBySide(Outcome):
-    """Result of two arms that worked side by side, each with its own program: the error code and message of
-    the first failure, and statistics for each arm.
+    """Result of arms that worked side by side, each with its own program: the error code and message of the
+    first failure, and statistics for each arm.
     """
 
     makespan: float = 0.0  # [s] of the driver's clock
@@ -85,19 +85,19 @@ def side_by_side(
     clearance: float = CLEARANCE,
     patience: float = PATIENCE,
 ) -> SideBySide:
-    """Run two arms side by side, with one program per arm.
-    If one program fails, the other ends after its current stage.
+    """Run two or more arms side by side, with one program per arm.
+    If one program fails, the others end after their current stage.
+
+    An arm of the cell without a program rests, as an obstacle for the other arms.
 
     Raises:
-        InputError: not exactly two groups without common joints.
-        Any exception of a program, after both arms have stopped.
+        InputError: fewer than two groups, or groups with common joints.
+        Any exception of a program, after all arms have stopped.
     """
-    if len(programs) != 2:
-        raise InputError(f"{len(programs)} programs given, two arms need two")
     groups = tuple(programs)
     model = ctx.scene().model
-    check_two(model, (groups[0], groups[1]))
-    coordinator = MotionCoordinator((groups[0], groups[1]), clearance, patience)
+    check_arms(model, groups, "program")
+    coordinator = MotionCoordinator(groups, clearance, patience)
     outcomes: dict[str, Outcome] = {}
     began, scene = ctx.driver.now, ctx.scene()
     for group in groups:
@@ -124,7 +124,7 @@ def side_by_side(
         )
     finally:
         if not cancelled and any(not o.ok for o in outcomes.values()):
-            ctx.cancel.clear()  # set above to end the other program
+            ctx.cancel.clear()  # set above to end the other programs
         for group, mine in contexts.items():
             for report in mine.reports:
                 report.name = f"{group}: {report.name}"

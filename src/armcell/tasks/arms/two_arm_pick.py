@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from armcell.collision import neighbors
-from armcell.collision.arms import Arms, without_arm
+from armcell.collision.arms import Arms, without_arms
 from armcell.core import (
     SE3,
     SO3,
@@ -175,7 +175,7 @@ class ChooseGraspPair:
         Each approach is paired with its grasp T_object_tcp.
         """
         hands, gripper, s = self.hands, self.hands.grippers[group], self.hands.settings
-        alone = without_arm(_with_open_hands(hands, scene), hands.other(group))
+        alone = without_arms(_with_open_hands(hands, scene), hands.other(group))
         alone = alone.with_allowed(hands.item, gripper.hand_links)
         ik = ik_solver(alone.model, group, gripper.tcp_link)
         for turn in (0.0, np.pi):

@@ -46,7 +46,7 @@ class Act(Behaviour):
         if other is not None:
             raise InputError(
                 f"{self.name!r} and {other.name!r} would move the same cell at once",
-                hint="two arms at once: cell.side_by_side, as one node",
+                hint="several arms at once: cell.side_by_side, as one node",
             )
         _at_work[self.ctx] = self
         self.feedback_message = ""
