@@ -1,6 +1,7 @@
-"""The two-arm tasks in mode real: the very scripts, two emulated arms that share one physics world."""
+"""The tasks of several arms in mode real: the very scripts, emulated arms that share one physics world."""
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -16,10 +17,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 TRIES = 3  # a computer that stands still for 100 ms, as busy virtual ones do, parts the hands
 
 
-def performed(name: str, seed: int, objects: list[str]):
+def performed(name: str, seed: int, objects: list[str], arms=("left_arm", "right_arm"), model="UR10"):
     """The run's result, and what physics says of where the objects are."""
     for _ in range(TRIES):
-        result, answers, messages = _run(name, seed, objects)
+        result, answers, messages = _run(name, seed, objects, arms, model)
         if result["success"]:
             break
     assert result["success"], result["message"]
@@ -29,15 +30,15 @@ def performed(name: str, seed: int, objects: list[str]):
     return result, dict(zip(objects, poses, strict=True))
 
 
-def _run(name: str, seed: int, objects: list[str]):
-    hosts = free_hosts(2)
+def _run(name: str, seed: int, objects: list[str], arms: Sequence[str], model: str):
+    hosts = free_hosts(len(arms))
     # Wide, for machines that other programs fill; the defaults are 0.05 and 0.1.
     addresses: dict[str, object] = {"real.max_state_age": 0.3, "real.watchdog": 0.5}
-    for group, host in zip(("left_arm", "right_arm"), hosts, strict=True):
+    for group, host in zip(arms, hosts, strict=True):
         addresses |= {f"real.arms.{group}.host": host, f"real.arms.{group}.port": free_port()}
     cell = with_values(load(name), addresses)
     warm_up()
-    with emulator("--cell", name, "--seed", str(seed), hosts=hosts):
+    with emulator("--cell", name, "--model", model, "--seed", str(seed), hosts=hosts):
         with in_real_time(), cell.connect("real", seed) as live:
             result = run_task(cell, live, seed, "real")
         answers = dashboard(hosts[0], *(f"armcell pose {o}" for o in objects))
@@ -72,3 +73,14 @@ def test_sort():
     for cube, pose in poses.items():
         tray = -0.28 if "_red_" in cube else 0.28
         assert abs(pose[0] - tray) < 0.17 and abs(pose[1]) < 0.11, (cube, pose)
+
+
+def test_three_arms_around_a_table():
+    trays = {"red": 60.0, "green": 180.0, "blue": 300.0}
+    cubes = [f"{arm}_{color}" for arm in "abc" for color in trays]
+    arms = tuple(f"{arm}_arm" for arm in "abc")
+    _, poses = performed("three_ur5_table", 0, cubes, arms, "UR5")
+    for cube, pose in poses.items():
+        angle = np.deg2rad(trays[cube[2:]])
+        tray = 0.3 * np.array([np.cos(angle), np.sin(angle)])
+        assert np.linalg.norm(pose[:2] - tray) < 0.13, (cube, pose)

@@ -45,10 +45,10 @@ def with_tips(left: tuple, right: tuple) -> PlanningScene:
 
 
 class Judge:
-    """Coal on all that the robot is made of: distances between the two arms' links only."""
+    """Coal on all that the robot is made of: distances between links of different arms only."""
 
-    def __init__(self, at: PlanningScene):
-        self.names = at.model.group("both_arms").joint_names
+    def __init__(self, at: PlanningScene, group: str = "both_arms"):
+        self.names = at.model.group(group).joint_names
         self.checker = ExactChecker(at, self.names)
         side = [g.body.split("_")[0] for g in self.checker.geometries]
         links = at.model.links

@@ -291,7 +291,7 @@ class CellMotions:
                 late.wait(self.live.driver.period)  # the proof needs the start time of the other motion
                 continue
             if contact := self._in_passing(others, trajectory):
-                self.say(f"waits until the other arm has arrived: {contact}")
+                self.say(f"waits until the other motions have ended: {contact}")
                 while not self._stop.is_set() and not all(w.wait(0.05) for w in others):
                     pass
                 continue
