@@ -15,7 +15,10 @@ from armcell.sim.gain_files import with_gains
 from armcell.sim.step_response import step_responses
 
 HERE = Path(__file__).parent
-SHOTS = {"dual_ur10_rod": "move and turn", "dual_ur10_sort": "lower", "dual_ur10_screw": "screw"}
+PICTURES = {
+    "two_arms.png": {"dual_ur10_rod": "move and turn", "dual_ur10_sort": "lower", "dual_ur10_screw": "screw"},
+    "many_arms.png": {"three_ur5_table": "lower", "four_ur5_square": "lower"},
+}
 
 
 class Shot:
@@ -37,18 +40,18 @@ class Shot:
             self.picture = render_rgb(world, next(iter(world.cameras.values())))
 
 
-def tasks() -> None:
+def tasks(file: str, shots: dict[str, str]) -> None:
     from armcell.cell import run_task
 
     pictures = []
-    for name, stage in SHOTS.items():
+    for name, stage in shots.items():
         cell = armcell.load(name)
         with cell.connect("sim", seed=1) as live:
             shot = Shot(live, stage)
             live.ctx.observers.append(shot)
             run_task(cell, live, 1, "sim")
         pictures.append(np.asarray(shot.picture)[60:440, 80:560])
-    Image.fromarray(np.hstack(pictures)).save(HERE / "two_arms.png", optimize=True)
+    Image.fromarray(np.hstack(pictures)).save(HERE / file, optimize=True)
 
 
 def steps() -> None:
@@ -71,4 +74,5 @@ def steps() -> None:
 
 if __name__ == "__main__":
     steps()
-    tasks()
+    for file, shots in PICTURES.items():
+        tasks(file, shots)

@@ -77,7 +77,8 @@ def test_a_torso_belongs_to_no_arm():
 
 def test_arms_without_telling_names_are_numbered():
     model = with_groups(model_of(link("base"), *arm(4, "a"), *arm(4, "b"), *arm(4, "c")))
-    assert set(model.groups) == {"arm_1", "arm_2", "arm_3"}
+    assert set(model.groups) == {"arm_1", "arm_2", "arm_3", "all_arms"}
+    assert model.groups["all_arms"].joint_names == tuple(f"{arm}j{k}" for arm in "abc" for k in (1, 2, 3, 4))
 
 
 def test_what_does_not_move_is_refused():
