@@ -1,7 +1,7 @@
 """Cooperative scheduling of several programs on one robot clock; one program runs at a time.
 
 Each program gets its own `ArmDriver`. A program that lets time pass yields to the next one; when all programs
-wait, the robot's clock advances to the earliest wake-up time. Programs for two arms can therefore run
+wait, the robot's clock advances to the earliest wake-up time. Programs for several arms can therefore run
 concurrently as plain blocking code, and in simulation the same programs always produce the same run.
 """
 

@@ -144,7 +144,7 @@ class Grip:
 class Together:
     """Step of a task that executes an arm motion and gripper motions at the same time.
 
-    The arm motion may be a merged motion of two arms.
+    The arm motion may be a merged motion of several arms.
     """
 
     motion: Motion | None

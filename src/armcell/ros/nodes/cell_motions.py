@@ -280,7 +280,7 @@ class CellMotions:
 
     def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
         """Queue a motion of the cell.
-        If it conflicts with motions of other arms, first wait until those arms have arrived.
+        If it conflicts with motions of other arms, first wait until enough of those arms have arrived.
 
         Raises:
             InputError: the cell is closed, or too many motions wait.
@@ -291,8 +291,8 @@ class CellMotions:
                 late.wait(self.live.driver.period)  # the proof needs the start time of the other motion
                 continue
             if contact := self._in_passing(others, trajectory):
-                self.say(f"waits until the other motions have ended: {contact}")
-                while not self._stop.is_set() and not all(w.wait(0.05) for w in others):
+                self.say(f"waits until another motion has ended: {contact}")
+                while not self._stop.is_set() and not any(w.wait(0.05) for w in others):
                     pass
                 continue
             with self._putting:  # a motion that another thread has queued since then is not in the proof
