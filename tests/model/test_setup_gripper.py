@@ -45,7 +45,7 @@ def test_opening_and_closed_end_are_the_maker_s(name, monkeypatch):
     gripper, (_, _, opening, tolerance, closed) = only(hand(name)), HANDS[name]
     assert gripper.max_width == pytest.approx(opening, abs=tolerance)
     assert gripper.joint_position(0.0) == pytest.approx(closed, abs=0.02)
-    for width in np.linspace(0.1, 0.9, 5) * gripper.max_width:
+    for width in np.linspace(0.1, 1.0, 5) * gripper.max_width:
         assert gripper.width(gripper.joint_position(width)) == pytest.approx(width, abs=1e-6)
 
 
@@ -147,4 +147,9 @@ def test_a_curve_is_checked(tmp_path):
         " hand_links: [l3], curve: [[0, 0.1, 0, 0], [1, 0.0, 0, 0]]}}\n"
     )
     with pytest.raises(InputError, match="curve must go from closed to open"):
+        load_robot(tmp_path)
+    text = (tmp_path / "robot.yaml").read_text()
+    text = text.replace("[0, 0.1, 0, 0], [1, 0.0", "[0, 0.0, 0, 0], [1, 0.06")
+    (tmp_path / "robot.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"max_width is 0.08 m, but the curve ends at 0.06 m"):
         load_robot(tmp_path)

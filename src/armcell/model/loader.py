@@ -311,6 +311,9 @@ def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
         gripper = Gripper(name=name, **values)
     except TypeError as error:
         raise InputError(f"is incomplete: {error}", **where) from None
+    if gripper.curve and gripper.max_width > gripper.curve[-1][1] + 1e-6:
+        text = f"max_width is {gripper.max_width:g} m, but the curve ends at {gripper.curve[-1][1]:g} m"
+        raise InputError(text, **where)
     for link in (gripper.tcp_link, *gripper.finger_links, *gripper.hand_links):
         if link not in model.links:
             raise UnknownNameError("link", link, model.links, **where)

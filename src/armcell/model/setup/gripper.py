@@ -349,6 +349,7 @@ class _Hand:
         straight = bool(np.abs(line - curve[:, 0]).max() * abs(slope) < LINEAR)
         fixed = straight and bool(max(np.abs(curve[:, 2]).max(), np.ptp(curve[:, 3])) < CENTERED)
         offset = float(curve[0, 1] - slope * curve[0, 0])
+        rows = np.concatenate([curve[:-1:2], curve[-1:]])
         corners = (low[0] - x, low[1] - z, high[0] - x, high[1] - z)
         gripper = Gripper(
             name=end.name,
@@ -364,7 +365,7 @@ class _Hand:
             max_force=self._force(slope),
             finger_depth=round(self._depth(jaws, axes, z), 6),
             pad_depth=round(reach, 6),
-            curve=() if fixed else tuple(tuple(round(float(v), 6) for v in row) for row in curve[::2]),
+            curve=() if fixed else tuple(tuple(round(float(v), 6) for v in row) for row in rows),
             pad=() if fixed else tuple(round(float(v), 6) for v in corners),
         )
         return replace(model, grippers={**model.grippers, end.name: gripper})
