@@ -20,7 +20,8 @@ from armcell.model.known_robots import LIBRARY, ROBOT_FILE, known_robot, robot_n
 from armcell.model.limits import with_joint_limits
 from armcell.model.robot import Gripper, RobotModel
 from armcell.model.setup.chains import with_groups
-from armcell.model.setup.gripper import find_grippers, with_frame
+from armcell.model.setup.frames import with_frame
+from armcell.model.setup.gripper import find_grippers
 from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
 from armcell.model.srdf import with_srdf
 from armcell.model.urdf import load_urdf

@@ -217,6 +217,30 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
     limit = servo_force(gripper, settings)
     actuator.forcelimited = True
     actuator.forcerange = [-limit, limit]
+    # A gripper's force is the force at its pads: its motor also overcomes the hand's friction and springs.
+    for name in _hand_joints(model, gripper):
+        joint, (multiplier, offset) = spec.joint(name), _coupling(model, name, gripper.joint_name)
+        joint.frictionloss = 0.0
+        stiffness = float(np.ravel(joint.stiffness)[0])
+        actuator.biasprm[0] += multiplier * stiffness * (offset - joint.springref)
+        actuator.biasprm[1] += multiplier**2 * stiffness
+
+
+def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:
+    """Return the names of the movable joints of a gripper's hand, also of those in its linkage."""
+    arm = model.groups.get(gripper.arm_group)
+    other = set(arm.joint_names) if arm is not None else set()
+    links = {*gripper.hand_links, *gripper.finger_links}
+    return [j.name for j in model.joints.values() if j.movable and j.child in links and j.name not in other]
+
+
+def _coupling(model: RobotModel, name: str, driven: str) -> tuple[float, float]:
+    """Return multiplier and offset of a hand's joint relative to the driven joint, 0 if it is independent."""
+    mimic = model.joints[name].mimic
+    if mimic is None:
+        return (1.0, 0.0) if name == driven else (0.0, 0.0)
+    multiplier, offset = _coupling(model, mimic.joint, driven)
+    return mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
