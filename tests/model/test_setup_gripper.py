@@ -90,10 +90,11 @@ def test_one_driven_joint_of_the_so101_is_the_gripper_s(monkeypatch):
 
 
 # --- hands made for a case ---
+BOX = collision('<box size="0.05 0.05 0.05"/>')
 ARM = [link("base")] + [
     part
     for i in range(1, 5)
-    for part in (link(f"l{i}", collision('<box size="0.05 0.05 0.05"/>')),
+    for part in (link(f"l{i}", BOX),
                  joint(f"j{i}", "base" if i == 1 else f"l{i - 1}", f"l{i}"))
 ]  # fmt: skip
 LIMIT = '<limit lower="{}" upper="{}" velocity="0.1" effort="50"/>'
@@ -164,7 +165,7 @@ def test_three_fingers_that_close_toward_a_center_are_not_two_jaws():
     assert not find_grippers(model).grippers
     reason = reasons(model)["gripper"]
     assert "3 fingers close toward a common center (finger_a, finger_b, finger_c)" in reason
-    assert "state fingers=A,B+C" in reason and "--gripper" in reason
+    assert "pass --gripper fingers=A,B+C" in reason
 
 
 def test_stated_sides_of_three_fingers_are_jaws_if_they_face_each_other():
@@ -185,6 +186,14 @@ def test_three_driven_fingers_state_what_to_add_to_the_description():
         InputError, match="moves finger finger_b by itself, but one joint must move both jaws"
     ):
         find_grippers(model, stated=[StatedGripper.parse("drive=finger_a_joint fingers=finger_a,finger_b")])
+
+
+def test_of_several_driven_joints_the_one_that_moves_both_jaws_drives():
+    """A motor's horn turns by itself (Interbotix): the jaws are coupled to another joint."""
+    horn = [link("horn", BOX), joint("horn_joint", "l4", "horn")]
+    model = with_groups(model_of(*jaw_parts(0.0, 0.03, MIRRORED), *horn))
+    assert model.groups["gripper"].joint_names == ("left_finger", "horn_joint")
+    assert only(find_grippers(model)).joint_name == "left_finger"
 
 
 def test_stated_facts_that_are_true_change_nothing():
@@ -235,7 +244,7 @@ def test_a_closed_end_that_is_not_clear_is_asked_for():
     ]  # fmt: skip
     model = with_groups(model_of(*ARM, *jaw))
     assert "its closed end is not clear" in (text := reasons(model)["gripper"])
-    assert "state closes=lower or closes=upper with --gripper" in text
+    assert "pass --gripper closes=lower or closes=upper" in text
 
 
 def test_a_jaw_with_an_untypical_name_is_found_if_its_joint_is_stated():

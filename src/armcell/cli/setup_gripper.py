@@ -76,9 +76,12 @@ def _numbers(model: RobotModel, gripper: Gripper) -> dict[str, str]:
     along = ", ".join(f"{v + 0.0:.2f}" for v in T.rotation.matrix[:, 1].round(2))
     out = ", ".join(f"{v + 0.0:.2f}" for v in T.rotation.matrix[:, 2].round(2))
     (x0, z0), (x1, z1) = 1000 * hand_of(model, g).pad
-    ends = g.joint_position(0.0), g.joint_position(g.max_width)
+    limits = model.joint(g.joint_name).limits
+    ends = [min(max(g.joint_position(w), limits.lower), limits.upper) for w in (0.0, g.max_width)]
+    least = max(1000 * g.width(ends[0]), 0.0)
+    moved = f"joint {g.joint_name}: {ends[0]:.3g} to {ends[1]:.3g}"
     return {
-        "opening": f"0 to {1000 * g.max_width:.0f} mm (joint {g.joint_name}: {ends[0]:.3g} to {ends[1]:.3g})",
+        "opening": f"{least:.0f} to {1000 * g.max_width:.0f} mm ({moved})",
         "closing": f"along y of {g.tcp_link}: ({along}) in {palm}; out of the hand: ({out})",
         "center": f"{g.tcp_link} at ({x:.0f}, {y:.0f}, {z:.0f}) mm in {palm}",
         "pads": f"{x1 - x0:.0f} x {z1 - z0:.0f} mm, on {' and '.join(g.finger_links)}",

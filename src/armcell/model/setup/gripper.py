@@ -92,7 +92,7 @@ def find_grippers(model: RobotModel, tips: bool = False, stated: Sequence[Stated
                 model = with_tip(model, gripper.arm_group, gripper.tcp_link)
         except NotRecognized as reason:
             if end.name in facts:
-                raise InputError(f"end effector {end.name}: {reason}", hint=_hint(reason)) from None
+                raise InputError(f"end effector {end.name}: {reason}", hint=reason.hint) from None
             logger.warning("end effector %s: no gripper found: %s", end.name, reason)
     return model
 
@@ -105,12 +105,8 @@ def reasons(model: RobotModel) -> dict[str, str]:
             try:
                 _with_gripper(model, end, StatedGripper())
             except NotRecognized as reason:
-                found[end.name] = f"{reason}; {hint}" if (hint := _hint(reason)) else str(reason)
+                found[end.name] = f"{reason}; {reason.hint}" if reason.hint else str(reason)
     return found
-
-
-def _hint(reason: NotRecognized) -> str:
-    return f"state {reason.hint} with --gripper" if reason.hint else ""
 
 
 def _by_end(model: RobotModel, stated: Sequence[StatedGripper]) -> dict[str, StatedGripper]:
@@ -153,19 +149,39 @@ def _with_gripper(model: RobotModel, end: EndEffector, fact: StatedGripper) -> R
     driven = model.groups[end.group].joint_names
     if fact.drive and fact.drive not in driven:
         raise NotRecognized(f"drive: {fact.drive} is not a driven joint of it; those are {', '.join(driven)}")
-    if len(driven) != 1 and not fact.drive:
-        raise NotRecognized(
-            f"{len(driven)} driven joints ({', '.join(driven) or 'fixed jaws'}), "
-            "but one must move the jaws and the others mimic it",
-            "drive=JOINT if the other joints keep still, or add <mimic joint=...> to them in the URDF"
-            if driven
-            else "",
-        )
-    driver = model.joints[fact.drive or driven[0]]
+    if fact.drive or len(driven) == 1:
+        return _with_driven(model, end, fact.drive or driven[0], fact)
+    found = [with_it for name in driven if (with_it := _moves_both_jaws(model, end, name, fact))]
+    if len(found) == 1:
+        return found[0]
+    names = ", ".join(driven) or "fixed jaws"
+    hint = 'add <mimic joint="..."/> in the URDF to the joints that follow another joint'
+    if found:
+        names, hint = ", ".join(m.grippers[end.name].joint_name for m in found), "pass --gripper drive=JOINT"
+    raise NotRecognized(
+        f"{len(driven)} driven joints ({names}), but one must move the jaws and the others mimic it",
+        hint if driven else "",
+    )
+
+
+def _moves_both_jaws(
+    model: RobotModel, end: EndEffector, name: str, fact: StatedGripper
+) -> RobotModel | None:
+    """Return the robot with the gripper whose jaws one of several driven joints moves, if it moves both."""
+    if sum(j.movable and driver_of(model, j) == name for j in model.joints.values()) < 2:
+        return None
+    try:
+        return _with_driven(model, end, name, fact)
+    except NotRecognized:
+        return None
+
+
+def _with_driven(model: RobotModel, end: EndEffector, name: str, fact: StatedGripper) -> RobotModel:
+    driver = model.joints[name]
     if not (np.isfinite(driver.limits.lower) and np.isfinite(driver.limits.upper)):
-        raise NotRecognized(f"joint {driver.name} has no position limits")
+        raise NotRecognized(f"joint {name} has no position limits")
     if driver.limits.upper - driver.limits.lower < 1e-6:
-        raise NotRecognized(f"joint {driver.name} cannot move: lower and upper limit are equal")
+        raise NotRecognized(f"joint {name} cannot move: lower and upper limit are equal")
     hand = HandGeometry(model, driver)
     for link in (link for side in fact.fingers for link in side):
         _check_finger(hand, link)

@@ -18,7 +18,7 @@ SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compar
 class NotRecognized(Exception):
     """Error for a gripper that robot setup cannot recognize; the text states the reason.
 
-    `hint` states which keys of the option `--gripper` help, if any.
+    `hint` states the remedy, if there is one.
     """
 
     def __init__(self, reason: str, hint: str = ""):

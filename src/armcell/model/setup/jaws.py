@@ -20,6 +20,7 @@ LONGEST_PAD = 0.024  # [m] of a longer pad, the outer end is used
 FACING = 0.5  # smallest cosine between the line between two jaws and their relative velocity
 AS_LONG = 0.01  # [m] a third finger that ends at most this far behind the jaws closes on the object, too
 POSE_JOINTS = 6  # joints of an arm that reaches any orientation at a position
+STATE_FINGERS = "pass --gripper fingers=LINK,LINK with the links of both jaws"
 ALIKE = 1e-3  # [m] gaps at both limits that differ less do not tell the closed end
 
 
@@ -111,7 +112,7 @@ def _pair(hand: HandGeometry, solid: list[Part], speeds: dict[Part, Array]) -> t
             continue  # they pass each other
         pairs.append((min(float((hand.at(p, mid) @ out).max()) for p in (a, b)), a, b))
     if not pairs:
-        raise NotRecognized("no two of its moving links move toward each other", "fingers=LINK,LINK")
+        raise NotRecognized("no two of its moving links move toward each other", STATE_FINGERS)
     least, best = -np.inf, pairs[0]
     for pair in pairs:
         if pair[0] > least + 1e-3:
@@ -123,7 +124,7 @@ def _pair(hand: HandGeometry, solid: list[Part], speeds: dict[Part, Array]) -> t
         raise NotRecognized(
             f"{len(longest)} fingers close toward a common center ({names}), but a gripper has pads on two "
             "sides of one closing direction",
-            "fingers=A,B+C with the links of both sides",
+            "pass --gripper fingers=A,B+C with the links of both sides",
         )
     return a, b
 
@@ -149,7 +150,7 @@ def _ends(
     """Return the positions of the driven joint at which the jaws are closed and open."""
     gaps = [hand.gap(a, b, axes, q)[0] for q in (low, high)]
     if not np.isfinite(gaps).any():
-        raise NotRecognized("its jaws do not face each other in any position", "fingers=LINK,LINK")
+        raise NotRecognized("its jaws do not face each other in any position", STATE_FINGERS)
     return _chosen(hand, gaps, closes)
 
 
@@ -169,7 +170,9 @@ def _chosen(hand: HandGeometry, gaps: list[float], closes: str) -> tuple[float, 
             raise NotRecognized(f"it does not close toward the {closes} limit: {text}")
         return ends if closes == "lower" else (ends[1], ends[0])
     if np.isfinite(gaps).all() and abs(more) < ALIKE:
-        raise NotRecognized(f"its closed end is not clear: {text}", "closes=lower or closes=upper")
+        raise NotRecognized(
+            f"its closed end is not clear: {text}", "pass --gripper closes=lower or closes=upper"
+        )
     return ends if not gaps[0] > gaps[1] else (ends[1], ends[0])
 
 

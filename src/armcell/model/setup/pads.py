@@ -16,6 +16,7 @@ from armcell.model.setup.jaws import LONGEST_PAD, WIDEST_TURN, Jaws
 Array = NDArray[np.float64]
 
 STEPS = 33  # positions of the driven joint at which the opening is measured
+LARGER = 3  # ratio of the areas from which on a flat surface is the pad, not a ridge
 FLAT = 0.0015  # [m] depth of the surface that counts as a pad, behind its foremost point
 STRAIGHT = 0.99  # cosine between the closing direction and the y axis of an existing tool frame
 BESIDE = 0.002  # [m] distance of an existing tool frame from the line through the pads' center along z
@@ -44,8 +45,7 @@ def with_described(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool: str =
     outer = cells[:, 1] > tip - 2 * LONGEST_PAD
     if not outer.any():
         raise NotRecognized("its jaws do not face each other at their ends")
-    near = gaps <= gaps[outer].min() + (3 * FLAT if single else FLAT)
-    pad = cells[near & outer]
+    pad = _pad_cells(cells, gaps, tip, 3 * FLAT if single else FLAT)
     top = pad[:, 1].max()
     pad = pad[pad[:, 1] > top - LONGEST_PAD]
     low, high = pad.min(0) - SPACING / 2, pad.max(0) + SPACING / 2
@@ -59,7 +59,9 @@ def with_described(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool: str =
     facing = [
         np.concatenate([hand.pose(n, at).apply(p) for n, p in pads.items()]) @ axes[0] for pads in inner
     ]
-    low[0], high[0] = max(p.min() for p in facing), min(p.max() for p in facing)
+    left, right = max(p.min() for p in facing), min(p.max() for p in facing)
+    if right - left > SPACING:  # otherwise interlocking teeth, which face each other in all cells
+        low[0], high[0] = left, right
     x = float((low[0] + high[0]) / 2)
     reach = _reach(hand, jaws, reference, curve, z)
     T_palm_tcp = SE3(SO3(axes.T), axes.T @ np.array([x, y, z]))
@@ -79,7 +81,8 @@ def with_described(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool: str =
     fixed = straight and bool(max(np.abs(curve[:, 2]).max(), np.ptp(curve[:, 3])) < CENTERED)
     offset = float(curve[0, 1] - slope * curve[0, 0])
     rows = np.concatenate([curve[:-1:2], curve[-1:]])
-    corners = (low[0] - x, low[1] - z, high[0] - x, high[1] - z)
+    below = float(curve[0, 3]) if fixed else 0.0  # of the grip center, in the tcp frame
+    corners = (low[0] - x, low[1] - z + below, high[0] - x, high[1] - z + below)
     gripper = Gripper(
         name=end.name,
         arm_group=str(end.parent_group),
@@ -95,9 +98,27 @@ def with_described(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool: str =
         finger_depth=round(_depth(hand, jaws, axes, z), 6),
         pad_depth=round(reach, 6),
         curve=() if fixed else tuple(tuple(round(float(v), 6) for v in row) for row in rows),
-        pad=() if fixed else tuple(round(float(v), 6) for v in corners),
+        pad=tuple(round(float(v), 6) for v in corners),
     )
     return replace(model, grippers={**model.grippers, end.name: gripper})
+
+
+def _pad_cells(cells: Array, gaps: Array, tip: float, flat: float) -> Array:
+    """Return the cells (n, 2) of the pads: the surfaces with the smallest gap at the ends of the jaws.
+
+    If the outer end of the jaws has a much larger flat surface than a ridge farther inside, it is the pad.
+
+    Args:
+        gaps: (k,) [m] gaps of the cells when the gripper is closed.
+        tip: [m] z of the jaws' ends.
+    """
+    found = []
+    for reach in (2 * LONGEST_PAD, LONGEST_PAD):
+        outer = cells[:, 1] > tip - reach
+        if outer.any():
+            near = (gaps >= gaps[outer].min()) & (gaps <= gaps[outer].min() + flat)
+            found.append(cells[near & (cells[:, 1] > tip - 2 * LONGEST_PAD)])
+    return found[-1] if len(found[-1]) > LARGER * len(found[0]) else found[0]
 
 
 def _pad_points(
