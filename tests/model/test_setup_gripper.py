@@ -188,6 +188,24 @@ def test_three_driven_fingers_state_what_to_add_to_the_description():
         find_grippers(model, stated=[StatedGripper.parse("drive=finger_a_joint fingers=finger_a,finger_b")])
 
 
+def test_a_ridge_inside_the_jaws_is_not_the_pad():
+    """Jaws that meet at a ridge in their middle hold an object between the flat surfaces at their ends."""
+    parts = jaw_parts(0.0, 0.03, MIRRORED, gap=0.008)  # flat surfaces 6 mm apart when closed
+    ridge = (
+        '<collision><origin xyz="0 {} 0.026"/><geometry><box size="0.02 0.01 0.004"/></geometry></collision>'
+    )
+    for k, part in enumerate(parts):
+        for side, y in (("left", 0.005), ("right", -0.005)):
+            if part.startswith(f'<link name="{side}"'):
+                parts[k] = part.replace("</link>", ridge.format(y) + "</link>")
+    gripper = only(find_grippers(with_groups(model_of(*parts))))
+    assert gripper.width(0.0) == pytest.approx(0.006, abs=2e-4)
+    assert gripper.max_width == pytest.approx(0.066, abs=2e-4)
+    low_x, low_z, high_x, high_z = gripper.pad
+    assert (high_x - low_x, high_z - low_z) == pytest.approx((0.02, 0.024), abs=2e-3)
+    assert gripper.pad_depth == pytest.approx(0.012, abs=2e-3)  # half of the pad is beyond the tcp
+
+
 def test_of_several_driven_joints_the_one_that_moves_both_jaws_drives():
     """A motor's horn turns by itself (Interbotix): the jaws are coupled to another joint."""
     horn = [link("horn", BOX), joint("horn_joint", "l4", "horn")]

@@ -15,6 +15,7 @@ from armcell.model.setup.jaws import LONGEST_PAD, WIDEST_TURN, Jaws
 
 Array = NDArray[np.float64]
 
+NARROW = 0.002  # [m] a smaller opening is not a gripper's
 STEPS = 33  # positions of the driven joint at which the opening is measured
 LARGER = 3  # ratio of the areas from which on a flat surface is the pad, not a ridge
 FLAT = 0.0015  # [m] depth of the surface that counts as a pad, behind its foremost point
@@ -172,6 +173,11 @@ def _curve(hand: HandGeometry, jaws: Jaws, pads: list[dict[str, Array]]) -> Arra
     if curve[0, 1] < -LINEAR:  # the meshes overlap when it is closed: the opening is zero earlier
         start = [float(np.interp(0.0, curve[:, 1], curve[:, k])) for k in range(4)]
         curve = np.concatenate([[start], curve[curve[:, 1] > 1e-6]])
+    if curve[-1, 1] < NARROW:
+        raise NotRecognized(
+            f"its pads open only {1000 * curve[-1, 1]:.1f} mm, until they turn by more than "
+            f"{np.degrees(WIDEST_TURN):.0f} degrees or stop separating"
+        )
     return curve
 
 
