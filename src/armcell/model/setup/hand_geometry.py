@@ -27,7 +27,10 @@ class NotRecognized(Exception):
 
 
 class HandGeometry:
-    """Candidate for a gripper, with points on the surfaces of its links at any position of its driven joint.
+    """Robot hand that robot setup examines to decide whether it is a two-jaw gripper.
+
+    The class samples points on the surfaces of the hand's links. It computes where these points are at any
+    position of the driven joint.
 
     Attributes:
         palm: link that carries the moving joints.
@@ -45,8 +48,9 @@ class HandGeometry:
         self.points = {name: surface_points(model.links[name], SPACING) for name in below}
 
     def pose(self, link: str, q: float) -> SE3:
-        """Return T_palm_link of a candidate for a gripper when the driven
-        joint is at `q` and all other joints are at zero.
+        """Return the pose T_palm_link of a link in the hand that robot setup examines.
+
+        The driven joint is at `q`. Joints that mimic it follow, and all other joints are at zero.
         """
         T = SE3.identity()
         for joint in self.model.chain(self.palm, link):
@@ -61,7 +65,7 @@ class HandGeometry:
         return np.concatenate(parts) if parts else np.zeros((0, 3))
 
     def branch(self, part: tuple[str, ...]) -> str:
-        """Return the first joint on the path from the palm to given links, in a candidate for a gripper."""
+        """Return the first movable joint on the path from the palm of a hand to the given links."""
         top = min(part, key=lambda n: len(self.model.chain(self.palm, n)))
         return next(j.name for j in self.model.chain(self.palm, top) if j.movable)
 

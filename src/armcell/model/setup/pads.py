@@ -141,8 +141,10 @@ def _pad_points(
 
 
 def _curve(hand: HandGeometry, jaws: Jaws, pads: list[dict[str, Array]]) -> Array:
-    """Return the curve of a detected gripper with rows (k, 4): joint position, opening [m],
-    and y and z [m] of the grip center.
+    """Tabulate how the pads of a detected gripper move when its driven joint moves.
+
+    Each row (k, 4) contains the joint position, the opening [m] between the pads, and y and z [m] of the
+    center between the pads, in the axes of the hand.
 
     The rows begin at the closed end; they end where the opening stops growing, or a jaw has turned too
     far to hold an object.
@@ -193,8 +195,15 @@ def _finger_links(hand: HandGeometry, part: tuple[str, ...]) -> list[str]:
 
 
 def _existing(hand: HandGeometry, T_palm_tcp: SE3, reach: float, tool: str) -> tuple[str | None, SE3, float]:
-    """Return a frame that can serve as a gripper's tcp, T_frame_tcp, and 1,
-    or -1 if the frame's y axis is reversed.
+    """Find an existing frame of the robot that can serve as a gripper's tcp.
+
+    Args:
+        tool: the only link that may be the tcp; empty: any suitable frame.
+    Returns:
+        The name of the frame (None if there is none), the pose T_frame_tcp, and a sign: -1 if the y axis
+        of the frame is reversed, else 1.
+    Raises:
+        NotRecognized: `tool` is not between the pads.
     """
     if tool and tool not in hand.rigid[hand.palm]:
         fixed = ", ".join(hand.rigid[hand.palm])
