@@ -221,6 +221,7 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
     for name in _hand_joints(model, gripper):
         joint, (multiplier, offset) = spec.joint(name), _coupling(model, name, gripper.joint_name)
         joint.frictionloss = 0.0
+        joint.damping[0] = min(joint.damping[0], kv)  # else the fingers creep to their target
         stiffness = float(np.ravel(joint.stiffness)[0])
         actuator.biasprm[0] += multiplier * stiffness * (offset - joint.springref)
         actuator.biasprm[1] += multiplier**2 * stiffness
