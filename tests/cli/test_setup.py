@@ -139,7 +139,7 @@ def test_a_gripper_is_shown_as_numbers_and_as_a_picture(capsys, tmp_path):
     for text in (
         "opening 0 to 60 mm (joint left_finger: 0 to 0.03)",
         "closing along y of gripper_tcp: (0.00, 1.00, 0.00) in l4; out of the hand: (0.00, 0.00, 1.00)",
-        "pads 20 x 60 mm, on left and right",
+        "pads 20 x 24 mm, on left and right",
         "force 50 N per finger",
         "holds a cube of 27 mm",
         f"picture: {tmp_path}/cell/gripper.png",

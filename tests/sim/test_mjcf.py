@@ -103,9 +103,11 @@ def test_a_linkage_stays_closed_and_follows_the_planners_rule(tmp_path):
         assert qpos[at[name]] == pytest.approx(mimic.multiplier * qpos[at["crank"]] + mimic.offset, abs=0.02)
 
 
-def test_a_hand_with_springs_and_dry_friction_reaches_its_width(tmp_path):
+def test_a_hand_with_springs_and_friction_reaches_its_width(tmp_path):
     """A gripper's motor overcomes what the joints of its hand resist."""
-    text = JAWS.replace('range="0 0.04"', 'range="0 0.04" frictionloss="4" stiffness="60" springref="-0.05"')
+    text = JAWS.replace(
+        'range="0 0.04"', 'range="0 0.04" frictionloss="4" damping="3000" stiffness="60" springref="-0.05"'
+    )
     model = written(
         tmp_path, text.format(TENDON + DRIVE + '<equality><joint joint1="r" joint2="l"/></equality>')
     )
