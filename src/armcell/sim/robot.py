@@ -207,13 +207,16 @@ def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsS
 
 def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settings: PhysicsSettings) -> None:
     tendon = spec.add_tendon(name=tendon_name(gripper.name))
+    shift = 0.0  # of the tendon's length from the driven joint's position, because of offsets of mimic joints
     for joint, weight in finger_weights(model, gripper.joint_name):
         tendon.wrap_joint(joint, weight)
+        shift += weight * _coupling(model, joint, gripper.joint_name)[1]
     actuator = spec.add_actuator(
         name=tendon_name(gripper.name), target=tendon.name, trntype=mujoco.mjtTrn.mjTRN_TENDON
     )
     kp, kv = servo_gains(gripper, settings)
     actuator.set_to_position(kp=kp, kv=kv)
+    actuator.biasprm[0] += kp * shift
     limit = servo_force(gripper, settings)
     actuator.forcelimited = True
     actuator.forcerange = [-limit, limit]
