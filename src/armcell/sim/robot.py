@@ -207,16 +207,13 @@ def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsS
 
 def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settings: PhysicsSettings) -> None:
     tendon = spec.add_tendon(name=tendon_name(gripper.name))
-    shift = 0.0  # of the tendon's length from the driven joint's position, because of offsets of mimic joints
     for joint, weight in finger_weights(model, gripper.joint_name):
         tendon.wrap_joint(joint, weight)
-        shift += weight * _coupling(model, joint, gripper.joint_name)[1]
     actuator = spec.add_actuator(
         name=tendon_name(gripper.name), target=tendon.name, trntype=mujoco.mjtTrn.mjTRN_TENDON
     )
     kp, kv = servo_gains(gripper, settings)
     actuator.set_to_position(kp=kp, kv=kv)
-    actuator.biasprm[0] += kp * shift
     limit = servo_force(gripper, settings)
     actuator.forcelimited = True
     actuator.forcerange = [-limit, limit]
@@ -248,15 +245,16 @@ def _coupling(model: RobotModel, name: str, driven: str) -> tuple[float, float]:
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return the driven finger joint of a robot's gripper and its mimic joints,
+    """Return the driven finger joint of a robot's gripper and its mimic joints without an offset,
     with their weights for MuJoCo.
 
-    The weighted sum of their positions is the mean finger position.
+    The weighted sum of their positions is the mean finger position. Equalities move the other joints.
     """
     found = [(driven, 1.0)]
     for joint in model.joints.values():
-        if joint.mimic is not None and joint.mimic.joint == driven and joint.mimic.multiplier != 0:
-            found.append((joint.name, joint.mimic.multiplier))
+        mimic = joint.mimic
+        if mimic is not None and mimic.joint == driven and mimic.multiplier != 0 and mimic.offset == 0:
+            found.append((joint.name, mimic.multiplier))
     return [(name, 1.0 / (len(found) * multiplier)) for name, multiplier in found]
 
 
