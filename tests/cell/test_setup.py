@@ -13,7 +13,9 @@ from tests.model.helpers import EXAMPLES, MBM, collision, joint, link, robot
 from tests.once import once
 
 import armcell
+from armcell.cell import run_task
 from armcell.cell.setup import Proposal, cell_files, propose, propose_from_package, write_cell
+from armcell.cli.new import write_starter
 from armcell.collision import ExactChecker
 from armcell.collision.self_collision import link_pairs
 from armcell.core import InputError, NamedGoal, PlanRequest
@@ -27,6 +29,7 @@ ROBOTS = {
     "ur5": MBM / "ur5/ur5.urdf",  # with a Robotiq 85
     "baxter": EXAMPLES / "baxter_description/urdf/baxter.urdf",
 }
+SHARED = Path(__file__).parents[3].joinpath("shared", "data", "robots").resolve()
 SLOW = {"ur5", "baxter"}
 NAMES = [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in ROBOTS]
 SAMPLES = 5_000  # for the pairs; `armcell setup` takes 100,000
@@ -133,6 +136,25 @@ def test_a_gripper_measured_on_the_meshes_is_the_library_s(proposed):
     assert found.max_width == pytest.approx(known.max_width, abs=1e-3)
     assert found.pad_depth == pytest.approx(known.pad_depth, abs=1e-3)
     assert found.finger_depth == pytest.approx(known.finger_depth, abs=5e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "file", [SHARED / "so101/Simulation/SO101/so101_new_calib.urdf", EXAMPLES / "z1_description/urdf/z1.urdf"]
+)
+def test_one_moving_jaw_picks_and_places(file, tmp_path):
+    """The jaws hold the cube at an angle: an arm with five joints places it only at certain angles."""
+    if not file.exists():
+        pytest.skip(f"{file} is not there")
+    proposal = propose([UrdfPart(file)], SAMPLES)
+    write_cell(proposal, tmp_path)
+    assert write_starter(load_robot(tmp_path), ".", tmp_path)
+    assert "place:" in (tmp_path / "cell.yaml").read_text()
+    cell = armcell.load(tmp_path)
+    with cell.connect("sim", seed=0) as live:
+        result = run_task(cell, live, 0, "sim")
+    assert result["success"], result["message"]
+    assert result["unwanted_contacts"] == [] and result["welds"] == []
 
 
 @pytest.mark.slow

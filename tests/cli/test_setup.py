@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
+from PIL import Image
 from tests.cell.test_setup import small_arm
 from tests.cli.helpers import call
+from tests.model.helpers import robot
+from tests.model.test_setup_gripper import jaw_parts
+
+from armcell.cell.gripper_picture import AXES, CLOSING, PAD
 
 QUICK = ("--samples", "500")
 
@@ -19,6 +25,8 @@ def test_help_teaches(capsys):
         "--at",
         "--force",
         "--web",
+        "--gripper",
+        "closes=lower|upper",
         "--samples",
         "armcell check my_cell",
         "left_",
@@ -115,3 +123,51 @@ def test_refuses_with_the_cure(capsys, tmp_path):
     said = call(capsys, "setup", tmp_path / "full", "-o", tmp_path / "cell")
     assert said.status == 2 and "MoveIt package" in said.err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.urdf", "full", "small.urdf"]
+
+
+def jaws_robot(folder, second='<axis xyz="0 -1 0"/><mimic joint="left_finger"/>'):
+    """An arm with two sliding jaws; `second` is the second jaw's <axis> and <mimic>."""
+    file = folder / "jaws.urdf"
+    text = robot(*jaw_parts(0.0, 0.03, second))
+    file.write_text(text.replace('<axis xyz="0 0 1"/>', '<origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>'))
+    return file
+
+
+def test_a_gripper_is_shown_as_numbers_and_as_a_picture(capsys, tmp_path):
+    said = call(capsys, "setup", jaws_robot(tmp_path), "-o", tmp_path / "cell", *QUICK)
+    assert said.status == 0, said.err
+    for text in (
+        "opening 0 to 60 mm (joint left_finger: 0 to 0.03)",
+        "closing along y of gripper_tcp: (0.00, 1.00, 0.00) in l4; out of the hand: (0.00, 0.00, 1.00)",
+        "pads 20 x 24 mm, on left and right",
+        "force 50 N per finger",
+        "holds a cube of 27 mm",
+        f"picture: {tmp_path}/cell/gripper.png",
+    ):
+        assert text in said.words
+    with Image.open(tmp_path / "cell" / "gripper.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    assert pixels.shape == (480, 960, 3)
+    for color in (PAD, CLOSING, *AXES.values()):  # both views show every mark
+        marked = np.abs(pixels - color).sum(2) < 30
+        assert marked[:, :480].any() and marked[:, 480:].any()
+
+
+def test_facts_that_the_meshes_contradict_write_nothing(capsys, tmp_path):
+    said = call(
+        capsys, "setup", jaws_robot(tmp_path), "-o", tmp_path / "cell", *QUICK, "--gripper", "closes=upper"
+    )
+    assert said.status == 1 and "does not close toward the upper limit" in said.err
+    assert not (tmp_path / "cell").exists()
+
+
+def test_a_terminal_is_asked_until_the_answer_holds(capsys, tmp_path, monkeypatch):
+    answers = iter(["closes=sideways", "drive=left_finger fingers=left,l4", "end=gripper drive=l_joint", ""])
+    monkeypatch.setattr("armcell.cli.setup_gripper.is_terminal", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda prompt: next(answers))
+    file = jaws_robot(tmp_path, '<axis xyz="0 1 0"/><mimic joint="left_finger"/>')  # both move the same way
+    said = call(capsys, "setup", file, "-o", tmp_path / "cell", *QUICK)
+    assert said.status == 0, said.err
+    assert "no two of its moving links move toward each other" in said.words
+    assert "closes is 'lower' or 'upper'" in said.words and "l_joint is not a driven joint" in said.words
+    assert next(answers, None) is None

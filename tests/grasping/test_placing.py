@@ -7,7 +7,7 @@ import pytest
 from tests.grasping.solids import solid, world_surface
 
 from armcell.core import SE3, Box, Cylinder, InputError, Sphere
-from armcell.grasping import place_candidates, support_surface
+from armcell.grasping import place_candidates, placement_axis, support_surface, turned
 from armcell.scene import CollisionObject
 
 TURNED = SE3.from_xyz_rpy((0.4, -0.2, 0.15), (0.0, 0.0, 0.5))
@@ -148,3 +148,30 @@ def test_an_object_beside_its_origin_stays_inside_the_edges():
     for placement in place_candidates(beside, TRAY):
         points = TURNED.inv().apply(world_surface(beside, placement.T_world_object))
         assert np.abs(points[:, :2]).max() < INNER / 2, placement.name
+
+
+def test_a_turned_placement_keeps_its_center_and_stays_inside_the_edges(item, on):
+    support, height, inside = on
+    surface_z = support.T_world_object.translation[2] + height
+    kept = 0
+    for placement in place_candidates(item, support):
+        for angle in (0.4, -2.0):
+            other = turned(item, support, placement, angle)
+            if other is None:
+                continue
+            kept += 1
+            axis = placement_axis(item, placement)
+            in_axis = [axis.inv() @ p.T_world_object for p in (placement, other)]
+            turn = (in_axis[1] @ in_axis[0].inv()).rotation.log()
+            np.testing.assert_allclose(turn, [0, 0, angle], atol=1e-9)
+            points = world_surface(item, other.T_world_object)
+            assert points[:, 2].min() == pytest.approx(surface_z, abs=1e-6)
+            assert inside(support.T_world_object.inv().apply(points))
+    assert kept > 0
+
+
+def test_a_placement_whose_corners_would_leave_the_support_is_not_turned():
+    cube, post = solid(Box(0.04, 0.04, 0.04)), CollisionObject.single("post", Box(0.06, 0.06, 0.1), TURNED)
+    straight = place_candidates(cube, post)[0]
+    assert turned(cube, post, straight, np.pi / 4) is None
+    assert turned(cube, post, straight, np.pi / 2) is not None

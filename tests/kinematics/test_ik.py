@@ -10,7 +10,7 @@ import pytest
 from tests.model.helpers import MBM, dual, mbm_robot, random_positions
 
 from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
-from armcell.kinematics import IKSettings, IKSolver, NumericIK, ik_solver, ik_solvers
+from armcell.kinematics import IKSettings, IKSolver, NumericIK, ik_solver, ik_solvers, spin_angles
 from armcell.model import load_robot
 
 POSES = 300
@@ -234,3 +234,31 @@ def test_every_registered_solver_reaches_what_it_says_it_solves(name):
                 model.check_positions(q, solver.joint_names, margin=1e-9)
                 assert reached(solver, q, reference).isclose(target, 1e-5, 1e-4)
     assert solved
+
+
+def test_five_joints_reach_a_pose_that_may_turn_about_an_axis():
+    """By forward kinematics; the angle from which the goal was made is found as well."""
+    model = load_robot("ur10")
+    arm = model.group("arm")
+    five = replace(arm, joint_names=arm.joint_names[:5], tip_link="wrist_2_link")
+    model = replace(model, groups={"five": five})
+    ik, rng = ik_solver(model, "five"), np.random.default_rng(0)
+    T_tip_axis, made = SE3.from_xyz_rpy((0.02, -0.01, 0.1), (0.2, -0.3, 0.1)), 0
+    for _ in range(20):
+        q, turn = model.default_positions(), float(rng.uniform(-np.pi, np.pi))
+        q[ik.columns] = random_positions(model, rng)[ik.columns]
+        T_world_tip = ik.tree.link_pose(q, "wrist_2_link")
+        goal = T_world_tip @ T_tip_axis @ about_z(-turn)
+        angles = list(spin_angles(model, "five", "wrist_2_link", T_tip_axis, goal, model.default_positions()))
+        for angle in angles:
+            target = goal @ about_z(angle) @ T_tip_axis.inv()
+            answer = ik.solve(target, model.default_positions())
+            assert answer.ok, answer.message
+            position, rotation = reached(ik, answer.positions, q).distance_to(target)
+            assert position < 5e-5 and rotation < 5e-4
+        made += any(abs(np.sin((angle - turn) / 2)) < 1e-3 for angle in angles)
+    assert made >= 19
+
+
+def about_z(angle: float) -> SE3:
+    return SE3(SO3.exp((0.0, 0.0, angle)), np.zeros(3))

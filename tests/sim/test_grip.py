@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from tests.sim.helpers import Grasping
 
 from armcell.core import SE3
-from armcell.sim import PhysicsSettings
+from armcell.model import load_robot
+from armcell.scene import PlanningScene
+from armcell.sim import PhysicsSettings, SimWorld
 
 HOLD = 5.0  # [s]
 
@@ -126,3 +131,22 @@ def test_many_masses_and_frictions_hold(robot, settings):
             grasp.world.watch_slip("cube", grasp.gripper.name)
             grasp.world.step(round(HOLD / settings.timestep))
             assert grasp.world.slip()[0] < 0.0005, (mass, friction)
+
+
+def test_fingers_whose_coupling_has_an_offset_reach_their_width():
+    """Kinova's Gen3 lite: the tips follow the fingers with an offset."""
+    model = load_robot("ur10_gripper")
+    gripper = model.gripper()
+    follower = next(j for j in model.joints.values() if j.mimic and j.mimic.joint == gripper.joint_name)
+    away = replace(
+        follower,
+        mimic=replace(follower.mimic, offset=-0.01),
+        T_parent_joint=follower.T_parent_joint @ SE3.from_xyz(*(0.01 * np.asarray(follower.axis))),
+        limits=replace(follower.limits, lower=follower.limits.lower - 0.01),
+    )
+    model = replace(model, joints={**model.joints, follower.name: away})
+    world = SimWorld(PlanningScene(model, model.default_positions()))
+    for width in (0.03, 0.07):
+        world.set_gripper_target(gripper.name, width)
+        world.step(1000)
+        assert world.gripper_state(gripper.name).width == pytest.approx(width, abs=1e-3)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 from tests.model.test_mjcf import DRIVE, JAWS, LINKAGE, TENDON, arm
 
 from armcell.core import SE3
-from armcell.model import Part, compose, load_robot
+from armcell.model import Gripper, Part, compose, load_robot
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
 from armcell.sim.build import build
@@ -99,3 +101,19 @@ def test_a_linkage_stays_closed_and_follows_the_planners_rule(tmp_path):
     for name in ("rocker", "coupler"):
         mimic = model.joints[name].mimic
         assert qpos[at[name]] == pytest.approx(mimic.multiplier * qpos[at["crank"]] + mimic.offset, abs=0.02)
+
+
+def test_a_hand_with_springs_and_friction_reaches_its_width(tmp_path):
+    """A gripper's motor overcomes what the joints of its hand resist."""
+    text = JAWS.replace(
+        'range="0 0.04"', 'range="0 0.04" frictionloss="4" damping="3000" stiffness="60" springref="-0.05"'
+    )
+    model = written(
+        tmp_path, text.format(TENDON + DRIVE + '<equality><joint joint1="r" joint2="l"/></equality>')
+    )
+    gripper = Gripper("hand", "none", "none", "l", "palm", ("left", "right"), ("palm", "left", "right"))
+    world = SimWorld(scene_of(replace(model, grippers={"hand": gripper})))
+    for width in (0.07, 0.02, 0.05):
+        world.set_gripper_target("hand", width)
+        world.step(1000)
+        assert world.gripper_state("hand").width == pytest.approx(width, abs=1e-3)

@@ -27,7 +27,7 @@ from armcell.model.setup import (
     write_folder,
     yaml_text,
 )
-from armcell.model.setup.gripper import find_grippers
+from armcell.model.setup.gripper import StatedGripper, find_grippers
 from armcell.model.urdf import parse_urdf
 from armcell.model.urdf_writer import urdf_of
 
@@ -78,6 +78,7 @@ def propose(
     seed: int = 0,
     name: str | None = None,
     progress: Callable[[str, int], None] | None = None,
+    grippers: Sequence[StatedGripper] = (),
 ) -> Proposal:
     """Propose a setup for one robot, or for several robots that are combined into one model.
 
@@ -85,8 +86,10 @@ def propose(
         parts: URDF or xacro files with prefixes and poses.
         samples: number of random states that decide which link pairs are checked for collision.
         progress: called with the current step and the number of samples done.
+        grippers: facts about the robot's grippers; setup recognizes the rest.
     Raises:
-        InputError: a file is invalid, names clash, or the robot has no movable joint.
+        InputError: a file is invalid, names clash, or the robot has no movable joint; a
+            gripper contradicts the given facts, or does not hold a cube.
     """
     tell = progress or (lambda what, done: None)
     tell("reading", 0)
@@ -99,15 +102,33 @@ def propose(
         name, text = merged_urdf(parts, name)
         model = parse_urdf(text, parts[0].file)
     tell("groups and poses", 0)
-    model = find_grippers(with_groups(model, [p.prefix for p in parts]), tips=True)
+    groups = with_groups(model, [p.prefix for p in parts], {fact.drive for fact in grippers})
+    model = find_grippers(groups, tips=True, stated=grippers)
     model = with_keyframes(with_poses(model, seed))
     text = with_frames_text(text, model)
     tell("pairs of links", 0)
     pairs = link_pairs(model, samples, seed, lambda done: tell("pairs of links", done))
     model = replace(model, disabled_collisions={p.links: p.reason for p in pairs if p.reason})
     tell("closing the gripper on a cube", 0)
-    model, proofs = with_proven_grippers(model)
+    model, proofs = _proven(model, grippers)
     return Proposal(model, tuple(pairs), text, proofs, mjcf=mjcf)
+
+
+def _proven(
+    model: RobotModel, grippers: Sequence[StatedGripper]
+) -> tuple[RobotModel, tuple[GripperProof, ...]]:
+    """Return the robot with the grippers that hold a cube in physics, and the proofs.
+
+    Raises:
+        InputError: a gripper about which the user stated facts does not hold the cube.
+    """
+    model, proofs = with_proven_grippers(model)
+    for proof in proofs:
+        if grippers and not proof.held:
+            raise InputError(
+                f"gripper {proof.gripper.name}: {proof.text}", hint="change --gripper, or omit it"
+            )
+    return model, proofs
 
 
 def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
@@ -128,7 +149,7 @@ def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
     return found.file.resolve()
 
 
-def propose_from_package(folder: Path) -> Proposal:
+def propose_from_package(folder: Path, grippers: Sequence[StatedGripper] = ()) -> Proposal:
     """Propose a cell for an existing MoveIt package.
     The setup assistant keeps the package's groups, states, link pairs and limits.
 
@@ -136,7 +157,7 @@ def propose_from_package(folder: Path) -> Proposal:
         InputError: a file is missing, a name does not exist in the robot, or a value has the wrong type.
     """
     config = MoveItConfig.load(folder)
-    model, proofs = with_proven_grippers(find_grippers(config.model))
+    model, proofs = _proven(find_grippers(config.model, stated=grippers), grippers)
     return Proposal(model, (), config.urdf_text, proofs, config)
 
 

@@ -86,9 +86,6 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
         widest = min(g.max_width for g in model.grippers.values())
         edge = round(min(0.05, 0.6 * widest), 3)
         home = "".join(f"  - move: {s}\n" for s in states if s == "home")
-        # An arm with few joints cannot make up for the angle at which the jaws hold the object.
-        few = min(len(arm.joint_names) for arm in _arms(model) if arm.tip_link) < 6 and _turning(model)
-        pick = PICK.replace("  - place: {object: cube, on: mat}\n", "  - hold: 2.0\n") if few else PICK
         for distance in DISTANCES:
             for angle in ANGLES:
                 x, y = _at(distance * reach, angle)
@@ -98,16 +95,9 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
                     mat_z=round(table + 0.002, 4), z=round(table + edge / 2 + 0.0005, 4),
                     mass=round(800 * edge**3, 3),
                 )  # fmt: skip
-                task = pick.replace("  - move: home\n", home)
+                task = PICK.replace("  - move: home\n", home)
                 yield TEXT.format(**common, does="picks a cube", objects=objects, task=task)
     yield TEXT.format(**common, does="moves between its states", objects="", task=moves)
-
-
-def _turning(model: RobotModel) -> bool:
-    """Return whether the jaws of a gripper rotate as they close.
-    The settings of a starter cell depend on this.
-    """
-    return any(gripper.curve for gripper in model.grippers.values())
 
 
 def _settings(reach: float) -> str:

@@ -16,13 +16,15 @@ from rich.table import Table
 from armcell import _interrupts
 from armcell.cli.console import console, errors
 from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt, tell_page
+from armcell.cli.setup_gripper import HELP, ask, show_grippers, stated, write_pictures
 
 if TYPE_CHECKING:
     from armcell.cell.setup import Proposal
     from armcell.collision.self_collision import LinkPair
     from armcell.model.setup import UrdfPart
+    from armcell.model.setup.gripper import StatedGripper
 
-EXAMPLES = """
+EXAMPLES = f"""
 Examples:
 
   armcell setup my_robot.urdf -o my_cell                one robot
@@ -31,12 +33,16 @@ Examples:
 
   armcell setup ur10.urdf ur10.urdf --prefix left_ --prefix right_ --at 0,0.6,0 --at 0,-0.6,0 -o two_arms
 
+  armcell setup my_robot.urdf -o my_cell --gripper "drive=finger_joint closes=upper"
+
   armcell setup my_robot_moveit_config -o my_cell       a cell on a MoveIt package, its groups and pairs kept
 
+{HELP}
 The folder holds a MoveIt configuration package (config/), cell.yaml, and LAUNCH.md with the commands for
 users who go on in ROS 1 or ROS 2. What is found: arms are the longest
 rows of joints, grippers what branches off their ends; pairs of links need no check where they are joined,
-always touch or never do, by sampled states and proofs on the meshes. Then:
+always touch or never do, by sampled states and proofs on the meshes. Each recognized gripper is shown as
+numbers and as a picture, open and closed (gripper.png). Then:
 
   armcell check my_cell
 
@@ -66,6 +72,12 @@ def setup(
     ),
     seed: int = typer.Option(0, min=0, help="Of the samples."),
     force: bool = typer.Option(False, "--force", help="Write into a folder that is not empty."),
+    gripper: list[str] = typer.Option(
+        [],
+        "--gripper",
+        metavar="WORDS",
+        help="Facts about a gripper, as 'drive=JOINT closes=upper'; see below.",
+    ),
     web: bool = typer.Option(False, "--web", help="Show it in the browser; write when 'Write' is clicked."),
     host: str = HOST,
     port: int = PORT,
@@ -81,15 +93,24 @@ def setup(
     from armcell.model.setup.launch import GUIDE
 
     check_folder(output, force)
+    facts = stated(gripper)
     if any(robot.is_dir() for robot in robots):
         if len(robots) > 1 or not is_moveit_config(robots[0]) or prefix or at or rpy_deg:
             raise typer.BadParameter("a MoveIt package (a folder with config/*.srdf) is set up by itself")
+        if facts:
+            raise typer.BadParameter("a MoveIt package keeps its groups: describe its gripper in robot.yaml")
         proposal = propose_from_package(robots[0])
+        _show(proposal)
     else:
         parts = _parts(robots, prefix, at, rpy_deg)
-        with _progress(samples) as tell:
-            proposal = propose(parts, samples, seed, name, tell)
-    _show(proposal)
+
+        def proposed(facts: list[StatedGripper]) -> Proposal:
+            with _progress(samples) as tell:
+                return propose(parts, samples, seed, name, tell, facts)
+
+        proposal = proposed(facts)
+        _show(proposal)
+        proposal = ask(proposal, proposed)
     if web:
         proposal_or_none = _in_browser(proposal, PageAt(host, port, allow_host))
         if proposal_or_none is None:
@@ -99,6 +120,7 @@ def setup(
     write_cell(proposal, output, force)
     if proposal.model.grippers:
         _first_cell(output)
+    write_pictures(proposal, output)
     console.print(f"written: {output}/ (MoveIt: {output}/config)", markup=False)
     console.print(f"next:    armcell check {output}", markup=False)
     console.print(f"in ROS:  {output}/{GUIDE} (roslaunch {output}/launch/move_group.launch)", markup=False)
@@ -176,31 +198,10 @@ def _show(proposal: Proposal) -> None:
         table.add_row(group.name, str(len(group.joint_names)), group.base_link, group.tip_link, states)
     console.print(f"{model.name}: {len(model.links)} links, {model.dof} driven joints", markup=False)
     console.print(table)
-    for end in model.end_effectors.values():
-        console.print(f"end effector {end.name} on {end.parent_link}: {_gripper(proposal, end.name)}",
-                      markup=False, soft_wrap=True)  # fmt: skip
+    show_grippers(proposal)
     if proposal.loose_joints:
         console.print(f"in no group: {', '.join(proposal.loose_joints)}", markup=False)
     _show_pairs(proposal)
-
-
-def _gripper(proposal: Proposal, name: str) -> str:
-    """Describe, for `armcell setup`, the gripper of an end effector, or why the end effector has none."""
-    from armcell.model.setup.gripper import reasons
-
-    hint = "to pick and place, describe it under 'grippers' in robot.yaml (docs/adding_a_gripper.md)"
-    proof = next((p for p in proposal.proofs if p.gripper.name == name), None)
-    if proof is None:
-        return f"no gripper found: {reasons(proposal.model).get(name, 'no arm carries it')}; {hint}"
-    g = proof.gripper
-    open_at, closed_at = g.joint_position(g.max_width), g.joint_position(0.0)
-    text = (
-        f"opens 0 to {1000 * g.max_width:.0f} mm ({g.joint_name} {closed_at:.3g} to {open_at:.3g}), jaws "
-        f"{' and '.join(g.finger_links)}, tcp {g.tcp_link}, {g.max_force:.0f} N per finger"
-    )
-    if proof.held:
-        return f"{text}; {proof.text}"
-    return f"{text}; not proven, so robot.yaml does not contain it: {proof.text}; {hint}"
 
 
 def _show_pairs(proposal: Proposal) -> None:

@@ -15,7 +15,15 @@ from armcell.grasping.contact import PadContact
 from armcell.grasping.force import grip_force, needed_force, pair_friction
 from armcell.grasping.from_above import AboveSettings, HeapGrasp, grasps_from_above
 from armcell.grasping.hand import Hand, hand_of, pre_opening
-from armcell.grasping.placing import FRICTION_MARGIN, RELEASE_GAP, Placement, place_candidates, surface_for
+from armcell.grasping.placing import (
+    FRICTION_MARGIN,
+    RELEASE_GAP,
+    Placement,
+    place_candidates,
+    placement_axis,
+    surface_for,
+    turned,
+)
 from armcell.grasping.quality import (
     Noise,
     Quality,
@@ -58,6 +66,7 @@ __all__ = [
     "needed_force",
     "pair_friction",
     "place_candidates",
+    "placement_axis",
     "pre_opening",
     "resting_now",
     "rests",
@@ -66,4 +75,5 @@ __all__ = [
     "surface_for",
     "surface_of",
     "tilt_of",
+    "turned",
 ]

@@ -17,6 +17,7 @@ from armcell.model import Gripper, RobotModel
 
 Array = NDArray[np.float64]
 
+OVERLAP = 0.001  # [m] smallest width and height of a pad
 AT_THE_PAD = 0.001  # [m] maximum distance of a finger box from the closing plane to count as a pad
 
 
@@ -97,8 +98,10 @@ def _pad(left: Array, right: Array) -> Array:
         left[left[:, 1] < left[:, 1].min() + AT_THE_PAD],
         right[right[:, 4] > right[:, 4].max() - AT_THE_PAD],
     )
-    # Several boxes may end at the closing plane: the outermost one is the pad.
-    a, b = (boxes[np.argmax(boxes[:, 5])] for boxes in inner)
-    low = np.maximum(a[[0, 2]], b[[0, 2]])
-    high = np.minimum(a[[3, 5]], b[[3, 5]])
-    return np.stack([low, high])
+    # Several boxes may end at the closing plane: the outermost pair that overlaps is the pad.
+    pairs = [
+        np.stack([np.maximum(a[[0, 2]], b[[0, 2]]), np.minimum(a[[3, 5]], b[[3, 5]])])
+        for a in inner[0]
+        for b in inner[1]
+    ]
+    return max(pairs, key=lambda pad: (bool(np.all(pad[1] - pad[0] > OVERLAP)), pad[1, 1]))

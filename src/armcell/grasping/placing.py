@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,6 +138,37 @@ def place_candidates(
     return found
 
 
+def turned(
+    item: CollisionObject, support: CollisionObject, placement: Placement, angle: float
+) -> Placement | None:
+    """Return a placement turned by an angle [rad] about the surface normal through its center, or None if the
+    object would then not be entirely on the support.
+    """
+    frame, size_x, size_y = surface_for(item, support)
+    axis = placement_axis(item, placement)
+    turn = SE3(SO3.exp((0.0, 0.0, angle)), np.zeros(3))
+    T_world_object = axis @ turn @ axis.inv() @ placement.T_world_object
+    at = frame.inv().apply(T_world_object.apply(_corners(item)))[:, :2]
+    if np.any(np.abs(at) > np.array([size_x, size_y]) / 2 - STABILITY_MARGIN):
+        return None
+    return replace(
+        placement, name=f"{placement.name}, turned {np.rad2deg(angle):.0f} deg", T_world_object=T_world_object
+    )
+
+
+def placement_axis(item: CollisionObject, placement: Placement) -> SE3:
+    """Return T_world_axis, whose z axis is the surface normal through the center of a placed object."""
+    up = SO3.between((0.0, 0.0, 1.0), placement.normal)
+    along = placement.T_world_object.apply(_corners(item)) @ up.matrix
+    return SE3(up, up.matrix @ (along.min(0) + along.max(0)) / 2)
+
+
+def _corners(item: CollisionObject) -> Array:
+    """Return the points (n, 3) [m] of an object's surface that bound it, in the object's frame."""
+    surface = surface_of(item)
+    return surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
+
+
 def _highest(support: CollisionObject, normal: Array) -> float:
     """Return the highest coordinate [m] of a support along a world direction (3,).
     Objects are placed above this height.
@@ -228,7 +259,7 @@ def _on_side(
     """
     tilt, slope, normal = tilt_of(frame), _slope(frame), frame.rotation.matrix[:, 2]
     surface, height = surface_of(item), _mass_height(item, side)
-    corners = surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
+    corners = _corners(item)
     half = np.asarray(size) / 2 - STABILITY_MARGIN
     found = []
     for i, (yaw, R) in enumerate(_turns(item, side, frame)):

@@ -9,6 +9,7 @@ from armcell.kinematics.ik import (
     NumericIK,
     ik_solver,
     ik_solvers,
+    spin_angles,
 )
 from armcell.kinematics.tree import KinematicTree, kinematic_tree
 
@@ -23,4 +24,5 @@ __all__ = [
     "ik_solver",
     "ik_solvers",
     "kinematic_tree",
+    "spin_angles",
 ]

@@ -20,7 +20,8 @@ from armcell.model.known_robots import LIBRARY, ROBOT_FILE, known_robot, robot_n
 from armcell.model.limits import with_joint_limits
 from armcell.model.robot import Gripper, RobotModel
 from armcell.model.setup.chains import with_groups
-from armcell.model.setup.gripper import find_grippers, with_frame
+from armcell.model.setup.frames import with_frame
+from armcell.model.setup.gripper import find_grippers
 from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
 from armcell.model.srdf import with_srdf
 from armcell.model.urdf import load_urdf
@@ -311,6 +312,9 @@ def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
         gripper = Gripper(name=name, **values)
     except TypeError as error:
         raise InputError(f"is incomplete: {error}", **where) from None
+    if gripper.curve and gripper.max_width > gripper.curve[-1][1] + 1e-6:
+        text = f"max_width is {gripper.max_width:g} m, but the curve ends at {gripper.curve[-1][1]:g} m"
+        raise InputError(text, **where)
     for link in (gripper.tcp_link, *gripper.finger_links, *gripper.hand_links):
         if link not in model.links:
             raise UnknownNameError("link", link, model.links, **where)

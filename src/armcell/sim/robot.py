@@ -217,18 +217,44 @@ def add_gripper(spec: mujoco.MjSpec, model: RobotModel, gripper: Gripper, settin
     limit = servo_force(gripper, settings)
     actuator.forcelimited = True
     actuator.forcerange = [-limit, limit]
+    # A gripper's force is the force at its pads: its motor also overcomes the hand's friction and springs.
+    for name in _hand_joints(model, gripper):
+        joint, (multiplier, offset) = spec.joint(name), _coupling(model, name, gripper.joint_name)
+        joint.frictionloss = 0.0
+        joint.damping[0] = min(joint.damping[0], kv)  # else the fingers creep to their target
+        stiffness = float(np.ravel(joint.stiffness)[0])
+        actuator.biasprm[0] += multiplier * stiffness * (offset - joint.springref)
+        actuator.biasprm[1] += multiplier**2 * stiffness
+
+
+def _hand_joints(model: RobotModel, gripper: Gripper) -> list[str]:
+    """Return the names of the movable joints of a gripper's hand, also of those in its linkage."""
+    arm = model.groups.get(gripper.arm_group)
+    other = set(arm.joint_names) if arm is not None else set()
+    links = {*gripper.hand_links, *gripper.finger_links}
+    return [j.name for j in model.joints.values() if j.movable and j.child in links and j.name not in other]
+
+
+def _coupling(model: RobotModel, name: str, driven: str) -> tuple[float, float]:
+    """Return multiplier and offset of a hand's joint relative to the driven joint, 0 if it is independent."""
+    mimic = model.joints[name].mimic
+    if mimic is None:
+        return (1.0, 0.0) if name == driven else (0.0, 0.0)
+    multiplier, offset = _coupling(model, mimic.joint, driven)
+    return mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset
 
 
 def finger_weights(model: RobotModel, driven: str) -> list[tuple[str, float]]:
-    """Return the driven finger joint of a robot's gripper and its mimic joints,
+    """Return the driven finger joint of a robot's gripper and its mimic joints without an offset,
     with their weights for MuJoCo.
 
-    The weighted sum of their positions is the mean finger position.
+    The weighted sum of their positions is the mean finger position. Equalities move the other joints.
     """
     found = [(driven, 1.0)]
     for joint in model.joints.values():
-        if joint.mimic is not None and joint.mimic.joint == driven and joint.mimic.multiplier != 0:
-            found.append((joint.name, joint.mimic.multiplier))
+        mimic = joint.mimic
+        if mimic is not None and mimic.joint == driven and mimic.multiplier != 0 and mimic.offset == 0:
+            found.append((joint.name, mimic.multiplier))
     return [(name, 1.0 / (len(found) * multiplier)) for name, multiplier in found]
 
 

@@ -6,6 +6,7 @@ from functools import lru_cache
 
 from armcell.core import InputError
 from armcell.kinematics.ik.analytic import AnalyticIK
+from armcell.kinematics.ik.free_spin import spin_angles
 from armcell.kinematics.ik.numeric import NumericIK
 from armcell.kinematics.ik.solver import POSE_JOINTS, IKSettings, IKSolver, ik_solvers
 from armcell.model import RobotModel
@@ -43,4 +44,13 @@ def ik_solver(
     return kind(model, group, tip_link, settings)
 
 
-__all__ = ["POSE_JOINTS", "AnalyticIK", "IKSettings", "IKSolver", "NumericIK", "ik_solver", "ik_solvers"]
+__all__ = [
+    "POSE_JOINTS",
+    "AnalyticIK",
+    "IKSettings",
+    "IKSolver",
+    "NumericIK",
+    "ik_solver",
+    "ik_solvers",
+    "spin_angles",
+]

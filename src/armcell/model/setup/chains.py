@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from armcell.core import InputError
@@ -28,20 +28,23 @@ class Chain:
     palm: str | None = None
 
 
-def find_chains(model: RobotModel) -> list[Chain]:
+def find_chains(model: RobotModel, jaws: Collection[str] = ()) -> list[Chain]:
     """Return the arm chains of a robot: joints in series that end at a leaf link or at the fingers of a
     gripper.
 
     Joints before a branch that leads to longer chains belong to a torso, not to an arm. Chains with fewer
     than half as many joints as the longest chain (a head, a wheel) are left out.
+
+    Args:
+        jaws: names of joints that move jaws, in addition to the joints with typical names.
     """
     found: list[Chain] = []
-    _follow(model, model.root_link, found)
+    _follow(model, model.root_link, found, jaws)
     longest = max((len(c.joints) for c in found), default=0)
     return [c for c in found if 2 * len(c.joints) >= longest]
 
 
-def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
+def with_groups(model: RobotModel, prefixes: Sequence[str] = (), jaws: Collection[str] = ()) -> RobotModel:
     """Return the robot with planning groups for the arm chains and grippers that were detected.
 
     A robot with several arms that share no joint also gets a group of all arms: `both_arms` for two,
@@ -50,10 +53,11 @@ def with_groups(model: RobotModel, prefixes: Sequence[str] = ()) -> RobotModel:
     Args:
         model: the robot.
         prefixes: name prefixes of the robots that `model` is composed of; group names start with them.
+        jaws: names of joints that move jaws, in addition to the joints with typical names.
     Raises:
         InputError: the robot has no movable joint.
     """
-    chains = find_chains(model)
+    chains = find_chains(model, jaws)
     if not chains:
         return replace(model, **_only_a_gripper(model))
     groups: dict[str, Group] = {}
@@ -101,26 +105,30 @@ def _only_a_gripper(model: RobotModel) -> dict[str, dict[str, Group]]:
 
 
 # --- the tree ---
-def _follow(model: RobotModel, link: str, found: list[Chain]) -> None:
+def _follow(model: RobotModel, link: str, found: list[Chain], names_of_jaws: Collection[str]) -> None:
     """Detect the arm chains that start at or below a link and append them to `found`."""
+
+    def is_jaw(joint: Joint) -> bool:
+        return joint.name in names_of_jaws or bool(JAW.search(joint.name + joint.child))
+
     starts = _next_movable(model, link)
-    if len(starts) > 1 and all(JAW.search(j.name + j.child) for j in starts):
+    if len(starts) > 1 and all(is_jaw(j) for j in starts):
         return  # fingers without an arm
     for first in starts:
         row, ends = _row(model, first)
         below = [_depth(model, j) for j in ends]
         if ends and not (len(row) >= HAND_AFTER and max(below) < len(row)):
-            _follow(model, row[-1].child, found)  # `row` is a torso: the arms are further down
+            _follow(model, row[-1].child, found, names_of_jaws)  # `row` is a torso: the arms are further down
             continue
         driven, jaws = row, ends
-        if len(driven) > 1 and not ends and JAW.search(driven[-1].name + driven[-1].child):
+        if len(driven) > 1 and not ends and is_jaw(driven[-1]):
             jaws, driven = [driven[-1]], driven[:-1]  # gripper with one moving and one fixed jaw
-            while len(driven) > 1 and JAW.search(driven[-1].name):
+            while len(driven) > 1 and (JAW.search(driven[-1].name) or driven[-1].name in names_of_jaws):
                 jaws, driven = [driven[-1]], driven[:-1]
         names = tuple(j.name for j in driven if j.actuated)
-        if not names or all(JAW.search(j.name + j.child) for j in driven):
+        if not names or all(is_jaw(j) for j in driven):
             continue
-        palm = _common_link(model, [j.parent for j in jaws]) if jaws else _fixed_hand(model, driven[-1].child)
+        palm = common_link(model, [j.parent for j in jaws]) if jaws else _fixed_hand(model, driven[-1].child)
         tip = _tip(model, driven[-1].child, palm)
         found.append(Chain(driven[0].parent, tip, names, palm))
 
@@ -164,7 +172,7 @@ def _rigid_below(model: RobotModel, link: str) -> list[str]:
     return rigid
 
 
-def _common_link(model: RobotModel, links: list[str]) -> str:
+def common_link(model: RobotModel, links: list[str]) -> str:
     """Return the lowest common ancestor of all links of a gripper, to detect arm chains.
     It can be one of these links.
     """

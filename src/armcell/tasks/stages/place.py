@@ -9,7 +9,18 @@ from typing import Any
 import numpy as np
 
 from armcell.core import SE3, PlanResult
-from armcell.grasping import RELEASE_GAP, Grasp, Hand, Placement, hand_of, place_candidates, support_surface
+from armcell.grasping import (
+    RELEASE_GAP,
+    Grasp,
+    Hand,
+    Placement,
+    hand_of,
+    place_candidates,
+    placement_axis,
+    support_surface,
+    turned,
+)
+from armcell.kinematics import POSE_JOINTS, spin_angles
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.interfaces import holding
@@ -59,8 +70,31 @@ class ChoosePlacement:
         candidates = self._candidates(scene)
         if not candidates:
             planning.reject(self.name, self.object, NO_SIDE)
+        few = len(scene.model.group(self.gripper.arm_group).joint_names) < POSE_JOINTS and not self.among
         for placement in candidates[: planning.settings.max_candidates]:
-            yield from self._descents(solution, planning, placement)
+            reached = False
+            for reaching in self._descents(solution, planning, placement):
+                reached = True
+                yield reaching
+            if few and not reached:
+                for other in self._turned(scene, placement):
+                    yield from self._descents(solution, planning, other)
+
+    def _turned(self, scene: PlanningScene, placement: Placement) -> Iterator[Placement]:
+        """Yield the placement at the angles about the surface normal that an arm with few joints reaches.
+
+        Jaws that rotate as they close hold an object at an angle to the tool, so such an arm reaches the
+        placement at few angles only.
+        """
+        item, support, tcp = scene.object(self.object), scene.object(self.support), self.gripper.tcp_link
+        T_tcp_object = scene.frame_pose(tcp).inv() @ scene.frame_pose(self.object)
+        T_world_axis = placement_axis(item, placement)
+        T_tcp_axis = T_tcp_object @ placement.T_world_object.inv() @ T_world_axis
+        up = SE3(T_world_axis.rotation, T_world_axis.translation + RELEASE_GAP * np.array(placement.normal))
+        angles = spin_angles(scene.model, self.gripper.arm_group, tcp, T_tcp_axis, up, scene.positions)
+        for angle in angles:
+            if (other := turned(item, support, placement, angle)) is not None:
+                yield other
 
     def _candidates(self, scene: PlanningScene) -> Sequence[Placement]:
         item, support = scene.object(self.object), scene.object(self.support)

@@ -1,0 +1,48 @@
+"""Inverse kinematics with a free rotation about one axis, for arms with fewer than six joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armcell.core import SE3
+from armcell.kinematics.ik.numeric import NumericIK
+from armcell.model import Joint, Link, RobotModel
+
+SOLUTIONS = 16  # of the arm, among which distinct angles are searched
+APART = 1e-3  # [rad] distinct angles
+
+
+def spin_angles(
+    model: RobotModel, group: str, tip_link: str, T_tip_axis: SE3, T_world_axis: SE3, reference: ArrayLike
+) -> Iterator[float]:
+    """Yield the angles [rad] by which a goal may turn about an axis so that an arm reaches the goal.
+
+    The z axis of the frame `axis` is the axis of rotation. The tip reaches the pose
+    `T_world_axis @ Rz(angle) @ inverse(T_tip_axis)` within the joint limits. A continuous joint about the
+    axis extends the chain, so that an arm with five joints has a finite number of solutions.
+
+    Args:
+        reference: positions (dof,) of all joints of the model.
+    """
+    spin = Joint(f"{tip_link}/spin", "continuous", tip_link, f"{tip_link}/axis", T_tip_axis, axis=(0, 0, 1))
+    arm = model.group(group)
+    names = (*arm.joint_names, spin.name)
+    extended = replace(
+        model,
+        links={**model.links, spin.child: Link(spin.child)},
+        joints={**model.joints, spin.name: spin},
+        groups={**model.groups, group: replace(arm, joint_names=names, tip_link=spin.child)},
+    )
+    solver = NumericIK(extended, group, spin.child)
+    start = np.append(np.asarray(reference, dtype=float), 0.0)
+    found: list[float] = []
+    for q in islice(solver.solutions(T_world_axis, start, np.random.default_rng(0)), SOLUTIONS):
+        angle = -float(q[-1])
+        if all(abs(np.sin((angle - other) / 2)) > APART / 2 for other in found):
+            found.append(angle)
+            yield angle

@@ -1,0 +1,147 @@
+"""Geometry of a hand for gripper recognition: points on its links at any position of the driven joint."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3
+from armcell.model.robot import Joint, RobotModel
+from armcell.model.setup.chains import common_link
+from armcell.model.setup.surface_points import surface_points
+
+Array = NDArray[np.float64]
+
+SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compared
+
+
+class NotRecognized(Exception):
+    """Error for a gripper that robot setup cannot recognize; the text states the reason.
+
+    `hint` states the remedy, if there is one.
+    """
+
+    def __init__(self, reason: str, hint: str = ""):
+        super().__init__(reason)
+        self.hint = hint
+
+
+class HandGeometry:
+    """Robot hand that robot setup examines to decide whether it is a two-jaw gripper.
+
+    The class samples points on the surfaces of the hand's links. It computes where these points are at any
+    position of the driven joint.
+
+    Attributes:
+        palm: link that carries the moving joints.
+        moving: joints that the driven joint moves.
+        rigid: links below the palm that are fixed to each other, by link.
+    """
+
+    def __init__(self, model: RobotModel, driver: Joint):
+        self.model, self.driver = model, driver
+        self.moving = [j for j in model.joints.values() if j.movable and driver_of(model, j) == driver.name]
+        self.palm = common_link(model, [j.parent for j in self.moving])
+        below = model.subtree(self.palm)  # the arm's last link may be fixed to the palm, but is above it
+        sets = [tuple(n for n in below if n in links) for links in model.rigid_groups]
+        self.rigid = {link: links for links in sets for link in links}
+        self.points = {name: surface_points(model.links[name], SPACING) for name in below}
+
+    def pose(self, link: str, q: float) -> SE3:
+        """Return the pose T_palm_link of a link in the hand that robot setup examines.
+
+        The driven joint is at `q`. Joints that mimic it follow, and all other joints are at zero.
+        """
+        T = SE3.identity()
+        for joint in self.model.chain(self.palm, link):
+            T = T @ joint.T_parent_joint @ _motion(joint, _value(self.model, joint, self.driver.name, q))
+        return T
+
+    def at(self, links: tuple[str, ...], q: float) -> Array:
+        """Return points (n, 3) [m] on the surfaces of `links`, in the frame of the gripper's palm.
+        The driven joint of the gripper is at `q`.
+        """
+        parts = [self.pose(n, q).apply(p) for n in links if len(p := self.points.get(n, np.zeros((0, 3))))]
+        return np.concatenate(parts) if parts else np.zeros((0, 3))
+
+    def branch(self, part: tuple[str, ...]) -> str:
+        """Return the first movable joint on the path from the palm of a hand to the given links."""
+        top = min(part, key=lambda n: len(self.model.chain(self.palm, n)))
+        return next(j.name for j in self.model.chain(self.palm, top) if j.movable)
+
+    def last_axis(self) -> Array | None:
+        """Return the axis of the last arm joint above a gripper, in the frame of the palm.
+        It is None if there is no arm.
+        """
+        link = self.palm
+        while (joint := self.model.parent_joint.get(link)) is not None and not joint.movable:
+            link = joint.parent
+        if joint is None:
+            return None
+        R = SE3.identity()
+        for fixed in self.model.chain(joint.child, self.palm):
+            R = R @ fixed.T_parent_joint
+        return R.rotation.matrix.T @ np.asarray(joint.axis)
+
+    def arm_joints(self) -> int:
+        """Return the number of movable joints above the palm."""
+        return sum(j.movable for j in self.model.chain(self.model.root_link, self.palm))
+
+    def gap(
+        self, a: tuple[str, ...], b: tuple[str, ...], axes: Array, q: float
+    ) -> tuple[float, Array, Array, Array]:
+        """Compare the facing surfaces of two jaws on a grid in x and z,
+        to decide whether they form a gripper.
+
+        Returns:
+            The smallest gap [m] (infinite if the jaws face each other nowhere), and the cells (n, 2), the
+            inner y of the plus jaw and of the minus jaw in the cells [m].
+        """
+        cells: list[dict[tuple[int, int], float]] = []
+        for part, sign in ((a, 1.0), (b, -1.0)):
+            found = self.at(part, q) @ axes.T
+            keys = np.round(found[:, [0, 2]] / SPACING).astype(int)
+            inner: dict[tuple[int, int], float] = {}
+            for (x, z), y in zip(keys.tolist(), (sign * found[:, 1]).tolist(), strict=True):
+                if y < inner.get((x, z), np.inf):
+                    inner[x, z] = y
+            cells.append(inner)
+        common = [key for key in cells[0] if key in cells[1]]
+        if not common:
+            return np.inf, np.zeros((0, 2)), np.zeros(0), np.zeros(0)
+        plus = np.array([cells[0][key] for key in common])
+        minus = -np.array([cells[1][key] for key in common])
+        gap = plus - minus
+        return float(gap.min()), SPACING * np.array(common, dtype=float), plus, minus
+
+    def hand_links(self) -> tuple[str, ...]:
+        below = [n for n in self.model.subtree(self.palm) if self.model.links[n].collisions]
+        return tuple(dict.fromkeys([self.palm, *below]))
+
+
+def driver_of(model: RobotModel, joint: Joint) -> str:
+    """Return the actuated joint that drives a joint of a gripper, directly or through mimic joints."""
+    while joint.mimic is not None:
+        joint = model.joints[joint.mimic.joint]
+    return joint.name
+
+
+def _value(model: RobotModel, joint: Joint, driver: str, q: float) -> float:
+    """Return the position of a gripper's joint when the driving joint
+    is at `q` and all other joints are at zero.
+    """
+    if joint.mimic is None:
+        return q if joint.name == driver else 0.0
+    return (
+        joint.mimic.multiplier * _value(model, model.joints[joint.mimic.joint], driver, q)
+        + joint.mimic.offset
+    )
+
+
+def _motion(joint: Joint, value: float) -> SE3:
+    axis = np.asarray(joint.axis)
+    if not joint.movable:
+        return SE3.identity()
+    if joint.type == "prismatic":
+        return SE3.from_xyz(*(value * axis))
+    return SE3(SO3.exp(value * axis), np.zeros(3))
