@@ -5,13 +5,13 @@ The package also contains the library of robots that `load_robot` finds by name.
 
 from armcell.model.assets import find_file
 from armcell.model.compose import Part, compose, prefixed
+from armcell.model.grippers import Cup, Gripper, SuctionGripper
 from armcell.model.hand import hand_alone
 from armcell.model.known_robots import KnownRobot, installed_robots, known_robot, robot_names
 from armcell.model.loader import load_robot
 from armcell.model.robot import (
     Collision,
     EndEffector,
-    Gripper,
     Group,
     Inertial,
     Joint,
@@ -26,6 +26,7 @@ from armcell.model.urdf import load_urdf, parse_urdf
 
 __all__ = [
     "Collision",
+    "Cup",
     "EndEffector",
     "Gripper",
     "Group",
@@ -38,6 +39,7 @@ __all__ = [
     "MoveItConfig",
     "Part",
     "RobotModel",
+    "SuctionGripper",
     "UrdfPart",
     "Visual",
     "compose",

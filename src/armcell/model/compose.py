@@ -60,19 +60,7 @@ def prefixed(model: RobotModel, prefix: str) -> RobotModel:
             prefix + n: EndEffector(prefix + n, prefix + e.group, prefix + e.parent_link, p(e.parent_group))
             for n, e in model.end_effectors.items()
         },
-        grippers={
-            prefix + n: replace(
-                g,
-                name=prefix + n,
-                arm_group=prefix + g.arm_group,
-                group=prefix + g.group,
-                joint_name=prefix + g.joint_name,
-                tcp_link=prefix + g.tcp_link,
-                finger_links=tuple_p(g.finger_links),
-                hand_links=tuple_p(g.hand_links),
-            )
-            for n, g in model.grippers.items()
-        },
+        grippers={prefix + n: g.prefixed(prefix) for n, g in model.grippers.items()},
         named_states={
             prefix + g: {s: {prefix + j: v for j, v in values.items()} for s, values in states.items()}
             for g, states in model.named_states.items()

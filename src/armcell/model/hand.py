@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from armcell.model.robot import Gripper, RobotModel
+from armcell.model.grippers import Gripper
+from armcell.model.robot import RobotModel
 
 
 def hand_alone(model: RobotModel, gripper: Gripper) -> RobotModel:
@@ -14,7 +15,7 @@ def hand_alone(model: RobotModel, gripper: Gripper) -> RobotModel:
     The root link is the lowest link above all links of the gripper. The new model has no planning groups, end
     effectors or named states; the gripper and its joints are unchanged.
     """
-    links = {gripper.tcp_link, *gripper.hand_links, *gripper.finger_links}
+    links = {gripper.tcp_link, *gripper.hand_links, *gripper.contact_links}
     chains = [[j.parent for j in reversed(model.chain(model.root_link, link))] for link in links]
     above = [
         [link, *chain] for link, chain in zip(links, chains, strict=True)

@@ -16,9 +16,10 @@ from armcell.model.assets import resolve_uri
 from armcell.model.compose import Part, compose
 from armcell.model.composite import with_composites
 from armcell.model.files import parse_xml, read_text, read_yaml
+from armcell.model.grippers import Cup, Gripper, SuctionGripper
 from armcell.model.known_robots import LIBRARY, ROBOT_FILE, known_robot, robot_names
 from armcell.model.limits import with_joint_limits
-from armcell.model.robot import Gripper, RobotModel
+from armcell.model.robot import RobotModel
 from armcell.model.setup.chains import with_groups
 from armcell.model.setup.frames import with_frame
 from armcell.model.setup.gripper import find_grippers
@@ -297,30 +298,64 @@ def _curve(rows: Any, where: dict[str, Any]) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in table.tolist())
 
 
+KINDS: dict[str, type[Gripper]] = {"jaws": Gripper, "suction": SuctionGripper}
+_NO_SUCTION = {f.name for f in fields(Gripper)} - {"arm_group", "group", "tcp_link", "hand_links"}
+
+
 def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
     where = {"file": file, "element": f"grippers/{name}"}
-    known = {f.name for f in fields(Gripper)} - {"name"}
     if not isinstance(entry, dict):
         raise InputError("is not a mapping", **where)
+    kind = entry.get("kind", "jaws")
+    if kind not in KINDS:
+        raise UnknownNameError("kind of gripper", kind, KINDS, **where)
+    made = KINDS[kind]
+    known = {"kind", *(f.name for f in fields(made))} - ({"name"} if kind == "jaws" else _NO_SUCTION)
     for key in entry:
         if key not in known:
             raise UnknownNameError("key", key, known, **where)
     values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+    values.pop("kind", None)
     if "curve" in values:
         values["curve"] = _curve(values["curve"], where)
+    if "cups" in values:
+        values["cups"] = _cups(values["cups"], where)
     try:
-        gripper = Gripper(name=name, **values)
+        gripper = made(name=name, **values)
     except TypeError as error:
         raise InputError(f"is incomplete: {error}", **where) from None
+    except InputError as error:
+        raise InputError(error.reason, hint=error.hint, **where) from None
     if gripper.curve and gripper.max_width > gripper.curve[-1][1] + 1e-6:
         text = f"max_width is {gripper.max_width:g} m, but the curve ends at {gripper.curve[-1][1]:g} m"
         raise InputError(text, **where)
-    for link in (gripper.tcp_link, *gripper.finger_links, *gripper.hand_links):
+    for link in (gripper.tcp_link, *gripper.contact_links, *gripper.hand_links):
         if link not in model.links:
             raise UnknownNameError("link", link, model.links, **where)
-    if gripper.joint_name not in model.joint_names:
-        raise UnknownNameError("actuated joint", gripper.joint_name, model.joint_names, **where)
+    for joint in gripper.joint_names:
+        if joint not in model.joint_names:
+            raise UnknownNameError("actuated joint", joint, model.joint_names, **where)
     for group in (gripper.arm_group, gripper.group):
         if group not in model.groups:
             raise UnknownNameError("planning group", group, model.groups, **where)
     return gripper
+
+
+def _cups(rows: Any, where: dict[str, Any]) -> tuple[Cup, ...]:
+    """Read the cups of a suction gripper from its entry in robot.yaml."""
+    if not isinstance(rows, tuple) or not all(isinstance(row, dict) for row in rows):
+        raise InputError("cups must be a list of mappings", **where)
+    known = {f.name for f in fields(Cup)}
+    cups = []
+    for row in rows:
+        for key in row:
+            if key not in known:
+                raise UnknownNameError("key of a cup", key, known, **where)
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
+        try:
+            cups.append(Cup(**values))
+        except TypeError as error:
+            raise InputError(f"a cup is incomplete: {error}", **where) from None
+        except InputError as error:
+            raise InputError(error.reason, hint=error.hint, **where) from None
+    return tuple(cups)

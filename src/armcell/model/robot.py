@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, InputError, JointState, Shape, UnknownNameError
 from armcell.core.checks import checked, float_array
+from armcell.model.grippers import Gripper
 
 Array = NDArray[np.float64]
 
@@ -178,82 +179,6 @@ class EndEffector:
     group: str
     parent_link: str
     parent_group: str | None = None
-
-
-@dataclass(frozen=True)
-@checked()
-class Gripper:
-    """Gripper of a robot. Its two jaws close along the y axis of the tcp frame.
-
-    The z axis of the tcp frame points out of the hand, between the fingertips. `width` [m] is the gap between
-    the finger pads. With sliding fingers, `width = width_per_joint * q + width_offset`, with `q` the position
-    of the driven joint. For a linkage or a single moving jaw, `curve` tabulates the width, and the center of
-    the grip, which moves as the jaws close; `width_per_joint` [m/rad] is then the mean slope.
-    """
-
-    name: str
-    arm_group: str
-    group: str
-    joint_name: str
-    tcp_link: str
-    finger_links: tuple[str, ...]
-    hand_links: tuple[str, ...]  # links that may be near the grasped object: palm and fingers
-    width_per_joint: float = 2.0
-    width_offset: float = 0.0
-    max_width: float = 0.08  # [m]
-    max_force: float = 70.0  # [N] per finger
-    finger_depth: float = 0.02  # [m] usable finger length from the tcp toward the palm
-    pad_depth: float = 0.01  # [m] finger length beyond the tcp
-    # Rows, from closed to open: joint position, width [m], y and z of the grip center in the tcp frame [m].
-    curve: tuple[tuple[float, ...], ...] = ()
-    pad: tuple[float, ...] = ()  # [m] lowest x and z, highest x and z of the pads; empty: from the meshes
-
-    @cached_property
-    def _table(self) -> Array:
-        """Return a gripper's tabulated `curve` as an array (4, k), with one column per joint position.
-
-        The rows are the joint position, the width [m], and y and z of the grip center in the tcp frame [m].
-        """
-        return np.array(self.curve, dtype=float).reshape(-1, 4).T
-
-    def joint_position(self, width: float) -> float:
-        """Return the position of a gripper's driven joint at which the
-        gap between the pads has a given width [m].
-        """
-        if self.curve:
-            return float(np.interp(width, self._table[1], self._table[0]))
-        return (width - self.width_offset) / self.width_per_joint
-
-    def width(self, joint_position: float) -> float:
-        """Return the gap [m] between a gripper's pads for a given position of the driven joint."""
-        if self.curve:
-            ways = np.sign(self._table[0, -1] - self._table[0, 0])
-            return float(np.interp(ways * joint_position, ways * self._table[0], self._table[1]))
-        return joint_position * self.width_per_joint + self.width_offset
-
-    def center(self, width: float) -> SE3:
-        """Return T_tcp_center, the pose of the grip center of a robot's gripper,
-        for a gap [m] between the pads.
-        """
-        if not self.curve:
-            return SE3.identity()
-        return SE3.from_xyz(0.0, *(float(np.interp(width, self._table[1], self._table[k])) for k in (2, 3)))
-
-    def grip_center(self, width: float, opening: float) -> SE3:
-        """Return T_tcp_center for grasping an object of a given `width` [m]. The gripper approaches the
-        object with the gap `opening` [m].
-
-        A single moving jaw approaches with the object centered between the jaws.
-        """
-        closed, opened = self.center(width).translation, self.center(opening).translation
-        return SE3.from_xyz(0.0, float(opened[1]), float(closed[2]))
-
-    @property
-    def scale(self) -> float:
-        """How far a gripper's finger moves when the driven joint moves by one unit.
-        It is 1 for symmetric sliding fingers.
-        """
-        return abs(self.width_per_joint) / 2
 
 
 @dataclass(frozen=True, eq=False)
