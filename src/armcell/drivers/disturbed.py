@@ -31,7 +31,7 @@ class DisturbedSim(SteppedSim):
         super().__init__(scene, options)
         self.disturbances = disturbances
         model = scene.model
-        fingers = {g.joint_name for g in model.grippers.values()}
+        fingers = {name for g in model.grippers.values() for name in g.joint_names}
         self._arm = np.array([n not in fingers for n in model.joint_names])
         self._offset = np.array([disturbances.joint_offsets.get(n, 0.0) for n in model.joint_names])
         self._offset_of = dict(zip(model.joint_names, self._offset.tolist(), strict=True))

@@ -40,9 +40,18 @@ class GripperReading:
     """Reading that a driver returns for a gripper: its opening, its force and the object that it holds."""
 
     width: float  # [m]
-    force_per_finger: float  # [N]
-    held: str | None = None  # object between the fingers, if the driver detects it
+    force_per_finger: float  # [N] mean per cup for a suction gripper
+    held: str | None = None  # object that the fingers or cups hold, if the driver detects it
     fault: str = ""  # reason for which the gripper did not execute its last command
+    sealed: tuple[int, int] | None = None  # cups that hold the object, and all cups; None for jaws
+    vacuum: float | None = None  # [kPa] below ambient, highest of the cups; None for jaws or if unknown
+
+    def describe(self) -> str:
+        """Describe what a driver's gripper holds, with the gap between its fingers or its vacuum."""
+        if self.sealed is None:
+            return f"{self.held or 'nothing'} is between the fingers ({self.width * 1000:.1f} mm apart)"
+        level = "" if self.vacuum is None else f", vacuum {self.vacuum:.0f} kPa"
+        return f"{self.held or 'nothing'} is on the cups ({self.sealed[0]} of {self.sealed[1]} hold{level})"
 
 
 @dataclass(frozen=True)
@@ -186,7 +195,7 @@ class Driver(ABC):
     @abstractmethod
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
         """Move a driver's gripper to a width [m] with limited force [N] per finger.
-        Use a width of 0 to grasp an object.
+        Use a width of 0 to grasp an object. A suction gripper turns its vacuum on at width 0, else off.
         """
 
     @abstractmethod

@@ -14,6 +14,7 @@ from armcell.core import SE3, JointState
 from armcell.core.checks import require
 from armcell.drivers.driver import Array, Driver, DriverOptions, GripperReading, drivers
 from armcell.kinematics import kinematic_tree
+from armcell.model import SuctionGripper
 from armcell.scene import PlanningScene
 from armcell.sim import Pacer
 
@@ -66,17 +67,25 @@ class FakeDriver(Driver):
 
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
         opens = width > self.gripper(gripper).width + 1e-4
+        suction = isinstance(self._model.gripper(gripper), SuctionGripper)
         require(bool(np.isfinite(width) and np.isfinite(force)), f"gripper target {width} m, {force} N")
         self._targets[gripper] = (width, force)
         if opens:
             self._held.pop(gripper, None)
+        elif suction and gripper not in self._held:
+            self._take(gripper)
 
     def gripper(self, gripper: str) -> GripperReading:
         g = self._model.gripper(gripper)
-        width = g.width(float(self._q[self._model.columns((g.joint_name,))[0]]))
         held = self._held.get(gripper)
-        force = self._targets.get(gripper, (0.0, 0.0))[1] if held else 0.0
-        return GripperReading(width, force, held[0] if held else None)
+        target, force = self._targets.get(gripper, (g.max_width, 0.0))
+        item = held[0] if held else None
+        if isinstance(g, SuctionGripper):
+            sealed = (len(g.cups) if held else 0, len(g.cups))
+            width, vacuum = 0.0 if target <= 0.0 else g.max_width, g.vacuum if held else 0.0
+            return GripperReading(width, g.max_force if held else 0.0, item, sealed=sealed, vacuum=vacuum)
+        width = g.width(float(self._q[self._model.columns(g.joint_names)[0]]))
+        return GripperReading(width, force if held else 0.0, item)
 
     def resume(self) -> None:
         """Do nothing to resume the fake robot, because no event ever stops it."""
@@ -89,16 +98,16 @@ class FakeDriver(Driver):
         self._now += duration
         for name, (target, _) in self._targets.items():
             g = self._model.gripper(name)
-            column = self._model.columns((g.joint_name,))[0]
+            if not g.joint_name:
+                continue
+            column = self._model.columns(g.joint_names)[0]
             width = g.width(float(self._q[column]))
             blocked = self._blocked_width(name) if target < width else 0.0
             step = FINGER_SPEED * duration
             width += float(np.clip(max(target, blocked) - width, -step, step))
             self._q[column] = g.joint_position(width)
             if blocked and abs(width - blocked) < 1e-6 and name not in self._held:
-                item = self._between(name)
-                if item:
-                    self._held[name] = (item, self._tcp(name).inv() @ self._poses[item])
+                self._take(name)
         for name, (item, T_tcp_object) in self._held.items():
             self._poses[item] = self._tcp(name) @ T_tcp_object
         self._pacer.wait_until(self._now)
@@ -106,15 +115,24 @@ class FakeDriver(Driver):
     def _tcp(self, gripper: str) -> SE3:
         return self._tree.link_pose(self._q, self._model.gripper(gripper).tcp_link)
 
+    def _take(self, gripper: str) -> None:
+        """Let a fake gripper hold the object between its fingers or under its cups, if there is one."""
+        if item := self._between(gripper):
+            self._held[gripper] = (item, self._tcp(gripper).inv() @ self._poses[item])
+
     def _between(self, gripper: str) -> str | None:
         """Return the object that a fake gripper would grasp because
-        its bounding box contains the TCP, or None.
+        its bounding box contains the TCP, or a point within the stroke of a cup's lip, or None.
         """
-        point = self._tcp(gripper).translation
+        g = self._model.gripper(gripper)
+        points = [self._tcp(gripper).translation]
+        if isinstance(g, SuctionGripper):
+            cups = [self._tree.link_pose(self._q, cup.link) @ cup.T_link_cup for cup in g.cups]
+            points = [T.apply((0.0, 0.0, cup.stroke)) for T, cup in zip(cups, g.cups, strict=True)]
         for name, pose in self._poses.items():
             low, high = self._scene.object(name).bounds()
-            local = pose.inv().apply(point)
-            if np.all(local >= low) and np.all(local <= high):
+            local = pose.inv().apply(np.array(points))
+            if np.any(np.all((local >= low) & (local <= high), axis=1)):
                 return name
         return None
 

@@ -81,7 +81,9 @@ class SteppedSim(Driver):
 
     def gripper(self, gripper: str) -> GripperReading:
         state = self.world.gripper_state(gripper)
-        return GripperReading(state.width, state.force_per_finger, state.held)
+        return GripperReading(
+            state.width, state.force_per_finger, state.held, sealed=state.sealed, vacuum=state.vacuum
+        )
 
     def wrench(self, gripper: str) -> Array:
         return self.world.wrench(gripper)
@@ -92,7 +94,7 @@ class SteppedSim(Driver):
 
     def stop(self) -> None:
         state = self.world.joint_state()
-        fingers = {g.joint_name for g in self.world.robot.grippers.values()}
+        fingers = {name for g in self.world.robot.grippers.values() for name in g.joint_names}
         arm = state.reindexed(n for n in state.joint_names if n not in fingers)
         self.world.set_arm_target(arm.joint_names, arm.positions)
 

@@ -13,9 +13,11 @@ from collections.abc import Iterable
 import mujoco
 
 from armcell.core import InputError
+from armcell.model import SuctionGripper
 from armcell.model.mjcf.spec import UNSAVED, log_mujoco_warnings
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim.built import BuiltModel, indexed
+from armcell.sim.cups import add_cups
 from armcell.sim.decals import Decal, add_decals
 from armcell.sim.objects import add_object, weld_name
 from armcell.sim.robot import add_arm_actuators, add_excludes, add_gripper, add_robot
@@ -92,7 +94,10 @@ def build(
     add_excludes(spec, scene)
     add_arm_actuators(spec, scene.model, settings)
     for gripper in scene.model.grippers.values():
-        add_gripper(spec, scene.model, gripper, settings)
+        if isinstance(gripper, SuctionGripper):
+            add_cups(spec, bodies, gripper)
+        else:
+            add_gripper(spec, scene.model, gripper, settings)
     for name, item in objects.items():
         if item.thread is None and (item.movable or name in scene.attached):
             for gripper in scene.model.grippers.values():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.model import Gripper, RobotModel
 from armcell.scene import CollisionObject, PlanningScene
+from armcell.sim.cups import CupIndex, index_cups
 from armcell.sim.objects import belt_name, slide_name, turn_name, weld_name
 from armcell.sim.robot import finger_weights, servo_force, tendon_name
 from armcell.sim.settings import PhysicsSettings
@@ -23,7 +24,8 @@ Ints = NDArray[np.int64]
 class GripperIndex:
     """Indices and limits of the position servo that drives one gripper in a MuJoCo model built from a scene.
 
-    The length of the servo's tendon is the driven joint's position, averaged over the fingers.
+    The length of the servo's tendon is the driven joint's position, averaged over the fingers. A suction
+    gripper has no servo; its `CupIndex`es hold the indices of its vacuum.
     """
 
     gripper: Gripper
@@ -33,7 +35,7 @@ class GripperIndex:
     upper: float
     max_speed: float  # [m/s] of the driven joint
     max_force: float  # [N] per finger
-    finger_owners: NDArray[np.int64]  # (fingers,) index of each finger's link among the owners
+    finger_owners: NDArray[np.int64]  # (fingers,) index of each finger's or cup's link among the owners
     hand: NDArray[np.bool_]  # (owners,) True where the owner is a link of the hand
     tcp_body: int
 
@@ -74,6 +76,7 @@ class BuiltModel:
     object_dof: dict[str, int]
     objects: dict[str, CollisionObject]  # including attached objects, at their initial poses
     welds: dict[tuple[str, str], int]  # equality constraint id by (object, gripper)
+    cups: tuple[CupIndex, ...]
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -97,10 +100,13 @@ def indexed(
     owner_of_body = np.full(mj.nbody, -1)
     for name, i in body.items():
         owner_of_body[i] = owner_index[name]
+    cups = index_cups(mj, model, owner_index)
+    for cup in cups:
+        owner_of_body[cup.body] = cup.owner
     joints = {name: mj.joint(name) for name in model.movable_joint_names}
     joint_qpos = {name: int(j.qposadr[0]) for name, j in joints.items()}
     joint_dof = {name: int(j.dofadr[0]) for name, j in joints.items()}
-    driven = {g.joint_name for g in model.grippers.values()}
+    driven = {name for g in model.grippers.values() for name in g.joint_names}
     # each pid actuator has two controls, so an actuator's id differs from its control index
     first = {n: int(mj.actuator_ctrladr[mj.actuator(n).id]) for n in model.joint_names if n not in driven}
     free = {
@@ -142,6 +148,7 @@ def indexed(
         object_dof={n: int(j.dofadr[0]) for n, j in free.items()},
         objects=objects,
         welds={(n, g): mj.equality(weld_name(n, g)).id for n in free for g in model.grippers},
+        cups=cups,
     )
 
 
@@ -152,17 +159,25 @@ def _ints(values: Iterable[int]) -> Ints:
 def _gripper_index(
     mj: mujoco.MjModel, model: RobotModel, gripper: Gripper, settings: PhysicsSettings, owners: dict[str, int]
 ) -> GripperIndex:
+    common = {
+        "gripper": gripper,
+        "finger_owners": np.array([owners[n] for n in gripper.contact_links], np.int64),
+        "hand": np.array([name in gripper.hand_links for name in owners]),
+        "tcp_body": mj.body(gripper.tcp_link).id,
+    }
+    if not gripper.joint_name:
+        force = gripper.max_force
+        return GripperIndex(
+            ctrl=-1, joints=(), lower=0.0, upper=0.0, max_speed=0.0, max_force=force, **common
+        )
     limits = model.joints[gripper.joint_name].limits
     actuator = mj.actuator(tendon_name(gripper.name)).id
     return GripperIndex(
-        gripper=gripper,
         ctrl=int(mj.actuator_ctrladr[actuator]),
         joints=tuple((int(mj.joint(n).qposadr[0]), w) for n, w in finger_weights(model, gripper.joint_name)),
         lower=limits.lower,
         upper=limits.upper,
         max_speed=min(limits.velocity, settings.finger_speed / gripper.scale),
         max_force=servo_force(gripper, settings) / abs(gripper.width_per_joint),
-        finger_owners=np.array([owners[n] for n in gripper.finger_links], np.int64),
-        hand=np.array([name in gripper.hand_links for name in owners]),
-        tcp_body=mj.body(gripper.tcp_link).id,
+        **common,
     )

@@ -17,6 +17,7 @@ from armcell.sim.grip import Fingers
 from armcell.sim.holding import Holding
 from armcell.sim.servo import Controls
 from armcell.sim.stepping import FIXED, LIBRARY, take_steps
+from armcell.sim.suction import Suction
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,7 @@ class CompiledSteps:
     """
 
     def __init__(
-        self, built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding,
+        self, built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding, suction: Suction,
         count: NDArray[np.int32],
     ):  # fmt: skip
         self._data, self._apart = data, Apart(built)
@@ -40,7 +41,7 @@ class CompiledSteps:
         self.forget = self._apart.forget
         self._arrays = (
             count, data.qpos, data.ctrl, data.geom_xpos, fingers.law, fingers.joints, fingers.weights,
-            *self._apart.arrays, *holding.arrays,
+            *self._apart.arrays, *holding.arrays, *suction.arrays,
         )  # fmt: skip
         self._fixed = addresses_of(self._arrays, FIXED)
 
@@ -101,7 +102,7 @@ class CompiledSteps:
 
 
 def compiled_steps(
-    built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding
+    built: BuiltModel, data: mujoco.MjData, fingers: Fingers, holding: Holding, suction: Suction
 ) -> CompiledSteps | None:
     """Return a stepper that advances the physics in compiled code, or None if MuJoCo's memory layout is
     unknown.
@@ -109,7 +110,7 @@ def compiled_steps(
     The stepper reads MuJoCo's number of contacts at a fixed offset in mjData; `_count_is_found` checks this
     offset.
     """
-    return CompiledSteps(built, data, fingers, holding, _count(data)) if _count_is_found() else None
+    return CompiledSteps(built, data, fingers, holding, suction, _count(data)) if _count_is_found() else None
 
 
 def _count(data: mujoco.MjData) -> NDArray[np.int32]:

@@ -94,7 +94,7 @@ class ContactMonitor:
         for name, body in scene.attached.items():
             self._allowed |= {frozenset((name, link)) for link in body.touch_links}
         for gripper in scene.model.grippers.values():  # the fingers of an empty gripper touch each other
-            self._allowed.add(frozenset(gripper.finger_links))
+            self._allowed.add(frozenset(gripper.contact_links))
         self._rule()
 
     @property

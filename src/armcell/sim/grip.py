@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
+from armcell.model import SuctionGripper
 from armcell.sim.built import BuiltModel, GripperIndex
 from armcell.sim.robot import servo_gains
 from armcell.sim.settings import PhysicsSettings
@@ -26,6 +27,7 @@ from armcell.sim.stepping import (
     drive_fingers,
     grip_between,
 )
+from armcell.sim.suction import LEVEL, SETTLED, Suction
 
 Array = NDArray[np.float64]
 
@@ -42,8 +44,10 @@ class GripperState:
     """
 
     width: float  # [m]
-    force_per_finger: float
+    force_per_finger: float  # [N] mean per cup for a suction gripper
     held: str | None
+    sealed: tuple[int, int] | None = None  # cups that hold the object, and all cups; None for jaws
+    vacuum: float | None = None  # [kPa] below ambient, highest of the cups; None for jaws
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,7 @@ class Fingers:
     """
 
     def __init__(self, built: BuiltModel, settings: PhysicsSettings):
-        grippers = built.grippers
+        grippers = {name: index for name, index in built.grippers.items() if index.joints}
         most = max((len(index.joints) for index in grippers.values()), default=0)
         self.law = np.zeros((len(grippers), LAW_SIZE))
         self.joints, self.weights = np.zeros((len(grippers), most), np.int64), np.zeros((len(grippers), most))
@@ -169,8 +173,10 @@ def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -
     return {other: [*map(abs, row)] for other, row in enumerate(forces.tolist()) if any(row)}
 
 
-def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperState:
+def gripper_state(built: BuiltModel, data: mujoco.MjData, suction: Suction, name: str) -> GripperState:
     index = built.grippers[name]
+    if not index.joints:
+        return _suction_state(built, suction, name)
     total, held = 0.0, -1
     if data.ncon:
         contact, fingers, y_axis = data.contact, index.finger_owners, data.xmat[index.tcp_body][1::3]
@@ -183,6 +189,22 @@ def gripper_state(built: BuiltModel, data: mujoco.MjData, name: str) -> GripperS
         width=index.gripper.width(position),
         force_per_finger=total / len(index.finger_owners),
         held=built.owners[held] if held >= 0 else None,
+    )
+
+
+def _suction_state(built: BuiltModel, suction: Suction, name: str) -> GripperState:
+    """Return the state of a suction gripper. It holds the object on which most of its cups hold."""
+    cups, gripper = suction.rows(name), built.grippers[name].gripper
+    assert isinstance(gripper, SuctionGripper)
+    firm = [k for k in cups if suction.sealed[k] >= 0 and suction.law[k, LEVEL] >= SETTLED]
+    owners = [int(suction.sealed[k]) for k in firm]
+    held = max(sorted(set(owners)), key=owners.count, default=-1)
+    return GripperState(
+        width=0.0 if suction.is_on(name) else gripper.max_width,
+        force_per_finger=sum(suction.pull(k) for k in cups) / len(cups),
+        held=built.owners[held] if held >= 0 else None,
+        sealed=(owners.count(held), len(cups)),
+        vacuum=gripper.vacuum * max((float(suction.law[k, LEVEL]) for k in cups), default=0.0),
     )
 
 
@@ -232,7 +254,7 @@ class Welder:
         if self._steps % _CHECK_EVERY:
             return
         for name, grip in self._grips.items():
-            if grip.event is None and self._drives[name].closing(data):
+            if name in self._drives and grip.event is None and self._drives[name].closing(data):
                 self._grips[name] = self._look(data, name, grip)
 
     def fix(self, data: mujoco.MjData, gripper: str, item: str, reason: str) -> None:

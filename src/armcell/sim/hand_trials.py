@@ -22,17 +22,20 @@ from armcell.core import SE3, SO3, Box, Shape
 from armcell.core.checks import checked
 from armcell.core.geometry import extent
 from armcell.kinematics import kinematic_tree
-from armcell.model import Gripper, RobotModel, hand_alone
+from armcell.model import Gripper, RobotModel, SuctionGripper, hand_alone
 from armcell.scene import CollisionObject, PlanningScene, solid_inertia
 from armcell.sim.build import build
 from armcell.sim.built import BuiltModel
 from armcell.sim.robot import servo_gains
 from armcell.sim.settings import PhysicsSettings
+from armcell.sim.suction import Suction
 
 Array = NDArray[np.float64]
 
 SUPPORT, OBJECT = "trial support", "trial object"
 SUPPORT_THICK = 0.02  # [m]
+EVACUATED = 3.0  # time constants until a cup has its vacuum
+SEAL_CHECK = 0.04  # [s] between two checks whether the cups still seal
 FREE_GAP = 2e-4  # [m] initial gap between the object and its support
 STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 CONTROL = sum(
@@ -68,7 +71,7 @@ class Trial:
     T_object_tcp: SE3
     opening: float  # [m] gripper width at the start
     width: float  # [m] gripper width at which the pads are expected to touch the object
-    force: float  # [N] per finger
+    force: float  # [N] per finger; a suction gripper pulls with its vacuum
     up: tuple[float, float, float]  # direction away from the support, object frame
     friction: float
     mass: float  # [kg]
@@ -83,7 +86,7 @@ class TrialResult:
     closing: float  # [m] displacement of the center of mass while the hand closed
     slip: float  # [m] displacement of the object's point between the pads, from the closed hand to the end
     turn: float  # [rad] rotation of the object, from the closed hand to the end
-    lost: bool  # the object left the fingers, or the physics diverged
+    lost: bool  # the object left the fingers, a cup leaked, or the physics diverged
 
 
 def run_trials(
@@ -125,6 +128,7 @@ class _Plan:
     control: Array  # (steps, ctrl, 6 per body, position and quaternion of the support)
     closed: int  # step at which the hand presses, just before the support is removed
     end: int
+    sealed: tuple[int, ...] = ()  # suction cups that seal at the start and must seal to the end
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +141,7 @@ class _World:
     center: Array  # (3,) center of mass [m, object frame]
     shapes: tuple[tuple[Shape, SE3], ...]
     body: int
+    suction: Suction
 
     @staticmethod
     def of(model: RobotModel, gripper: Gripper, item: CollisionObject, settings: TrialSettings) -> _World:
@@ -150,7 +155,9 @@ class _World:
         tree = kinematic_tree(hand)
         T_root_tcp = tree.link_pose(hand.default_positions(), gripper.tcp_link)
         center, _ = solid_inertia(item.shapes, 1.0)
-        return _World(built, mj, gripper, settings, T_root_tcp, center, item.shapes, mj.body(OBJECT).id)
+        suction = Suction(built, settings.timestep, np.zeros((1, len(gripper.contact_links)), np.int64))
+        body = mj.body(OBJECT).id
+        return _World(built, mj, gripper, settings, T_root_tcp, center, item.shapes, body, suction)
 
     def variant(self, trial: Trial) -> mujoco.MjModel:
         """Return a copy of the MuJoCo model with the friction, mass and finger force of one grasp trial of a
@@ -162,6 +169,8 @@ class _World:
         mj.body_inertia[self.body] *= scale
         mj.geom_friction[mj.geom_bodyid == self.body, 0] = trial.friction
         index = self.built.grippers[self.gripper.name]
+        if not index.joints:
+            return mj
         servo = min(trial.force, index.max_force) * abs(self.gripper.width_per_joint)
         actuator = int(np.flatnonzero(mj.actuator_ctrladr == index.ctrl)[0])
         mj.actuator_forcerange[actuator] = [-servo, servo]
@@ -189,18 +198,18 @@ class _World:
         data.qpos[start : start + 3], data.qpos[start + 3 : start + 7] = T.translation, T.quat_wxyz
         initial = np.empty(mujoco.mj_stateSize(mj, STATE))
         mujoco.mj_getState(mj, data, initial, STATE)
-        # --- the fingers: finger speed up to the expected contact, then rising force
-        dt = s.timestep
-        ways = np.sign(self.gripper.width_per_joint)
-        meet = abs(q - self.gripper.joint_position(trial.width))
-        kp = servo_gains(self.gripper, PhysicsSettings())[0]
-        press = trial.force * abs(self.gripper.width_per_joint) / kp + 0.004 / self.gripper.scale
-        rate = s.force_rate * abs(self.gripper.width_per_joint) / kp
-        meeting, pressing = meet / index.max_speed, press / rate
-        close = meeting + pressing
+        dt, sealed = s.timestep, ()
+        if isinstance(self.gripper, SuctionGripper):
+            sealed, close = self._sealed(data), EVACUATED * self.gripper.evacuation
+        else:  # finger speed up to the expected contact, then rising force
+            meet = abs(q - self.gripper.joint_position(trial.width))
+            kp = servo_gains(self.gripper, PhysicsSettings())[0]
+            press = trial.force * abs(self.gripper.width_per_joint) / kp + 0.004 / self.gripper.scale
+            rate = s.force_rate * abs(self.gripper.width_per_joint) / kp
+            meeting, pressing = meet / index.max_speed, press / rate
+            close = meeting + pressing
         total = close + s.settle + s.lift + s.shake + s.hold
         time = dt * np.arange(int(np.ceil(total / dt)))
-        travel = np.minimum(time, meeting) * index.max_speed + np.clip((time - meeting) * rate, 0.0, press)
         # --- the support moves away; weight and shaking act as forces on the object
         lifting = np.clip(time - close - s.settle, 0.0, None)
         away = np.minimum(0.5 * 6.0 * lifting**2, 0.5)
@@ -213,11 +222,41 @@ class _World:
         pull = -9.81 * (1 + s.extra_weight * ((lifting > 0) & (lifting < s.lift)))[:, None] * up
         pull = pull + np.where(on, s.acceleration * np.sin(phase), 0.0)[:, None] * axes
         control = np.zeros((len(time), mj.nu + 6 * mj.nbody + 7))
-        control[:, index.ctrl] = q - ways * travel
+        if isinstance(self.gripper, SuctionGripper):
+            for k in sealed:
+                level = 1.0 - np.exp(-time / self.gripper.evacuation)
+                control[:, self.built.cups[k].ctrl] = level
+        else:
+            ways = np.sign(self.gripper.width_per_joint)
+            travel = np.minimum(time, meeting) * index.max_speed + np.clip(
+                (time - meeting) * rate, 0.0, press
+            )
+            control[:, index.ctrl] = q - ways * travel
         control[:, mj.nu + 6 * self.body : mj.nu + 6 * self.body + 3] = trial.mass * pull
         control[:, -7:-4] = foot - (SUPPORT_THICK / 2 + FREE_GAP + away)[:, None] * up
         control[:, -4:] = SE3(SO3.between((0, 0, 1), up), foot).quat_wxyz
-        return _Plan(initial, control, int((close + s.settle) / dt), len(time) - 1)
+        return _Plan(initial, control, int((close + s.settle) / dt), len(time) - 1, sealed)
+
+    def _sealed(self, data: mujoco.MjData) -> tuple[int, ...]:
+        """Return the suction cups that seal on the object in a state of a grasp trial."""
+        mujoco.mj_forward(self.mj, data)
+        owner = np.asarray(self.built.geom_owner, np.int64)
+        self.suction.update(data.ncon, data.contact.geom, owner, data.ctrl)
+        return tuple(np.flatnonzero(self.suction.sealed == self.built.owner_index[OBJECT]).tolist())
+
+    def _leaks(self, plan: _Plan, state: Array) -> bool:
+        """Return whether a cup of a suction gripper leaks during a grasp trial. Jaws never do.
+
+        MuJoCo's threads do not switch the vacuum of a leaking cup off, so a leak counts as a lost object.
+        """
+        if not isinstance(self.gripper, SuctionGripper):
+            return False
+        data, every = mujoco.MjData(self.mj), round(SEAL_CHECK / self.settings.timestep)
+        for row in state[plan.closed : plan.end : every]:
+            mujoco.mj_setState(self.mj, data, row, STATE)
+            if not plan.sealed or not set(plan.sealed) <= set(self._sealed(data)):
+                return True
+        return False
 
     def result(self, plan: _Plan, state: Array) -> TrialResult:
         if not np.isfinite(state).all():
@@ -231,7 +270,7 @@ class _World:
         between = closed.inv().apply(self.T_root_tcp.translation)  # the object's point at the tcp
         slip = float(np.linalg.norm(closed.apply(between) - end.apply(between)))
         closing = float(np.linalg.norm(before.apply(self.center) - closed.apply(self.center)))
-        return TrialResult(closing, slip, turn, slip > 0.03)
+        return TrialResult(closing, slip, turn, slip > 0.03 or self._leaks(plan, state))
 
 
 @lru_cache(maxsize=8)

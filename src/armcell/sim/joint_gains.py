@@ -153,7 +153,7 @@ def arm_joints(model: RobotModel) -> list[str]:
     """Return the joints that have arm gains, in model order.
     They are all actuated joints outside the grippers.
     """
-    fingers = {gripper.joint_name for gripper in model.grippers.values()}
+    fingers = {name for gripper in model.grippers.values() for name in gripper.joint_names}
     return [name for name in model.joint_names if name not in fingers]
 
 

@@ -80,7 +80,7 @@ def _finger_scales(model: RobotModel) -> dict[str, float]:
         name: gripper.scale
         for gripper in model.grippers.values()
         for name, _ in finger_weights(model, gripper.joint_name)
-        if model.joints[name].type != "prismatic"
+        if gripper.joint_name and model.joints[name].type != "prismatic"
     }
 
 

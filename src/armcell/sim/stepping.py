@@ -15,6 +15,7 @@ from numba import njit, types
 
 from armcell.sim.by_address import matrix, vector
 from armcell.sim.holding import HOLDING, carry, holding
+from armcell.sim.suction import draw_vacuum
 
 SET_POINT, TARGET, LEAD, STEP, PUSH_STEP, BLOCKED_LEAD, CONTROL = range(7)
 LAW_SIZE = 7
@@ -35,7 +36,7 @@ _I4, _I8, _F8, _B = np.int32, np.int64, np.float64, np.bool_
 FIXED = (
     _I4, _F8, _F8, _F8, _F8, _I8, _F8,
     _I8, _F8, _F8, _I8, _F8, _F8, _B, _B, _F8, _F8, _I8, _I8, _I8, _I4, _I4, _I8, _I4, _I4, _F8,
-    *HOLDING,
+    *HOLDING, _F8, _I8, _I8, _I8, _I8,
 )  # fmt: skip
 """Types of the arrays that `take_steps` takes by address."""
 
@@ -182,7 +183,8 @@ def take_steps(
         model, data: addresses of MuJoCo's mjModel and mjData.
         begin, end: number of the first step, and number after the last step.
         fixed: `addresses_of` the number of contacts (1,), a live view; MuJoCo's qpos and ctrl; the geoms'
-            centers (geom, 3); law, joints and weights of `drive_fingers`; `Apart.arrays`; `Holding.arrays`.
+            centers (geom, 3); law, joints and weights of `drive_fingers`; `Apart.arrays`; `Holding.arrays`;
+            `Suction.arrays`.
         pairs: (c, 2) geoms of each contact, a live view; only the first `readable` rows may be read.
         readable: number of readable rows of `pairs`.
         unwanted: (geom, geom) True where two geoms must not touch.
@@ -199,12 +201,17 @@ def take_steps(
     places, law = matrix(fixed, 3, _F8), matrix(fixed, 4, _F8)
     joints, weights = matrix(fixed, 5, _I8), matrix(fixed, 6, _F8)
     apart, hold = _apart(fixed, 7), holding(fixed, 26)
+    cups = (
+        matrix(fixed, 40, _F8), vector(fixed, 41, _I8), vector(fixed, 42, _I8), matrix(fixed, 43, _I8),
+        matrix(fixed, 44, _I8),
+    )  # fmt: skip
     for step in range(begin, end):
         row = step // period
         if step % period == 0:
             for i in range(len(controls)):
                 ctrl[controls[i]] = targets[row, i]
         drive_fingers(law, joints, weights, qpos, ctrl)
+        draw_vacuum(min(count[0], readable), pairs, hold[4], ctrl, cups)
         unknown = _before(qpos, apart)
         _mj_step(model, data)
         if unknown:

@@ -40,6 +40,7 @@ from armcell.sim.places import Array, FixedPlaces, Poses, write_free
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.slipping import SlidingFriction
+from armcell.sim.suction import Suction
 from armcell.sim.targets import Targets
 from armcell.sim.wrench import hand_wrench
 
@@ -70,6 +71,7 @@ class WorldSnapshot:
     slip: tuple
     welder: tuple
     holding: Array
+    suction: tuple
     monitor: tuple
     watches: dict
 
@@ -129,11 +131,17 @@ class SimWorld:
         self._servo = ArmServo(self.built, self.settings)
         self._slip = SlidingFriction(self.built)
         self._holding = Holding(self.built, self.settings, self._data)
+        holders, self._owner = self._holding.arrays[3:5]
+        self._suction = Suction(self.built, self.settings.timestep, holders)
         python = (
             self._servo.computed or self.built.belts or self._slip or self.settings.grip_mode != "friction"
         )
-        self._steps = None if python else compiled_steps(self.built, self._data, self._fingers, self._holding)
-        self._driven = {g.gripper.joint_name: n for n, g in self.built.grippers.items()}
+        self._steps = (
+            None
+            if python
+            else compiled_steps(self.built, self._data, self._fingers, self._holding, self._suction)
+        )
+        self._driven = {j: n for n, g in self.built.grippers.items() for j in g.gripper.joint_names}
         self._columns: dict[tuple[str, ...], Any] = {}
         self.render_cache: Any = None  # used by render.py: copy of the scene with visual meshes
 
@@ -147,7 +155,7 @@ class SimWorld:
             self._mj = None
             self._data = self.built = cast(Any, _Closed())
             self._fixed = self._fingers = self._drives = self._servo = cast(Any, _Closed())
-            self._slip = self._holding = cast(Any, _Closed())
+            self._slip = self._holding = self._suction = cast(Any, _Closed())
             self._behind = False
             self._lease.release()
 
@@ -250,6 +258,8 @@ class SimWorld:
     def _before(self) -> list[Callable[[mujoco.MjData], None]]:
         """Return the functions that the simulated world calls before each physics step."""
         before = [self._fingers.update]
+        if self._suction:
+            before.append(self._draw_vacuum)
         if self._servo.computed:
             before.append(self._servo.update)
         if self.built.belts:
@@ -299,6 +309,11 @@ class SimWorld:
                     break
         worst = int(errors.argmax())
         return errors.item(worst), worst
+
+    def _draw_vacuum(self, data: mujoco.MjData) -> None:
+        """Set the vacuum forces of all suction cups in the simulated world for the next physics step."""
+        count = min(data.ncon, self.monitor.readable)
+        self._suction.update(count, self.monitor.pairs, self._owner, data.ctrl)
 
     def _run_belts(self, data: mujoco.MjData) -> None:
         """Reset all conveyor belts in the simulated world: joint positions to zero,
@@ -381,7 +396,8 @@ class SimWorld:
         """Drive a gripper in the simulated world to a width with limited force per finger.
 
         Width 0 grasps: the fingers close until an object blocks them, then press with the given force. A
-        width above the current one opens the gripper and releases a weld.
+        width above the current one opens the gripper and releases a weld. Width 0 turns the vacuum of a
+        suction gripper on, any larger width off.
 
         Args:
             gripper: name of the gripper.
@@ -395,6 +411,11 @@ class SimWorld:
         force = index.max_force if force_per_finger is None else float(force_per_finger)
         if not (np.isfinite(width) and np.isfinite(force) and force > 0):
             raise InputError(f"gripper target of width {width} m and force {force} N is not possible")
+        if gripper not in self._drives:
+            self._suction.switch(gripper, width <= 0.0, self.mj_data)
+            if width > 0.0:
+                self._welder.release(self.mj_data, gripper)
+            return
         present = index.gripper.width(index.length(self.mj_data.qpos))
         if width > present + 1e-4:
             self._welder.release(self.mj_data, gripper)
@@ -403,16 +424,18 @@ class SimWorld:
     def gripper_state(self, gripper: str) -> GripperState:
         """Return a gripper's width, finger force and held object in the simulated world."""
         self._gripper(gripper)
-        return gripper_state(self.built, self.mj_data, gripper)
+        return gripper_state(self.built, self.mj_data, self._suction, gripper)
 
     def wrench(self, gripper: str) -> Array:
         """Return the wrench (6,) on a gripper in the simulated world, in N and Nm.
         The reference point is the tcp.
 
-        The wrench has world axes and includes all contacts of the gripper's links.
+        The wrench has world axes and includes all contacts of the gripper's links, and the vacuum.
         """
-        self._gripper(gripper)
-        return hand_wrench(self.built, self.mj_data, gripper)
+        data, tcp = self.mj_data, self._gripper(gripper).tcp_body
+        total = hand_wrench(self.built, data, gripper)
+        self._suction.add_pull(gripper, data, data.xpos[tcp], total)
+        return total
 
     def _gripper(self, name: str):
         if name not in self.built.grippers:
@@ -438,8 +461,10 @@ class SimWorld:
             data.qpos[built.joint_qpos[name]] = value
             data.qvel[built.joint_dof[name]] = 0.0
         self._servo.hold(data, q)
-        for name, drive in self._drives.items():
+        for name in built.grippers:
             self._welder.release(data, name)
+            self._suction.switch(name, False, data)
+        for drive in self._drives.values():
             joint = drive.index.gripper.joint_name
             drive.hold(data, float(data.qpos[built.joint_qpos[joint]]))
         data.qacc_warmstart[:] = 0.0
@@ -606,6 +631,7 @@ class SimWorld:
             slip=self._slip.get_state(),
             welder=self._welder.get_state(),
             holding=self._holding.get_state(),
+            suction=self._suction.get_state(),
             monitor=self.monitor._get_state(),
             watches=dict(self._watches),
         )
@@ -634,5 +660,6 @@ class SimWorld:
         self._servo.set_state(snapshot.servo)
         self._welder.set_state(snapshot.welder)
         self._holding.set_state(snapshot.holding)
+        self._suction.set_state(snapshot.suction)
         self.monitor._set_state(snapshot.monitor)
         self._watches = dict(snapshot.watches)

@@ -100,7 +100,9 @@ class RealDriver(Driver):
                         undo.callback(tool.close)
             undo.pop_all()
         self._column = {
-            g.name: self._model.columns((g.joint_name,))[0] for g in self._model.grippers.values()
+            g.name: column
+            for g in self._model.grippers.values()
+            for column in self._model.columns(g.joint_names)
         }
         self._q = np.array(self._scene.positions, dtype=float)
         self._poses = {n: o.T_world_object for n, o in self._scene.objects.items() if o.movable}
@@ -216,7 +218,7 @@ class RealDriver(Driver):
         for arm in self.arms.values():
             columns = self._model.columns(arm.joint_names)
             q[columns], v[columns] = arm.measured_at(when)
-        for name in self._grippers:
+        for name in self._grippers.keys() & self._column.keys():
             g = self._model.gripper(name)
             q[self._column[name]] = g.joint_position(self._grippers[name].read()[0])
         return JointState(self._model.joint_names, q, v, time=self.now)
@@ -407,7 +409,7 @@ class RealDriver(Driver):
     def gripper(self, gripper: str) -> GripperReading:
         g = self._model.gripper(gripper)
         if gripper not in self._grippers:
-            return GripperReading(g.width(float(self._q[self._column[gripper]])), 0.0)
+            return GripperReading(g.width_in(self.joint_state()), 0.0)
         self._carry(gripper, self.joint_state().positions)
         width, holds = self._grippers[gripper].read()
         held = self._held.get(gripper)

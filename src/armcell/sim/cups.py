@@ -1,0 +1,66 @@
+"""Suction cups in a MuJoCo model: a ring of small spheres and an adhesion actuator for each cup."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.model import Cup, RobotModel, SuctionGripper
+
+Array = NDArray[np.float64]
+
+RING = 8  # spheres per cup
+BEAD = 0.001  # [m] radius of the spheres
+
+
+@dataclass(frozen=True, eq=False)
+class CupIndex:
+    """Indices of one suction cup in a MuJoCo model built from a scene."""
+
+    cup: Cup
+    gripper: str
+    body: int
+    ctrl: int
+    owner: int  # index of the cup's link among the owners
+
+
+def add_cups(spec: mujoco.MjSpec, bodies: dict[str, Any], gripper: SuctionGripper) -> None:
+    """Add the rings and vacuum actuators of a suction gripper to a MuJoCo spec."""
+    for k, cup in enumerate(gripper.cups):
+        T, name = cup.T_link_cup, cup_name(gripper.name, k)
+        body = bodies[cup.link].add_body(name=name, pos=T.translation, quat=T.quat_wxyz)
+        body.explicitinertial = True
+        for i, (x, y) in enumerate(ring_points(cup, RING)):
+            body.add_geom(
+                name=f"{name}:{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BEAD, 0, 0],
+                pos=[x, y, -BEAD], gap=cup.stroke, density=0.0, group=4,
+            )  # fmt: skip
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_BODY)
+        actuator.set_to_adhesion(gain=gripper.force(cup))
+        actuator.ctrllimited, actuator.ctrlrange = True, [0.0, 1.0]
+
+
+def ring_points(cup: Cup, count: int) -> Array:
+    """Return points (count, 2) [m] on the ring of a suction cup, in the cup's frame."""
+    angle = 2 * np.pi * (np.arange(count) + 0.5) / count
+    return cup.radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def cup_name(gripper: str, number: int) -> str:
+    return f"{gripper}:cup{number}"
+
+
+def index_cups(mj: mujoco.MjModel, model: RobotModel, owners: dict[str, int]) -> tuple[CupIndex, ...]:
+    return tuple(
+        CupIndex(
+            cup, gripper.name, mj.body(name := cup_name(gripper.name, k)).id,
+            int(mj.actuator_ctrladr[mj.actuator(name).id]), owners[cup.link],
+        )
+        for gripper in model.grippers.values()
+        if isinstance(gripper, SuctionGripper)
+        for k, cup in enumerate(gripper.cups)
+    )  # fmt: skip
