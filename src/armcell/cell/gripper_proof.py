@@ -1,4 +1,7 @@
-"""Proof of a detected gripper: the hand alone closes on a cube in physics, lifts and shakes it."""
+"""Proof of a gripper: the hand alone closes on a cube in physics, lifts and shakes it.
+
+Suction cups are proven on a plate that they cover.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armcell.core import SE3, Box, InputError
-from armcell.grasping import hand_of
-from armcell.model import Gripper, RobotModel
+from armcell.grasping import LIFT_ACCELERATION, hand_of
+from armcell.model import Gripper, RobotModel, SuctionGripper
 from armcell.scene import CollisionObject
 
 SHARE = 0.45  # edge of the cube, as a share of the widest opening
@@ -16,18 +19,20 @@ LARGEST = 0.05  # [m] edge of the cube
 DENSITY = 600.0  # [kg/m^3]
 CLEAR = 0.003  # [m] between the support and the jaws
 SLIP = 0.005  # [m] largest displacement of the cube in the closed hand
+THICK, RIM = 0.01, 0.02  # [m] thickness of the plate, and edge beyond the cups
+CLOSE = 0.0003  # [m] between the rings and the plate before the vacuum is on
 FORCE = 30.0  # [N] per finger, if the gripper has it
 
 
 @dataclass(frozen=True)
 class GripperProof:
-    """Proof that a gripper works: the result of a simulation in which it closes on a cube.
+    """Proof that a gripper works: the result of a simulation in which it holds a cube or plate.
 
     Attributes:
         gripper: the gripper that was tried.
-        edge: edge of the cube [m].
-        held: whether the hand held the cube while it was lifted and shaken.
-        slip: displacement of the cube in the closed hand [m].
+        edge: edge of the cube or plate [m].
+        held: whether the hand held the object while it was lifted and shaken.
+        slip: displacement of the object in the hand [m].
         text: the result in words.
     """
 
@@ -60,6 +65,8 @@ def prove(model: RobotModel, gripper: Gripper) -> GripperProof:
 def _tried(model: RobotModel, gripper: Gripper) -> GripperProof:
     from armcell.sim.hand_trials import Trial, run_trials  # imported late: physics
 
+    if isinstance(gripper, SuctionGripper):
+        return _sucked(model, gripper)
     edge = round(min(SHARE * gripper.max_width, LARGEST), 4)
     cube = CollisionObject.single("cube", Box(edge, edge, edge), SE3.identity(), movable=True)
     opening = min(gripper.max_width, 1.3 * edge + 0.004)
@@ -85,4 +92,31 @@ def _tried(model: RobotModel, gripper: Gripper) -> GripperProof:
         text = f"loses a cube of {size:.0f} mm when it is lifted and shaken in physics"
     else:
         text = f"a cube of {size:.0f} mm slips by {slip:.0f} mm in physics"
+    return GripperProof(gripper, edge, held, result.slip, text)
+
+
+def _sucked(model: RobotModel, gripper: SuctionGripper) -> GripperProof:
+    """Try a suction gripper on a plate that all its cups cover, with half the load that it may carry."""
+    from armcell.sim.hand_trials import Trial, run_trials  # imported late: physics
+
+    reach = np.linalg.norm(hand_of(model, gripper).cups[:, :2], axis=1) + [c.radius for c in gripper.cups]
+    edge = round(2 * float(reach.max()) + RIM, 4)
+    plate = CollisionObject.single("plate", Box(edge, edge, THICK), SE3.identity(), movable=True)
+    load = sum(map(gripper.force, gripper.cups)) / (9.81 + LIFT_ACCELERATION) / gripper.safety
+    trial = Trial(
+        T_object_tcp=SE3.from_xyz_rpy((0.0, 0.0, THICK / 2 + CLOSE), (np.pi, 0.0, 0.0)),
+        opening=gripper.max_width,
+        width=0.0,
+        force=gripper.max_force,
+        friction=0.5,
+        mass=load / 2,
+        up=(0.0, 0.0, 1.0),
+    )
+    (result,) = run_trials(model, gripper, plate, [trial])
+    held = not result.lost and result.slip < SLIP
+    what = f"a plate of {1000 * edge:.0f} mm and {load / 2:.1f} kg"
+    if held:
+        text = f"holds {what}, lifted and shaken in physics (slip {1000 * result.slip:.1f} mm)"
+    else:
+        text = f"loses {what} when it is lifted and shaken in physics"
     return GripperProof(gripper, edge, held, result.slip, text)

@@ -12,7 +12,7 @@ from armcell.grasping.candidates import (
     nearest_miss,
 )
 from armcell.grasping.contact import PadContact
-from armcell.grasping.force import grip_force, needed_force, pair_friction
+from armcell.grasping.force import LIFT_ACCELERATION, grip_force, needed_force, pair_friction
 from armcell.grasping.from_above import AboveSettings, HeapGrasp, grasps_from_above
 from armcell.grasping.hand import Hand, hand_of, pre_opening
 from armcell.grasping.placing import (
@@ -38,6 +38,7 @@ from armcell.grasping.surface import Surface, cloud_surface, surface_of
 
 __all__ = [
     "FRICTION_MARGIN",
+    "LIFT_ACCELERATION",
     "RELEASE_GAP",
     "AboveSettings",
     "Grasp",

@@ -1,8 +1,9 @@
-"""Grasp candidates for a parallel gripper, best first, and reasons for rejected ones.
+"""Grasp candidates for a gripper, best first, and reasons for rejected ones.
 
 A generator proposes TCP poses. All proposals pass the same checks, cheap ones first: do the pads meet the
 object, is the object narrow enough, is the hand clear of the object and its support (`kernel.fit`), do the
-contacts press against each other, is the gripper strong enough. Reachability and other obstacles are checked
+contacts press against each other, is the gripper strong enough. Suction grippers have their own checks
+(`suction.py`). Reachability and other obstacles are checked
 later for each candidate (`tasks.stages.ChooseGrasp`).
 """
 
@@ -16,52 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Registry, Sphere
-from armcell.core.checks import checked
 from armcell.grasping import kernel
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import SAFETY, firm_force, holding_factor, needed_force
+from armcell.grasping.grasp import APPROACH, Grasp, Rejection, how_near, nearest_miss
 from armcell.grasping.hand import Hand
+from armcell.grasping.suction import Seals, find_seals, judge_suction
 from armcell.grasping.surface import Surface, surface_of
+from armcell.model import Gripper, SuctionGripper
 from armcell.scene import CollisionObject
+
+__all__ = ["APPROACH", "Grasp", "Proposals", "Rejection", "generators", "how_near", "nearest_miss"]
 
 Array = NDArray[np.float64]
 
-APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and minimum
 KEPT = 64  # cached sets of fitted candidates
 SOFT_PATCH = 1.5e-3  # [m] patch radius that scores half as much as a large patch
 EDGE = 1.7  # distance of a patch's edge, in radii of gyration
 FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
-
-
-@dataclass(frozen=True, eq=False)
-@checked()
-class Grasp:
-    """Grasp candidate: a pose of the tcp, which approaches along its z axis while the gripper closes along
-    its y axis.
-
-    The hand approaches along +z of the TCP and retreats along -z. The approach is `approach` [m] long if
-    there is enough free space, and at least `shortest_approach` [m].
-    """
-
-    name: str
-    T_object_tcp: SE3
-    width: float  # [m] width of the object between the pads
-    opening: float  # [m] finger opening before the approach
-    force: float  # [N] per finger
-    score: float = 0.0  # higher scores are tried first
-    approach: float = APPROACH
-    shortest_approach: float = SHORTEST_APPROACH
-    contacts: tuple[PadContact, ...] = ()  # contacts of the pads at +y and -y, TCP frame
-
-
-@dataclass(frozen=True)
-class Rejection:
-    """A grasp candidate that was rejected, with the reason."""
-
-    name: str
-    reason: str
-    passed: int = 0  # number of passed checks
-    excess: float = np.inf  # excess over the limit of the failed check
 
 
 @dataclass
@@ -88,8 +61,12 @@ The up direction is in the object's frame.
 generators: Registry[Generator] = Registry("grasp generator", "armcell.grasp_generators")
 
 
-def generator_for(item: CollisionObject) -> str:
-    """Return the default generator of grasp candidates for the kind of geometry that an object has."""
+def generator_for(item: CollisionObject, gripper: Gripper | None = None) -> str:
+    """Return the default generator of grasp candidates for a gripper and for the kind of geometry that an
+    object has.
+    """
+    if isinstance(gripper, SuctionGripper):
+        return "suction"
     if item.has_cloud:
         return "cloud"
     if len(item.shapes) == 1 and isinstance(item.shapes[0][0], Box | Cylinder | Capsule | Sphere):
@@ -110,7 +87,9 @@ def grasp_candidates(
         InputError: the object has no surface that can be gripped.
     """
     up = item.T_world_object.rotation.matrix[2]  # world z in the object's frame
-    fitted = _fitted(item, hand, generator or generator_for(item), up, on_support)
+    fitted = _fitted(item, hand, generator or generator_for(item, hand.gripper), up, on_support)
+    if isinstance(fitted, Seals):
+        return judge_suction(item, hand, fitted, up)
     return _judged(item, hand, fitted, up)
 
 
@@ -129,10 +108,12 @@ class _Fitted:
     surface: Surface
 
 
-_kept: OrderedDict[tuple, _Fitted] = OrderedDict()
+_kept: OrderedDict[tuple, _Fitted | Seals] = OrderedDict()
 
 
-def _fitted(item: CollisionObject, hand: Hand, generator: str, up: Array, on_support: bool) -> _Fitted:
+def _fitted(
+    item: CollisionObject, hand: Hand, generator: str, up: Array, on_support: bool
+) -> _Fitted | Seals:
     make = generators[generator]
     surface = surface_of(item)
     key = (surface.key, id(hand), generator, (up.round(3) + 0.0).tobytes(), on_support)
@@ -145,7 +126,9 @@ def _fitted(item: CollisionObject, hand: Hand, generator: str, up: Array, on_sup
     return _kept[key]
 
 
-def _fit(proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool) -> _Fitted:
+def _fit(proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool) -> _Fitted | Seals:
+    if isinstance(hand.gripper, SuctionGripper):
+        return find_seals(tuple(proposals.names), proposals.poses, surface, hand, up, on_support)
     poses = np.array(proposals.poses, dtype=float).reshape(-1, 4, 4)
     floor = float((surface.points @ up).min()) if on_support else -np.inf
     found = kernel.fit(
@@ -244,18 +227,3 @@ def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
         case kernel.TOO_FLAT:
             return f"too flat: {mm:.0f} mm off, to keep the hand clear, the pads miss it", 2, by
     return "nothing is between the pads", 0, np.inf
-
-
-def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
-    """Return the rejected grasp candidate that passed most of the checks, or None.
-
-    Among equals, the candidate with the smallest excess wins.
-    """
-    return min(rejected, key=how_near, default=None)
-
-
-def how_near(rejection: Rejection) -> tuple[int, float]:
-    """Return a sort key for rejected grasp candidates: first the number of passed checks,
-    then how far the next check was missed.
-    """
-    return -rejection.passed, rejection.excess

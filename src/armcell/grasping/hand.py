@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -13,7 +13,7 @@ from armcell.core import InputError, Mesh
 from armcell.core.geometry import local_bounds
 from armcell.grasping.kernel import MARGIN, WIDER
 from armcell.kinematics import kinematic_tree
-from armcell.model import Gripper, RobotModel
+from armcell.model import Gripper, RobotModel, SuctionGripper
 
 Array = NDArray[np.float64]
 
@@ -35,6 +35,9 @@ class Hand:
     left: Array
     right: Array
     pad: Array  # (2, 2) [m] minimum and maximum x and z of the pads
+    cups: Array = field(
+        default_factory=lambda: np.zeros((0, 3))
+    )  # (c, 3) [m] centers of a suction gripper's rings
 
     @property
     def boxes(self) -> Array:
@@ -57,7 +60,8 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
     q = model.default_positions()
     # The jaws of a linkage or a single jaw turn as they close: their shape is that at a medium opening.
     width = gripper.max_width / 2 if gripper.curve else 0.0
-    q[model.columns((gripper.joint_name,))[0]] = gripper.joint_position(width)
+    for column in model.columns(gripper.joint_names):
+        q[column] = gripper.joint_position(width)
     T_tcp_world = gripper.center(width).inv() @ tree.link_pose(q, gripper.tcp_link).inv()
     sides = {gripper.finger_links[0]: "left", gripper.finger_links[-1]: "right"} if gripper.curve else {}
     groups: dict[str, list[Array]] = {"palm": [], "left": [], "right": []}
@@ -80,6 +84,10 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
                 elif gripper.curve:
                     box[[1, 4]] += width / 2 if side == "right" else -width / 2
                 groups[side].append(box)
+    if isinstance(gripper, SuctionGripper):
+        cups = [(T_tcp_world @ tree.link_pose(q, c.link) @ c.T_link_cup).translation for c in gripper.cups]
+        palm, none = np.array(groups["palm"]).reshape(-1, 6), np.zeros((0, 6))
+        return Hand(gripper, palm, none, none, np.zeros((2, 2)), np.array(cups))
     if not groups["left"] or not groups["right"]:
         raise InputError(
             f"gripper {gripper.name!r} has no collision shapes on both sides of its tcp",

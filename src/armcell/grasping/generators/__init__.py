@@ -1,5 +1,5 @@
 """Generators of grasp candidates, registered by name."""
 
-from armcell.grasping.generators import antipodal, cloud, primitive
+from armcell.grasping.generators import antipodal, cloud, primitive, suction
 
-__all__ = ["antipodal", "cloud", "primitive"]
+__all__ = ["antipodal", "cloud", "primitive", "suction"]

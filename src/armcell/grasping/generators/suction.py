@@ -1,0 +1,68 @@
+"""Grasps with suction cups: on points of the surface, the hand's axis along the normal.
+
+Points are far apart from each other, and include the projections of the center of mass onto the faces. The
+hand, or one of its cups, is centered on the point and turned about the normal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.grasping.candidates import Proposals, generators
+from armcell.grasping.generators.frames import around, tcp_pose
+from armcell.grasping.hand import Hand
+from armcell.grasping.surface import Surface
+from armcell.scene import CollisionObject
+
+Array = NDArray[np.float64]
+
+SAMPLES = 40  # points
+TURNS = 8  # hand orientations about the normal
+SAME = 0.002  # [m] points and projections closer than this count as one
+
+
+@generators.register("suction")
+def suction_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
+    """Propose suction grasps at points of a surface and at the projections of the center of mass.
+
+    The result is deterministic.
+    """
+    found, taken = Proposals(), set()
+    centers = hand.cups - hand.cups.mean(0)
+    anchors = [np.zeros(3), *centers] if len(centers) > 1 else [np.zeros(3)]
+    middle = hand.cups.mean(0)
+    for n, i in enumerate(_far_apart(surface.points, SAMPLES)):
+        point, normal = surface.points[i], surface.normals[i]
+        over = surface.center_of_mass + normal * ((point - surface.center_of_mass) @ normal)
+        for at, name in ((over, "over the center of mass"), (point, f"point {n}")):
+            key = (*np.round(at / SAME).astype(int).tolist(), *np.round(normal * 20).astype(int).tolist())
+            if key in taken:
+                continue
+            taken.add(key)
+            for turn, closing in enumerate(around(normal, TURNS, np.eye(3)[1])):
+                T = tcp_pose(closing, -normal, at)
+                for k, anchor in enumerate(anchors):
+                    which = f", cup {k}" if k else ""
+                    pose = T.copy()
+                    pose[:3, 3] -= T[:3, :3] @ (anchor + middle * (1.0, 1.0, 0.0))
+                    found.add(f"{_side(normal, up)} {name} at {360 // TURNS * turn} deg{which}", pose)
+    return found
+
+
+def _far_apart(points: Array, count: int) -> list[int]:
+    """Return the indices of points that are far from each other, by farthest point sampling."""
+    chosen = [0]
+    far = np.full(len(points), np.inf)
+    while len(chosen) < min(count, len(points)):
+        far = np.minimum(far, ((points - points[chosen[-1]]) ** 2).sum(1))
+        chosen.append(int(np.argmax(far)))
+    return chosen
+
+
+def _side(normal: Array, up: Array) -> str:
+    """Describe the side of an object from which a suction gripper grasps: "top", "side" or "bottom"."""
+    height = float(normal @ up)
+    return (
+        "top" if height > 0.95 else "bottom" if height < -0.95 else "side" if abs(height) < 0.1 else "slope"
+    )

@@ -1,0 +1,63 @@
+"""`Grasp` and `Rejection`: the results of grasp planning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3
+from armcell.core.checks import checked
+from armcell.grasping.contact import PadContact
+
+Array = NDArray[np.float64]
+
+APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and minimum
+
+
+@dataclass(frozen=True, eq=False)
+@checked()
+class Grasp:
+    """Grasp candidate: a pose of the tcp, which approaches along its z axis while the gripper closes along
+    its y axis.
+
+    The hand approaches along +z of the TCP and retreats along -z. The approach is `approach` [m] long if
+    there is enough free space, and at least `shortest_approach` [m]. With a suction gripper the width is 0,
+    and there is a contact for each cup that seals.
+    """
+
+    name: str
+    T_object_tcp: SE3
+    width: float  # [m] width of the object between the pads
+    opening: float  # [m] finger opening before the approach
+    force: float  # [N] per finger or cup
+    score: float = 0.0  # higher scores are tried first
+    approach: float = APPROACH
+    shortest_approach: float = SHORTEST_APPROACH
+    contacts: tuple[PadContact, ...] = ()  # of the pads at +y and -y, or of the cups; TCP frame
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A grasp candidate that was rejected, with the reason."""
+
+    name: str
+    reason: str
+    passed: int = 0  # number of passed checks
+    excess: float = np.inf  # excess over the limit of the failed check
+
+
+def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
+    """Return the rejected grasp candidate that passed most of the checks, or None.
+
+    Among equals, the candidate with the smallest excess wins.
+    """
+    return min(rejected, key=how_near, default=None)
+
+
+def how_near(rejection: Rejection) -> tuple[int, float]:
+    """Return a sort key for rejected grasp candidates: first the number of passed checks,
+    then how far the next check was missed.
+    """
+    return -rejection.passed, rejection.excess
