@@ -66,7 +66,7 @@ def controllers_of(
                     f"{joint} also belongs to {owner[joint]}", hint="name each joint once", **where
                 )
             owner[joint] = name
-        driven = [g.joint_name for g in model.grippers.values()]
+        driven = [name for g in model.grippers.values() for name in g.joint_names]
         if spec.type == "GripperCommand" and (len(joints) != 1 or joints[0] not in driven):
             raise InputError(
                 f"a GripperCommand moves one gripper, not {', '.join(joints)}",
@@ -93,7 +93,7 @@ def _joints_of(name: str, spec: ControllerSpec, model: RobotModel, where: dict[s
     grippers = list(model.grippers.values())
     if spec.type == "GripperCommand":
         mine = [g for g in grippers if stem in (g.name, g.group)] or grippers
-        if len(mine) == 1:
+        if len(mine) == 1 and mine[0].joint_name:
             return (mine[0].joint_name,)
     else:
         fingers = {g.group for g in grippers}

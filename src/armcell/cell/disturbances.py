@@ -20,7 +20,7 @@ def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbanc
         InputError: a pushed object is fixed, or a moved object is screwed into another object.
     """
     given = spec.disturbances
-    fingers = {g.joint_name for g in model.grippers.values()}
+    fingers = {name for g in model.grippers.values() for name in g.joint_names}
     turning = [n for n in model.joint_names if n not in fingers and model.joints[n].type != "prismatic"]
     for name in given.joint_offset_deg:
         if name not in turning:

@@ -12,7 +12,7 @@ from armcell.collision import ExactChecker
 from armcell.core import SE3, Box
 from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
-from armcell.model import Group, RobotModel
+from armcell.model import Gripper, Group, RobotModel, SuctionGripper
 from armcell.scene import CollisionObject, PlanningScene
 
 SAMPLES = 2000  # random states that measure the arm's reach
@@ -83,8 +83,7 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
     }  # fmt: skip
     moves = "".join(f"  - move: {state}\n" for state in states) or "  - hold: 1.0\n"
     if model.grippers:
-        widest = min(g.max_width for g in model.grippers.values())
-        edge = round(min(0.05, 0.6 * widest), 3)
+        edge = round(min(map(_edge, model.grippers.values())), 3)
         home = "".join(f"  - move: {s}\n" for s in states if s == "home")
         for distance in DISTANCES:
             for angle in ANGLES:
@@ -98,6 +97,13 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
                 task = PICK.replace("  - move: home\n", home)
                 yield TEXT.format(**common, does="picks a cube", objects=objects, task=task)
     yield TEXT.format(**common, does="moves between its states", objects="", task=moves)
+
+
+def _edge(gripper: Gripper) -> float:
+    """Return the edge [m] of a cube that a gripper can hold, for the starter cell."""
+    if isinstance(gripper, SuctionGripper):
+        return max(0.05, 2.5 * min(cup.radius for cup in gripper.cups) + 0.005)  # one cup seals on it
+    return min(0.05, 0.6 * gripper.max_width)
 
 
 def _settings(reach: float) -> str:

@@ -47,7 +47,7 @@ def _followed(scene: Any, physics: Any) -> tuple[str, bool]:
     """
     from armcell.sim.step_response import step_responses
 
-    fingers = {g.joint_name for g in scene.model.grippers.values()}
+    fingers = {name for g in scene.model.grippers.values() for name in g.joint_names}
     worst, text = -1.0, "no joint has room to move"
     for joint in scene.model.joint_names:
         if joint in fingers:

@@ -73,8 +73,4 @@ def _show(name: str) -> None:
             f"group {group.name}: {len(group.joint_names)} joints{ends}; states: {states}", markup=False
         )
     for gripper in model.grippers.values():
-        console.print(
-            f"gripper {gripper.name}: opens {1000 * gripper.max_width:.0f} mm, {gripper.max_force:.0f} N per "
-            f"finger, tcp {gripper.tcp_link}",
-            markup=False,
-        )
+        console.print(f"gripper {gripper.name}: {gripper.summary}, tcp {gripper.tcp_link}", markup=False)

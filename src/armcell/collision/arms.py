@@ -228,7 +228,7 @@ class Arms:
         scene, model = self.scene, self.scene.model
         q = model.default_positions()
         for gripper in model.grippers.values():
-            q[model.columns((gripper.joint_name,))] = gripper.joint_position(gripper.max_width)
+            q[model.columns(gripper.joint_names)] = gripper.joint_position(gripper.max_width)
         side = sides_of(scene, self.groups)
         held = {name: side[name] for name in scene.attached if name in side}
         inner_pairs = {pair: True for pair, yes in scene.allowed_pairs.items() if yes and pair <= set(side)}

@@ -88,7 +88,7 @@ class Merger:
         choice: Sequence[PartialSolution],
     ) -> None:
         joints = [n for m in motions for n in m.trajectory.joint_names]
-        joints += [g.gripper.joint_name for g in grips]
+        joints += [name for g in grips for name in g.gripper.joint_names]
         why = ""
         if len(steps) != len(choice) or len(motions) + len(grips) != len(steps):
             why = "each of its stages must be one arm motion or one gripper motion"

@@ -153,7 +153,7 @@ def scene_difference(
     differences are within the tolerances.
     """
     s, model = settings, now.model
-    fingers = {gripper.joint_name for gripper in model.grippers.values()}
+    fingers = {name for gripper in model.grippers.values() for name in gripper.joint_names}
     for i, name in enumerate(model.joint_names):
         away = abs(float(now.positions[i] - expected.positions[i]))
         if name not in fingers and away > s.joints:

@@ -49,7 +49,7 @@ def let_go(ctx: TaskContext, item: str) -> Outcome:
     solution, outcome = plan_stages(ctx, stages, f"let go of {item}")
     if solution is None:
         return outcome
-    return perform_all(ctx, (*solution.steps, Expect(item, gripper.finger_links, expected=False)))
+    return perform_all(ctx, (*solution.steps, Expect(item, gripper.contact_links, expected=False)))
 
 
 def place(
@@ -108,7 +108,7 @@ def place_stages(
         AppendPlannedMotion("lower", "after_lower", "lower"),
         Open(item, on, gripper, s.release_margin, s.release_settle),
         retreat(item, gripper, s, s.retreat_distance),
-        RunSteps("let go", (Expect(item, gripper.finger_links, expected=False),)),
+        RunSteps("let go", (Expect(item, gripper.contact_links, expected=False),)),
     ]
 
 

@@ -218,7 +218,7 @@ class _Hands:
         self._surfaces: dict[tuple[str, Vector], tuple[SE3, float, float]] = {}
         self._as_held: Grasp | None = None
         if held:
-            width = gripper.width(scene.state[gripper.joint_name])
+            width = gripper.width_in(scene.state)
             T_object_tcp = T.inv() @ scene.frame_pose(gripper.tcp_link)
             self._as_held = Grasp("current grasp", T_object_tcp, width, width, 0.0)
 

@@ -89,7 +89,8 @@ class _Watch(GuardedMotion):
         """
         assert self.lost is not None
         item = self.lost.object
-        text = f"lost {item} on the way ({where}): nothing is between the fingers any more"
+        reading = self._ctx.driver.gripper(self.lost.gripper.name)
+        text = f"lost {item} on the way ({where}): {reading.describe()}"
         return lost(self._ctx, item, text)
 
 
@@ -181,13 +182,12 @@ class Hold:
     def perform(self, ctx: TaskContext) -> Outcome:
         reading = ctx.driver.gripper(self.gripper.name)
         if reading.held != self.object:
-            between = f"{reading.held} is" if reading.held else "nothing is"
-            text = f"grasp failed: {between} between the fingers ({reading.width * 1000:.1f} mm apart)"
-            text += f"; {ctx.belief(self.object)}"
+            text = f"grasp failed: {reading.describe()}; {ctx.belief(self.object)}"
             return not_held(ctx, text)
         T = ctx.T_tcp_object(self.object, self.gripper)
         ctx.take(Holding(self.object, self.gripper, T))
-        ctx.emit("grasp", f"holds {self.object} with {reading.force_per_finger:.0f} N per finger")
+        kind = "finger" if reading.sealed is None else "cup"
+        ctx.emit("grasp", f"holds {self.object} with {reading.force_per_finger:.0f} N per {kind}")
         return DONE
 
 
@@ -260,7 +260,7 @@ class CheckGrasp:
 
 @dataclass(frozen=True, eq=False)
 class StillHeld:
-    """Step of a task that checks that a held object is still between the fingers."""
+    """Step of a task that checks that the gripper still holds an object."""
 
     object: str
     gripper: Gripper
@@ -269,9 +269,7 @@ class StillHeld:
         reading = ctx.driver.gripper(self.gripper.name)
         if reading.held == self.object:
             return DONE
-        apart = reading.width * 1000
-        text = f"lost {self.object} on the way: the fingers are {apart:.1f} mm apart without it"
-        return lost(ctx, self.object, text)
+        return lost(ctx, self.object, f"lost {self.object} on the way: {reading.describe()}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -423,7 +423,7 @@ def _all_meet(g: int, h: int) -> _Meeting:
 def _links_of(model: RobotModel, scales: tuple[tuple[str, float], ...]) -> tuple[tuple[str, int, Body], ...]:
     """Return the name, index and kernel body of each link with a collision shape."""
     scale_of, tree = dict(scales), kinematic_tree(model)
-    fine = {f for g in model.grippers.values() for f in g.finger_links} | narrow_gaps(model)
+    fine = {f for g in model.grippers.values() for f in g.contact_links} | narrow_gaps(model)
     found = []
     for link in model.links.values():
         if link.collisions:

@@ -61,7 +61,7 @@ class CellNode(CellMotions):
         super().__init__(
             live,
             {f"{name}_controller": model.group(name).joint_names for name in live.arms}
-            | {f"{g.name}_controller": (g.joint_name,) for g in model.grippers.values()},
+            | {f"{g.name}_controller": g.joint_names for g in model.grippers.values()},
         )
         self.bus = bus
         self._states = StatePublisher(bus, live.scene_at_start, rate)

@@ -110,7 +110,7 @@ def with_finger_contacts(scene: PlanningScene, group: str) -> PlanningScene:
         for gripper in scene.model.grippers.values()
         if gripper.group == group
         for item in around_tcp(scene, gripper, NEAR)
-        for link in gripper.finger_links
+        for link in gripper.contact_links
     }
     return replace(scene, allowed_pairs={**pairs, **scene.allowed_pairs}) if pairs else scene
 
@@ -121,7 +121,7 @@ def finger_goals(model: RobotModel, trajectory: JointTrajectory) -> list[tuple[G
 
     Returns an empty list for any other trajectory.
     """
-    fingers = {g.joint_name: g for g in model.grippers.values()}
+    fingers = {name: g for g in model.grippers.values() for name in g.joint_names}
     if not set(trajectory.joint_names) <= set(fingers):
         return []
     return [(fingers[n], max(fingers[n].width(q), 0.0)) for n, q in trajectory.end.as_dict().items()]
@@ -162,7 +162,7 @@ class GripperMotions:
             raise InputError(f"gripper command of width {width} m and force {force} N")
         width = float(np.clip(width, 0.0, gripper.max_width))
         force = float(min(force, gripper.max_force)) if force > 0 else gripper.max_force
-        joints = (gripper.joint_name,)
+        joints = gripper.joint_names
 
         def make(driver: Any, cancel: threading.Event) -> ExecutionSteps:
             return self.closing(driver, gripper, width, force, cancel)
@@ -187,7 +187,7 @@ class GripperMotions:
         the objects near its tcp are expected.
         """
         for item in around_tcp(self._live.scene(), gripper, NEAR):
-            self._live.ctx.expect_contact(item.name, gripper.finger_links)
+            self._live.ctx.expect_contact(item.name, gripper.contact_links)
             self._expected[gripper.name].add(item.name)
 
     def moved(self, joints: Iterable[str]) -> None:
@@ -200,7 +200,7 @@ class GripperMotions:
                 continue
             near = {item.name for item in around_tcp(self._live.scene(), gripper, NEAR)}
             for name in expected - near - {driver.gripper(gripper.name).held}:
-                self._live.ctx.expect_contact(name, gripper.finger_links, expected=False)
+                self._live.ctx.expect_contact(name, gripper.contact_links, expected=False)
                 expected.discard(name)
 
 
@@ -288,7 +288,7 @@ class GripperNode(GripperMotions):
         state = driver.joint_state()
         for gripper in self._live.model.grippers.values():
             joints = self._live.model.group(gripper.arm_group).joint_names
-            busy = self._conductor.works((*joints, gripper.joint_name))
+            busy = self._conductor.works((*joints, *gripper.joint_names))
             speed = state.reindexed(joints).velocities
             if busy or (speed is not None and np.max(np.abs(speed), initial=0.0) > AT_REST):
                 self._rests_since[gripper.name] = driver.now
@@ -308,7 +308,7 @@ class GripperNode(GripperMotions):
         text = f"the arm rests with {item.name} between the fingers"
         self._expect_contact(gripper)
         force = grip_force(item, gripper)
-        joints = (gripper.joint_name, *self._live.model.group(gripper.arm_group).joint_names)
+        joints = (*gripper.joint_names, *self._live.model.group(gripper.arm_group).joint_names)
         make = lambda driver, cancel: gripping(driver, gripper, 0.0, force, cancel)  # noqa: E731
         try:
             self._conductor.put(Work(f"grip {item.name}", joints, make, gives_way=False))

@@ -172,7 +172,7 @@ class MoveGroupNode:
         joints = set(model.groups[group].joint_names)
         for gripper in model.grippers.values():
             if gripper.arm_group == group:
-                joints.add(gripper.joint_name)
+                joints.update(gripper.joint_names)
         while not self._stop.is_set() and not (cancel is not None and cancel.is_set()):
             works = self.cell.works(joints)
             if not works:

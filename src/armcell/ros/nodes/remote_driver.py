@@ -170,7 +170,7 @@ class RemoteDriver(Driver):
             self._joints, self._at, self._refused = whole, time.monotonic(), ""
             for name, gripper in self.model.grippers.items():
                 if gripper.joint_name in state.joint_names:
-                    width = gripper.width(state[gripper.joint_name])
+                    width = gripper.width_in(state)
                     self._first_widths.setdefault(name, width)
                     if abs(width - self._last_widths.get(name, (np.inf, 0.0))[0]) > MOVED:
                         self._last_widths[name] = width, self._at
@@ -361,7 +361,7 @@ class RemoteDriver(Driver):
         held = self._held(gripper)
         force = self._forces.get(gripper, known.max_force) if held else 0.0
         fault = ended.message if ended is not None and not ended.ok else ""
-        return GripperReading(known.width(state[known.joint_name]), force, held, fault)
+        return GripperReading(known.width_in(state), force, held, fault)
 
     def _held(self, gripper: str) -> str | None:
         """Return the object that stopped the fingers of a remote gripper, or None."""
@@ -383,7 +383,7 @@ class RemoteDriver(Driver):
         gripper, target = self.model.gripper(name), self._targets.get(name)
         if not before and not self._rests(name):
             return False
-        width = gripper.width(state[gripper.joint_name])
+        width = gripper.width_in(state)
         return width < self._first_widths[name] - CLOSED if target is None else width > target + CLOSED
 
     def _between(self, gripper: Gripper, state: JointState) -> str | None:

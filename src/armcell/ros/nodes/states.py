@@ -186,5 +186,5 @@ def _arms(model: RobotModel) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = {}
     for gripper in model.grippers.values():
         own = found.get(gripper.arm_group, model.group(gripper.arm_group).joint_names)
-        found[gripper.arm_group] = (*own, gripper.joint_name)
+        found[gripper.arm_group] = (*own, *gripper.joint_names)
     return found if len(found) > 1 else {}

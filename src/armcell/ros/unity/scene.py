@@ -85,7 +85,7 @@ def _drives(model: RobotModel, physics: PhysicsSettings) -> dict[str, dict[str, 
     The parameters are stiffness, damping and maximum force or torque. Arm joints use the gains of armcell's
     simulation, because its control law equals the law of Unity's drives.
     """
-    fingers = {g.joint_name: g for g in model.grippers.values()}
+    fingers = {name: g for g in model.grippers.values() for name in g.joint_names}
     drives = {}
     for joint in model.joints.values():
         if not joint.movable:

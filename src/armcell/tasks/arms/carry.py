@@ -136,7 +136,7 @@ class Carrying:
             retreats.append(result.trajectory)
         outcome = self.hands.play("retreat both", merged(*synchronized(retreats)))
         for gripper in self.hands.grippers.values():
-            self.ctx.expect_contact(self.item, gripper.finger_links, expected=False)
+            self.ctx.expect_contact(self.item, gripper.contact_links, expected=False)
         return self._with_record(outcome)
 
     def _object_pose(self, held: PairHold) -> SE3:

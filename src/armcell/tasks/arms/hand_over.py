@@ -57,7 +57,7 @@ def hand_over(ctx: TaskContext, item: str, receiver: Gripper, at: Sequence[SE3] 
     solution, outcome = plan_stages(ctx, stages, f"hand over {item}")
     if solution is None:
         return outcome
-    done = perform_all(ctx, (*solution.steps, Expect(item, giver.finger_links, expected=False)))
+    done = perform_all(ctx, (*solution.steps, Expect(item, giver.contact_links, expected=False)))
     return replace(done, evidence={**done.evidence, "grasp": solution.data["grasp"]})
 
 
@@ -140,7 +140,7 @@ class OpenGiver:
     name: str = "yield"
 
     def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
-        width = self.giver.width(solution.scene.state[self.giver.joint_name]) + self.margin
+        width = self.giver.width_in(solution.scene.state) + self.margin
         width = min(width, self.giver.max_width)
         yield solution.then(
             Grip("let go", self.giver, width, self.giver.max_force, self.settle),

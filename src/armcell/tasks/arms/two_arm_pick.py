@@ -33,6 +33,7 @@ from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import Pick
 from armcell.tasks.search import PartialSolution, Planning, Stage, search, stage_types
 from armcell.tasks.stages import AppendPlannedMotion
+from armcell.tasks.stages.grasp import finger_state
 from armcell.tasks.steps import DONE, Expect, perform_all
 from armcell.timing import merged, reversed_in_time, synchronized
 
@@ -212,7 +213,7 @@ class ConnectPair:
             g: JointGoal(JointState(a.joint_names, a.positions[0]))
             for g, a in zip(hands.groups, pair.approaches, strict=True)
         }
-        expected = (Expect(hands.item, hands.grippers[g].finger_links) for g in hands.groups)
+        expected = (Expect(hands.item, hands.grippers[g].contact_links) for g in hands.groups)
         yield solution.then(_MoveTogether(hands, goals, self.name), *expected)
 
 
@@ -311,8 +312,7 @@ class _HoldWithBoth:
 
 def _with_open_hands(hands: HandPair, scene: PlanningScene) -> PlanningScene:
     for group, gripper in hands.grippers.items():
-        q = np.array([gripper.joint_position(_opening(hands, group))])
-        scene = scene.with_state(JointState((gripper.joint_name,), q))
+        scene = scene.with_state(finger_state(gripper, _opening(hands, group)))
     return scene
 
 

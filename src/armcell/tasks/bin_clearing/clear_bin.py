@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from armcell.core import ErrorCode, NamedGoal, Outcome
+from armcell.core import ErrorCode, InputError, NamedGoal, Outcome
 from armcell.grasping import AboveSettings, HeapGrasp, grasps_from_above, hand_of
-from armcell.model import Gripper
+from armcell.model import Gripper, SuctionGripper
 from armcell.planning import warm_up
 from armcell.tasks.bin_clearing.settings import ClearSettings
 from armcell.tasks.bin_clearing.stages import (
@@ -84,8 +84,11 @@ def clear_bin(
         SUCCESS if no piece is visible any more, otherwise the reason for giving up. Evidence: `picks`, `put`,
         `missed`, `dropped`, `unplanned` (counts).
     Raises:
-        InputError: bin or tray have no level floor or are not aligned with the world axes.
+        InputError: the gripper has suction cups, or bin or tray have no level floor or are not aligned with
+            the world axes.
     """
+    if isinstance(gripper, SuctionGripper):
+        raise InputError(f"clear_bin needs a gripper with jaws, {gripper.name!r} has suction cups")
     warm_up()
     s, base = settings, ctx.base
     bin_region, tray_region = floor_of(base, bin, s), floor_of(base, tray, s)

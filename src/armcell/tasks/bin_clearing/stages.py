@@ -140,8 +140,7 @@ class OpenAbove:
     consumes = (holding(HELD),)
 
     def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
-        joint = solution.scene.state[self.gripper.joint_name]
-        width = min(self.gripper.width(joint) + self.margin, self.gripper.max_width)
+        width = min(self.gripper.width_in(solution.scene.state) + self.margin, self.gripper.max_width)
         scene = solution.scene.with_detached(HELD).without_object(HELD)
         yield solution.then(
             StillThere(self.gripper, self.thinnest),

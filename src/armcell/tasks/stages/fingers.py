@@ -55,6 +55,9 @@ def finger_collision(
 
     Empty if the motion is certified collision-free.
     """
+    grips = [g for g in grips if g.gripper.joint_name]
+    if not grips:
+        return ""
     names = tuple(g.gripper.joint_name for g in grips)
     columns = scene.model.columns(names)
     ends = np.array([scene.positions[columns], [g.gripper.joint_position(g.width) for g in grips]])

@@ -142,7 +142,7 @@ def approaches(
     scene = opened.with_allowed(item, gripper.hand_links)
     T_world_tcp = scene.object(item).T_world_object @ grasp.T_object_tcp
     expected = (
-        () if scene.object(item).has_cloud else (Expect(item, gripper.finger_links),)
+        () if scene.object(item).has_cloud else (Expect(item, gripper.contact_links),)
     )  # clouds have no body
     found = False
     for arm in reachable(scene, gripper, T_world_tcp, planning, stage, grasp.name):
@@ -248,7 +248,7 @@ def _seconds(scene: PlanningScene, arm: JointState) -> float:
 
 
 def finger_state(gripper: Gripper, width: float) -> JointState:
-    return JointState((gripper.joint_name,), np.array([gripper.joint_position(width)]))
+    return JointState(gripper.joint_names, np.full(len(gripper.joint_names), gripper.joint_position(width)))
 
 
 def reachable(

@@ -240,7 +240,7 @@ class Open:
         return (holding(self.object),)
 
     def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
-        now = self.gripper.width(solution.scene.state[self.gripper.joint_name])
+        now = self.gripper.width_in(solution.scene.state)
         detached = solution.scene.with_detached(self.object)
         widths = [min(now + share * self.margin, self.gripper.max_width) for share in (1.0, 0.5, 0.25)]
         for width in dict.fromkeys(widths):  # less if a finger would collide

@@ -118,7 +118,7 @@ class MoveGroupCommander(GroupSettings):
         gripper that has just closed holds no object.
         """
         scene, cell = measured_scene(), self._session.served.cell
-        closed = gripper.width(scene.state[gripper.joint_name]) < 0.5 * gripper.max_width
+        closed = gripper.width_in(scene.state) < 0.5 * gripper.max_width
         if closed and cell.held(gripper) is None and (why := closed_on_nothing(scene, gripper)):
             self._session.hint(f"nothing in {gripper.name}", why)
 
