@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armcell.model import installed_robots, load_robot
+from armcell.model import SuctionGripper, installed_robots, load_robot
 
 
 @pytest.fixture(scope="module", params=installed_robots())
@@ -27,8 +27,10 @@ def test_limits_are_complete(model):
 
 def test_groups_name_what_exists(model):
     assert model.groups
+    jointless = {g.group for g in model.grippers.values() if isinstance(g, SuctionGripper)}
     for group in model.groups.values():
-        assert group.joint_names and set(group.joint_names) <= set(model.joint_names)
+        assert bool(group.joint_names) == (group.name not in jointless)
+        assert set(group.joint_names) <= set(model.joint_names)
         assert set(group.link_names) <= set(model.links)
         if group.tip_link:
             chain = model.chain(group.base_link, group.tip_link)
@@ -52,6 +54,10 @@ def test_disabled_pairs_are_links_with_a_reason(model):
 
 def test_grippers_open_and_close(model):
     for gripper in model.grippers.values():
+        assert gripper.contact_links and set(gripper.contact_links) <= set(gripper.hand_links)
+        if isinstance(gripper, SuctionGripper):
+            assert gripper.joint_names == () and gripper.tcp_link in model.links
+            continue
         limits = model.joint(gripper.joint_name).limits
         assert gripper.width(gripper.joint_position(0.03)) == pytest.approx(0.03)
         assert 0.0 < gripper.width(limits.upper) <= gripper.max_width + 1e-9
