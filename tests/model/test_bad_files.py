@@ -127,6 +127,7 @@ def test_only_true_and_false_are_booleans(tmp_path):
 
 
 URDF = robot(link("a"), link("b"), joint("j", "a", "b"))
+SUCTION = "kind: suction, arm_group: a, group: g, tcp_link: a, hand_links: [b]"
 ROBOT_YAML = [
     ("name: x\n", "needs one of 'urdf', 'mjcf' and 'parts'"),
     ("urdf: r.urdf\nparts: []\n", "needs one of 'urdf', 'mjcf' and 'parts'"),
@@ -141,6 +142,34 @@ ROBOT_YAML = [
     ("urdf: r.urdf\ngrippers: {g: 3}\n", "grippers/g: is not a mapping"),
     ("urdf: r.urdf\ngrippers: {g: {max_with: 3}}\n", "unknown key 'max_with'.*did you mean 'max_width'"),
     ("urdf: r.urdf\ngrippers: {g: {max_width: 3}}\n", "grippers/g: is incomplete"),
+    (
+        "urdf: r.urdf\ngrippers: {g: {kind: magnet}}\n",
+        "unknown kind of gripper 'magnet'; known: jaws, suction",
+    ),
+    (f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}, cups: []}}}}\n", "grippers/g: gripper 'g' has no cups"),
+    (f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}}}}}\n", "grippers/g: is incomplete: .*'cups'"),
+    (f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}, cups: [3]}}}}\n", "cups must be a list of mappings"),
+    (
+        f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}, cups: [{{link: a}}]}}}}\n",
+        "a cup is incomplete: .*'radius'",
+    ),
+    (
+        f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}, cups: [{{link: a, radius: 0.01, width: 1}}]}}}}\n",
+        "unknown key of a cup 'width'; known: link, radius, rpy, stroke, xyz",
+    ),
+    (
+        f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}, cups: [{{link: a, radius: 0.01, stroke: 0.02}}]}}}}\n",
+        "radius 0.01 m and stroke 0.02 m .both must be positive, the stroke at most 0.004 m",
+    ),
+    (
+        f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}, cups: [{{link: a, radius: 0.01}}], vacuum: 200}}}}\n",
+        "vacuum 200 kPa.* .vacuum: at most 101.3 kPa",
+    ),
+    (
+        f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}, cups: [{{link: nope, radius: 0.01}}]}}}}\n",
+        "unknown link 'nope'",
+    ),
+    (f"urdf: r.urdf\ngrippers: {{g: {{{SUCTION}, finger_links: [a]}}}}\n", "unknown key 'finger_links'"),
     pytest.param("parts: 3\n", "parts"),
     pytest.param("parts: [{robot: 5}]\n", "robot"),
     pytest.param("parts: [{robot: .}]\n", "itself"),

@@ -257,16 +257,13 @@ def _leak(gaps: Array, bulges: Array, stroke: Array) -> tuple[str, int, float]:
     """Return why no cup of a grasp seals, how many checks it passed, and by how much it failed."""
     if not np.isfinite(gaps).any():
         return "every cup is over an edge or a hole of the surface", 0, np.inf
-    k = int(np.argmin(np.where(np.isfinite(gaps), np.maximum(gaps - REACH * stroke, bulges - BULGE), np.inf)))
-    if bulges[k] > BULGE and gaps[k] <= REACH * stroke[k]:
-        return (
-            f"leaks: the surface reaches {1000 * bulges[k]:.1f} mm into the cup",
-            1,
-            float(bulges[k] - BULGE),
-        )
+    open_by, bulge_by = gaps - REACH * stroke, bulges - BULGE
+    k = int(np.argmin(np.maximum(open_by, bulge_by)))
+    if bulge_by[k] > open_by[k]:
+        return f"leaks: the surface reaches {1000 * bulges[k]:.1f} mm into the cup", 1, float(bulge_by[k])
     lip = f"the lip of the cup closes {1000 * REACH * stroke[k]:.1f} mm"
     text = f"leaks: the surface is up to {1000 * gaps[k]:.1f} mm off the ring, {lip}"
-    return text, 1, float(gaps[k] - REACH * stroke[k])
+    return text, 1, float(open_by[k])
 
 
 def _cups(count: int) -> str:

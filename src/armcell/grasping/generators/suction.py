@@ -1,7 +1,8 @@
 """Grasps with suction cups: on points of the surface, the hand's axis along the normal.
 
-Points are far apart from each other, and include the projections of the center of mass onto the faces. The
-hand, or one of its cups, is centered on the point and turned about the normal.
+Points are far apart from each other and move away from edges by up to a cup's radius; the projections of the
+center of mass onto the faces are added. The hand, or one of its cups, is centered on the point and turned
+about the normal.
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from armcell.grasping.candidates import Proposals, generators
 from armcell.grasping.generators.frames import around, tcp_pose
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import Surface
+from armcell.model import SuctionGripper
 from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
 SAMPLES = 40  # points
 TURNS = 8  # hand orientations about the normal
+AROUND, PARALLEL = 2.0, 0.99  # radii of a cup over which a point is averaged, cosine of equal normals
 SAME = 0.002  # [m] points and projections closer than this count as one
 
 
@@ -28,12 +31,17 @@ def suction_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Arra
 
     The result is deterministic.
     """
+    gripper = hand.gripper
+    assert isinstance(gripper, SuctionGripper)
     found, taken = Proposals(), set()
     centers = hand.cups - hand.cups.mean(0)
     anchors = [np.zeros(3), *centers] if len(centers) > 1 else [np.zeros(3)]
-    middle = hand.cups.mean(0)
+    middle, widest = hand.cups.mean(0), max(cup.radius for cup in gripper.cups)
     for n, i in enumerate(_far_apart(surface.points, SAMPLES)):
-        point, normal = surface.points[i], surface.normals[i]
+        normal = surface.normals[i]
+        flat = np.linalg.norm(surface.points - surface.points[i], axis=1) < AROUND * widest
+        flat &= surface.normals @ normal > PARALLEL
+        point = surface.points[flat].mean(0)
         over = surface.center_of_mass + normal * ((point - surface.center_of_mass) @ normal)
         for at, name in ((over, "over the center of mass"), (point, f"point {n}")):
             key = (*np.round(at / SAME).astype(int).tolist(), *np.round(normal * 20).astype(int).tolist())
