@@ -12,7 +12,7 @@ from armcell.planning import plan_cartesian
 CELLS = {  # an object of each cell whose objects rest on a surface; on a belt nothing is grasped at rest
     "panda_pick": "cube", "panda_table": "cube", "six_axis_camera": "cube", "six_axis_pick": "cube",
     "six_axis_sort": "red_box", "six_axis_table": "object", "dual_ur10_rod": "rod", "dual_ur10_screw": "beam",
-    "dual_ur10_sort": "left_red_1",
+    "dual_ur10_sort": "left_red_1", "suction_pick": "carton",
 }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from armcell.core import SE3, SO3, Box, ErrorCode, InputError, Mesh, Outcome
 from armcell.core.intervals import wilson
 from armcell.drivers import DriverOptions, drivers
 from armcell.grasping import Grasp, grasp_candidates, grasp_quality, hand_of, nearest_miss, rests
-from armcell.model import Gripper, load_robot, load_urdf
+from armcell.model import Gripper, SuctionGripper, load_robot, load_urdf
 from armcell.model.assets import MESH_SUFFIXES
 from armcell.scene import (
     CollisionObject,
@@ -91,7 +91,7 @@ def objects_of(
     folder: Path, gripper: Gripper, count: int, scale: float = 1.0, skip: int = 0
 ) -> Iterator[tuple[str, CollisionObject | InputError, float]]:
     """Yield objects for the grasp benchmark from URDF or mesh files in a folder.
-    Each is scaled such that the gripper can grasp it.
+    Each is scaled such that the gripper's jaws can grasp it.
 
     If the folder has URDFs, mesh files are ignored. An unreadable file yields its error as the object.
 
@@ -115,7 +115,7 @@ def objects_of(
         )
     if skip >= len(files):
         raise InputError(f"has {len(files)} files, {skip} are to be skipped", file=folder)
-    limit = SHARE * gripper.max_width
+    limit = np.inf if isinstance(gripper, SuctionGripper) else SHARE * gripper.max_width
     for file in files[skip : skip + count]:
         try:
             item = _of_urdf(file) if file.suffix == ".urdf" else mesh_object(file.stem, file, scale=scale)
