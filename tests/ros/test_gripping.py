@@ -24,3 +24,26 @@ def test_a_cancelled_gripper_stops_where_it_is(mode):
         live.ctx.advance(1.0)
         stopped = driver.gripper(hand.name).width
         assert ended.value.value.code is ErrorCode.PREEMPTED and 0.6 * opened < stopped < 0.85 * opened
+
+
+def test_a_command_turns_the_vacuum_on_and_off():
+    """With an object under the cups it is held, and without one the command ends, too."""
+    with load("suction_pick").connect("sim") as live:
+        driver, hand = live.driver, live.model.gripper()
+
+        def command(width: float):
+            steps = gripping(driver, hand, width, hand.max_force, threading.Event())
+            while True:
+                try:
+                    next(steps)
+                except StopIteration as ended:
+                    return ended.value
+                live.ctx.advance(driver.period)
+
+        assert command(0.0).evidence["held"] is None
+        assert driver.gripper(hand.name).width == 0.0 and command(hand.max_width).ok
+        assert live.arm.pick("box").ok and live.arm.move_to("home").ok
+        held = command(0.0)
+        assert held.ok and held.evidence["held"] == "box"
+        live.ctx.holding.clear()
+        assert command(hand.max_width).ok and driver.gripper(hand.name).held is None

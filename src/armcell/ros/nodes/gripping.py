@@ -18,7 +18,7 @@ from armcell.cell import LiveCell
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.execution import ExecutionSteps
 from armcell.grasping import grip_force
-from armcell.model import Gripper, RobotModel
+from armcell.model import Gripper, RobotModel, SuctionGripper
 from armcell.ros.actions import ActionServer, Done, Goal, State
 from armcell.ros.bus import Bus
 from armcell.ros.nodes.conductor import Conductor, Work
@@ -41,7 +41,7 @@ def gripping(
     driver: Any, gripper: Gripper, width: float, force: float, cancel: threading.Event, patience: float = 1.0
 ) -> ExecutionSteps:
     """Execute a gripper command from ROS.
-    The motion ends when the gripper reaches the target width or an object stops it.
+    The motion ends when the gripper reaches the target width, an object stops it, or the vacuum has built up.
 
     A cancelled motion stops the fingers where they are, as ros_control's gripper_action_controller does;
     fingers that hold an object keep their force.
@@ -57,6 +57,9 @@ def gripping(
         SUCCESS with the evidence "stalled", "held" and "width" [m], PREEMPTED with the current "width" [m],
             or CONTROL_FAILED with the gripper's reason.
     """
+    # The width of a suction gripper says nothing about its vacuum: wait until it holds or has had time.
+    sucks = isinstance(gripper, SuctionGripper) and width <= 0.0
+    build_up = 5 * gripper.evacuation if isinstance(gripper, SuctionGripper) else 0.0
     stall_time, timeout = STALL_TIME * patience, TIMEOUT * patience
     driver.command_gripper(gripper.name, width, force)
     began = still = driver.now
@@ -73,11 +76,13 @@ def gripping(
             return ExecutionResult(ErrorCode.CONTROL_FAILED, reading.fault, {}, began, now)
         if abs(reading.width - last) > STANDS * max(now - still, driver.period):
             last, still = reading.width, now
-        arrived = abs(reading.width - width) <= ARRIVED
+        arrived = abs(reading.width - width) <= ARRIVED and not sucks
         stalled = now - still >= stall_time and now - began > 2 * stall_time
+        if sucks:
+            stalled = reading.held is not None or now - began > build_up
         # A held object must be pressed with the full force before the arm moves.
         late = now - began > timeout
-        pressed = not reading.held or reading.force_per_finger >= 0.8 * force or late
+        pressed = sucks or not reading.held or reading.force_per_finger >= 0.8 * force or late
         if (arrived and not reading.held) or (stalled and pressed) or late:
             evidence = {"stalled": not arrived, "held": reading.held, "width": reading.width}
             text = f"holds {reading.held}" if reading.held else f"stands at {reading.width * 1000:.1f} mm"
