@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from tests.model.helpers import collision, joint, link, robot
@@ -220,6 +221,27 @@ def test_a_file_that_moveit_can_do_without(package, name):
     config = MoveItConfig.load(package)
     assert "arm" in config.model.groups
     assert (config.planner_configs == {}) == (name == "ompl_planning.yaml")
+
+
+def test_packages_as_vendors_publish_them(package, caplog):
+    """ROS-Industrial's controllers without a name, UR's degrees, Doosan's SRDF of another name, and keys and
+    options of xacro that the Setup Assistant itself writes."""
+    (package / "config/moveit_controllers.yaml").write_text(
+        'controller_list: [{name: "", action_ns: joint_trajectory_action, type: T, joints: [j1]}]\n'
+    )
+    (package / "config/joint_limits.yaml").write_text("joint_limits: {j1: {max_velocity: !degrees 36}}\n")
+    (package / ".setup_assistant").write_text(
+        "moveit_setup_assistant_config:\n"
+        "  urdf: {package: '', relative_path: config/r.urdf, xacro_args: '--inorder '}\n"
+        "  srdf: {relative_path: config/other.srdf}\n"
+        "  control_xacro: {command: [position]}\n"
+        "  control_xacro: {command: [velocity]}\n"
+    )
+    config = MoveItConfig.load(package)
+    assert config.controllers["joint_trajectory_action"]["joints"] == ["j1"]
+    assert config.model.joints["j1"].limits.velocity == pytest.approx(np.pi / 5)
+    assert "control_xacro' is given twice, the last one counts" in caplog.text
+    assert "other.srdf, which does not exist" in caplog.text
 
 
 def test_no_package(package):
