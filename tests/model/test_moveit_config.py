@@ -207,7 +207,7 @@ def test_what_is_wrong_is_named(package, name, text, message):
     assert name in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["r.srdf", "r.urdf", "joint_limits.yaml", "kinematics.yaml"])
+@pytest.mark.parametrize("name", ["r.srdf", "r.urdf", "kinematics.yaml"])
 def test_a_missing_file_is_named(package, name):
     (package / "config" / name).unlink()
     with pytest.raises(InputError, match=r"file not found|no \*\.") as error:
@@ -221,6 +221,15 @@ def test_a_file_that_moveit_can_do_without(package, name):
     config = MoveItConfig.load(package)
     assert "arm" in config.model.groups
     assert (config.planner_configs == {}) == (name == "ompl_planning.yaml")
+
+
+def test_without_joint_limits_moveit_s_defaults_count(package, caplog, tmp_path):
+    (package / "config" / "joint_limits.yaml").unlink()
+    config = MoveItConfig.load(package)
+    assert config.model.joints["j1"].limits.acceleration == 1.0
+    assert "has no joint_limits.yaml" in caplog.text
+    config.write(tmp_path / "copy")
+    assert MoveItConfig.load(tmp_path / "copy").model.joints["j1"].limits == config.model.joints["j1"].limits
 
 
 def test_packages_as_vendors_publish_them(package, caplog):

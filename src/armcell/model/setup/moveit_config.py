@@ -30,7 +30,7 @@ Data = dict[str, Any]
 
 # Key: (possible file names, of which the first that exists is read; whether MoveIt requires the file).
 FILES: dict[str, tuple[tuple[str, ...], bool]] = {
-    "joint_limits": (("joint_limits.yaml",), True),
+    "joint_limits": (("joint_limits.yaml",), False),
     "kinematics": (("kinematics.yaml",), True),
     "ompl_planning": (("ompl_planning.yaml",), False),
     "controllers": (
@@ -296,6 +296,13 @@ class _Reader:
             files[key] = read_yaml(file, ros=True)
             names[key] = file.name
             getattr(self, f"check_{key}")(files[key], file, model)
+        if "joint_limits" not in files:
+            files["joint_limits"], names["joint_limits"] = {"joint_limits": {}}, "joint_limits.yaml"
+            logger.warning(
+                "%s: has no joint_limits.yaml: velocities are the URDF's, accelerations MoveIt's default of "
+                "%g rad/s^2 or m/s^2",
+                self.config, ACCELERATION,
+            )  # fmt: skip
         model = self.limited(model, files["joint_limits"], self.config / names["joint_limits"])
         urdf_text = _with_full_paths(urdf_text, urdf_file)
         return MoveItConfig(self.folder, model, parse_srdf(srdf, srdf_file), urdf_text, files, names)
