@@ -222,3 +222,14 @@ def test_a_mesh_is_as_deep_as_its_deepest_triangle(depth, turn):
     checker = ExactChecker(floating(CollisionObject.single("ball", mesh, T)))
     (contact,) = checker.contacts([nearest - 0.1 + depth])
     assert contact.distance == pytest.approx(-depth, abs=1e-6)
+
+
+def test_a_round_lid_of_many_corners_is_no_box():
+    """A vertex of the lid can get more neighbors than coal's convex shapes allow."""
+    lid = trimesh.creation.cylinder(radius=0.3, height=0.1, sections=720)
+    T = SE3.from_xyz_rpy((1.3, 0.0, 0.0), (0.0, 0.0, np.pi / 4))  # the bounding box begins at x = 0.876
+    checker = ExactChecker(floating(CollisionObject.single("lid", mesh_of(lid), T)))
+    assert checker.is_free([0.85])  # the cube ends at x = 0.95
+    near = checker.nearest([0.85])
+    assert near is not None and near.distance == pytest.approx(0.05, abs=1e-4)
+    assert not checker.is_free([0.901])

@@ -50,6 +50,23 @@ def test_a_package_is_found_in_the_environment(package, tmp_path, monkeypatch, v
     assert found.samefile(package / "meshes" / "part.stl")
 
 
+@pytest.mark.parametrize("beside", ["in the workspace", "on ROS_PACKAGE_PATH"])
+def test_a_package_of_another_repository_is_found_by_its_own_name(package, tmp_path, monkeypatch, beside):
+    """src/repository/group/package, whose folder is not named as the package is."""
+    (package / "package.xml").write_text("<package><name>arm_description</name></package>")
+    there = (
+        tmp_path / ("src" if beside == "in the workspace" else "other") / "repository" / "group" / "meshes-2"
+    )
+    there.mkdir(parents=True)
+    (there / "package.xml").write_text("<package><name>arm_meshes</name></package>")
+    (there / "part.stl").write_bytes((package / "meshes" / "part.stl").read_bytes())
+    if beside == "on ROS_PACKAGE_PATH":
+        with pytest.raises(InputError, match="not found above"):
+            resolve_uri("package://arm_meshes/part.stl", package / "urdf")
+        monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "other"))
+    assert resolve_uri("package://arm_meshes/part.stl", package / "urdf").samefile(there / "part.stl")
+
+
 def test_plain_and_file_uris(package):
     part = package / "meshes" / "part.stl"
     for uri in ("../meshes/part.stl", f"file://{part}", str(part)):

@@ -32,17 +32,17 @@ BAD = {
     ),
     "nameless link": (("<link/>",), ":2: <link>", "attribute 'name' is missing"),
     "two roots": (AB, "2 root links (a, b)", "exactly one is needed"),
-    "loop": ((*AB, joint("j", "a", "b"), joint("k", "b", "a")), "loop", "no root link"),
+    "loop": ((*AB, joint("j", "a", "b"), joint("k", "b", "a")), "no root link", "closes the loop"),
     "loop apart": (
         (*AB, link("c"), joint("j", "a", "b"), joint("k", "b", "a")),
-        "joints j, k",
-        "form a loop apart from the root",
+        ":5: <joint name='j'>",
+        "joints j, k form a loop apart from the root",
     ),
-    "own parent": ((*AB, joint("j", "a", "a")), "joints j", "loop"),
+    "own parent": ((*AB, joint("j", "a", "a")), ":4: <joint name='j'>", "loop"),
     "two parents": (
         (*AB, link("c"), joint("j", "a", "c"), joint("k", "b", "c")),
-        "link 'c'",
-        "is the child of both 'j' and 'k'",
+        ":6: <joint name='k'>",
+        "link 'c' is the child of both 'j' and 'k'",
     ),
     "unknown parent": (
         (*AB, joint("j", "x", "b")),
@@ -85,7 +85,7 @@ BAD = {
     ),
     "mimics nothing": (
         (*AB, joint("j", "a", "b", inside='<mimic joint="x"/>')),
-        "joint 'j'",
+        ":4: <joint name='j'>",
         "mimics unknown joint 'x'",
     ),
     "negative mass": (inertial('<mass value="-1"/>'), ":2: <mass>", "mass -1 kg is negative"),

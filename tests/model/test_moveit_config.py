@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from tests.model.helpers import collision, joint, link, robot
@@ -206,7 +207,7 @@ def test_what_is_wrong_is_named(package, name, text, message):
     assert name in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["r.srdf", "r.urdf", "joint_limits.yaml", "kinematics.yaml"])
+@pytest.mark.parametrize("name", ["r.srdf", "r.urdf", "kinematics.yaml"])
 def test_a_missing_file_is_named(package, name):
     (package / "config" / name).unlink()
     with pytest.raises(InputError, match=r"file not found|no \*\.") as error:
@@ -220,6 +221,36 @@ def test_a_file_that_moveit_can_do_without(package, name):
     config = MoveItConfig.load(package)
     assert "arm" in config.model.groups
     assert (config.planner_configs == {}) == (name == "ompl_planning.yaml")
+
+
+def test_without_joint_limits_moveit_s_defaults_count(package, caplog, tmp_path):
+    (package / "config" / "joint_limits.yaml").unlink()
+    config = MoveItConfig.load(package)
+    assert config.model.joints["j1"].limits.acceleration == 1.0
+    assert "has no joint_limits.yaml" in caplog.text
+    config.write(tmp_path / "copy")
+    assert MoveItConfig.load(tmp_path / "copy").model.joints["j1"].limits == config.model.joints["j1"].limits
+
+
+def test_packages_as_vendors_publish_them(package, caplog):
+    """ROS-Industrial's controllers without a name, UR's degrees, Doosan's SRDF of another name, and keys and
+    options of xacro that the Setup Assistant itself writes."""
+    (package / "config/moveit_controllers.yaml").write_text(
+        'controller_list: [{name: "", action_ns: joint_trajectory_action, type: T, joints: [j1]}]\n'
+    )
+    (package / "config/joint_limits.yaml").write_text("joint_limits: {j1: {max_velocity: !degrees 36}}\n")
+    (package / ".setup_assistant").write_text(
+        "moveit_setup_assistant_config:\n"
+        "  urdf: {package: '', relative_path: config/r.urdf, xacro_args: '--inorder '}\n"
+        "  srdf: {relative_path: config/other.srdf}\n"
+        "  control_xacro: {command: [position]}\n"
+        "  control_xacro: {command: [velocity]}\n"
+    )
+    config = MoveItConfig.load(package)
+    assert config.controllers["joint_trajectory_action"]["joints"] == ["j1"]
+    assert config.model.joints["j1"].limits.velocity == pytest.approx(np.pi / 5)
+    assert "control_xacro' is given twice, the last one counts" in caplog.text
+    assert "other.srdf, which does not exist" in caplog.text
 
 
 def test_no_package(package):

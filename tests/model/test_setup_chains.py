@@ -75,6 +75,22 @@ def test_a_torso_belongs_to_no_arm():
     assert model.groups["left_arm"].base_link == "chest"
 
 
+def test_a_head_beside_the_arm_ends_no_arm():
+    """Rethink's Sawyer carries its display on the first moving link."""
+    head = [link("head", BOX), joint("head_pan", "l1", "head")]
+    model = with_groups(model_of(link("base"), *arm(1), *head, *arm(6, "a", "l1")))
+    assert model.groups["arm"].joint_names == ("j1", *(f"aj{i}" for i in range(1, 7)))
+    assert list(model.groups) == ["arm"]
+
+
+def test_arms_are_named_by_the_words_that_tell_them_apart():
+    """Yaskawa's SDA10F: arm_left_joint_1_s."""
+    model = with_groups(model_of(link("base"), *arm(4, "arm_left_x_"), *arm(4, "arm_right_x_")))
+    assert set(model.groups) == {"left_x_arm", "right_x_arm", "both_arms"}
+    parts = [*arm(4, "arm_left_"), *arm(4, "arm_right_")]
+    assert set(with_groups(model_of(link("base"), *parts)).groups) == {"left_arm", "right_arm", "both_arms"}
+
+
 def test_arms_without_telling_names_are_numbered():
     model = with_groups(model_of(link("base"), *arm(4, "a"), *arm(4, "b"), *arm(4, "c")))
     assert set(model.groups) == {"arm_1", "arm_2", "arm_3", "all_arms"}

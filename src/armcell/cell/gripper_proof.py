@@ -68,6 +68,15 @@ def _tried(model: RobotModel, gripper: Gripper) -> GripperProof:
     if isinstance(gripper, SuctionGripper):
         return _sucked(model, gripper)
     edge = round(min(SHARE * gripper.max_width, LARGEST), 4)
+    limits = model.joints[gripper.joint_name].limits
+    position = float(np.clip(gripper.joint_position(0.0), limits.lower, limits.upper))
+    narrow = gripper.width(position)
+    if narrow > edge:
+        text = (
+            f"its jaws close only to {1000 * narrow:.0f} mm, where joint {gripper.joint_name} is at its "
+            f"limit {position:.3g}: check the joint's limits and the fingers' collision geometry"
+        )
+        return GripperProof(gripper, edge, False, float("inf"), text)
     cube = CollisionObject.single("cube", Box(edge, edge, edge), SE3.identity(), movable=True)
     opening = min(gripper.max_width, 1.3 * edge + 0.004)
     hand = hand_of(model, gripper)

@@ -28,7 +28,7 @@ from armcell.model.setup import (
     yaml_text,
 )
 from armcell.model.setup.gripper import StatedGripper, find_grippers
-from armcell.model.urdf import parse_urdf
+from armcell.model.urdf import load_urdf, parse_urdf
 from armcell.model.urdf_writer import urdf_of
 
 LIMITS_NOTE = (
@@ -99,8 +99,10 @@ def propose(
         model = replace(model, name=name or model.name)
         text = urdf_of(model)
     else:
+        for file in {part.file: None for part in parts}:
+            load_urdf(file)  # names the faults with the lines of the vendor's file, not of the merged text
         name, text = merged_urdf(parts, name)
-        model = parse_urdf(text, parts[0].file)
+        model = parse_urdf(text, parts[0].file, warn=False)
     tell("groups and poses", 0)
     groups = with_groups(model, [p.prefix for p in parts], {fact.drive for fact in grippers})
     model = find_grippers(groups, tips=True, stated=grippers)

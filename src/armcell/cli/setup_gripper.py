@@ -48,6 +48,10 @@ def show_grippers(proposal: Proposal) -> None:
     from armcell.model.setup.gripper import reasons
 
     why = reasons(proposal.model)
+    if not proposal.model.end_effectors:
+        tips = ", ".join(str(g.tip_link) for g in proposal.model.groups.values() if g.tip_link)
+        console.print(f"no gripper: nothing branches off or closes at {tips}; the cell only moves the arm "
+                      "(docs/adding_a_gripper.md)", markup=False, soft_wrap=True)  # fmt: skip
     for end in proposal.model.end_effectors.values():
         proof = next((p for p in proposal.proofs if p.gripper.name == end.name), None)
         title = f"end effector {end.name} on {end.parent_link}"

@@ -69,9 +69,10 @@ def solid(shape: Shape, scale: float = 1.0) -> Solid:
             around = coal.Box(*np.maximum(2 * half * scale, 1e-6))
             return Solid(around, around, center * scale, half * scale, None, PrimitiveSet.of(shape, scale))
         case Mesh():
-            outer = convex_hull(shape.vertices * scale)
-            if is_convex(shape):
-                return Solid(outer, outer, center * scale, half * scale)
+            hull = _hull(shape.vertices * scale)
+            if hull is not None and is_convex(shape):
+                return Solid(hull, hull, center * scale, half * scale)
+            outer = hull or _bounding_box(shape.vertices * scale)
             hollow = Mesh(shape.vertices * scale, shape.faces)
             exact = triangle_model(hollow.vertices, hollow.faces)
             return Solid(exact, outer, center * scale, half * scale, hollow, closed=is_closed(shape))
@@ -116,15 +117,28 @@ def _points(vertices: Array) -> coal.StdVec_Vec3s:
 
 def convex_hull(vertices: Array) -> coal.CollisionGeometry:
     """Return the convex hull of points (v, 3) as a coal shape, or their bounding box if they are coplanar."""
-    try:
-        if np.linalg.matrix_rank(vertices - vertices[:1]) < 3:  # coal's qhull may abort the process on these
-            raise ValueError("flat")
-        return coal.ConvexBase.convexHull(_points(vertices), True, "Qt")
-    except Exception:  # a flat mesh: its bounding box is a convex outer shape, too
-        low, high = vertices.min(0), vertices.max(0)
-        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
-        extents = np.maximum(high - low, 1e-6)
-        return coal.ConvexBase.convexHull(_points(low + corners * extents), True, "Qt")
+    return _hull(vertices) or _bounding_box(vertices)
+
+
+def _hull(vertices: Array) -> coal.CollisionGeometry | None:
+    """Return the convex hull of points (v, 3) as a coal shape, or None if coal cannot represent it."""
+    if np.linalg.matrix_rank(vertices - vertices[:1]) < 3:  # coal's qhull may abort the process on these
+        return None
+    # coal allows 255 neighbors per vertex. "Qt" splits a round flange into triangles at one vertex, which has
+    # more; joggled input ("QJ") splits it evenly.
+    for options in ("Qt", "QJ"):
+        try:
+            return coal.ConvexBase.convexHull(_points(vertices), True, options)
+        except Exception:  # coal raises several types
+            continue
+    return None
+
+
+def _bounding_box(vertices: Array) -> coal.CollisionGeometry:
+    low, high = vertices.min(0), vertices.max(0)
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    extents = np.maximum(high - low, 1e-6)
+    return coal.ConvexBase.convexHull(_points(low + corners * extents), True, "Qt")
 
 
 def triangle_model(vertices: Array, faces: NDArray[np.int32]) -> coal.CollisionGeometry:

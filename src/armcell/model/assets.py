@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 MAX_MESH_BYTES = 100_000_000
 MAX_PACKAGE_BYTES = 1_000_000  # size limit of a package.xml
+WORKSPACE_LEVELS = 3  # folders above a robot's package that can be the workspace with the other repositories
+BELOW_WORKSPACE = 3  # depth of a package in a workspace: repository/group/package
+BELOW_SEARCHED = 5  # depth of a package below an entry of ROS_PACKAGE_PATH
+MAX_FOLDERS = 5000  # folders searched for packages below one folder
 MESH_SUFFIXES = {".stl", ".obj", ".dae", ".glb", ".gltf", ".ply", ".off"}
 ONE_FILE = {".stl", ".obj", ".dae", ".glb", ".ply", ".off"}
 """Mesh formats that store all triangles in one file, so its content can be a cache key."""
@@ -123,6 +127,60 @@ def _package_folders(package: str, base: Path) -> Iterator[tuple[Path, bool]]:
         yield from ((folder / package, True), (folder / "share" / package, True))
         if folder.name == package:
             yield folder, True
+    for folder in _ros_package_path():  # rospack searches below each entry, too
+        yield from ((found, True) for found in _packages_below(folder, BELOW_SEARCHED).get(package, ()))
+    for folder in _workspaces(base):
+        yield from ((found, False) for found in _packages_below(folder, BELOW_WORKSPACE).get(package, ()))
+
+
+def _ros_package_path() -> list[Path]:
+    return [Path(entry) for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if entry]
+
+
+def _workspaces(base: Path) -> Iterator[Path]:
+    """Yield the folders that can hold a robot's ROS package and the repositories that it depends on.
+
+    They are the folders above the package, up to the folder `src` of a colcon or catkin workspace.
+    """
+    here = base / "file"
+    own = package_above(here)
+    if own is None:
+        return
+    for folder in list(own.resolve().parents)[:WORKSPACE_LEVELS]:
+        if folder in (Path.home(), Path(folder.anchor)):
+            return
+        yield folder
+        if folder.name == "src":
+            return
+
+
+def _packages_below(folder: Path, depth: int) -> dict[str, list[Path]]:
+    """Return the ROS packages below a folder by the names in their package.xml, as rospack finds them."""
+    try:
+        return _crawled(folder, depth, folder.stat().st_mtime_ns)
+    except OSError:
+        return {}
+
+
+@lru_cache(maxsize=32)
+def _crawled(folder: Path, depth: int, changed: int) -> dict[str, list[Path]]:
+    found: dict[str, list[Path]] = {}
+    level, seen = [folder], 0
+    for _ in range(depth + 1):
+        below: list[Path] = []
+        for each in level:
+            if (name := _package_name(each)) is not None:
+                found.setdefault(name, []).append(each)
+                continue
+            try:
+                below += sorted(e for e in each.iterdir() if not e.name.startswith(".") and e.is_dir())
+            except OSError:
+                continue
+        seen += len(below)
+        if seen > MAX_FOLDERS:
+            break
+        level = below
+    return found
 
 
 def _package_name(folder: Path) -> str | None:
@@ -159,11 +217,19 @@ def resolve_uri(uri: str, base: Path) -> Path:
     """
     if uri.startswith("package://"):
         package, _, rest = uri[len("package://") :].lstrip("/").partition("/")  # some files: package:///
-        for folder, _ in _package_folders(package, base):
+        incomplete: Path | None = None  # package without the file
+        for folder, searched in _package_folders(package, base):
             path = folder / rest
             # os.path.isfile returns False for invalid file names, where Path.is_file raises
             if rest and os.path.isfile(path):
                 return path
+            if incomplete is None and os.path.isdir(folder) and (searched or _package_name(folder)):
+                incomplete = folder
+        if incomplete is not None:
+            raise InputError(
+                f"{uri} not found: package {package!r} is {incomplete}, but has no file {rest!r}",
+                hint=f"check the path, get the complete package, or pass --package {package}=FOLDER",
+            )
         raise InputError(
             f"{uri} not found above {base}, in ROS_PACKAGE_PATH, AMENT_PREFIX_PATH or among the installed "
             "packages",

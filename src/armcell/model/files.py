@@ -5,6 +5,8 @@ The readers limit file sizes, expand no XML entities, use no network, and report
 
 from __future__ import annotations
 
+import logging
+import math
 import os
 import re
 from pathlib import Path
@@ -14,6 +16,8 @@ import yaml
 from lxml import etree
 
 from armcell.core import InputError
+
+logger = logging.getLogger(__name__)
 
 MAX_TEXT_BYTES = 20_000_000
 MAX_YAML_BYTES = 2_000_000
@@ -50,10 +54,13 @@ class _Loader(SafeLoader):
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
                 if key.value in seen:
-                    text = f"key {key.value!r} is given twice"
-                    raise yaml.MarkedYAMLError(problem=text, problem_mark=key.start_mark)
+                    self.repeated(key)
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+    def repeated(self, key: yaml.ScalarNode) -> None:
+        text = f"key {key.value!r} is given twice"
+        raise yaml.MarkedYAMLError(problem=text, problem_mark=key.start_mark)
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -163,16 +170,39 @@ def yaml_value(text: str) -> Any:
     return yaml.load(text, _Loader)
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+class _RosLoader(_Loader):
+    """YAML loader for the files of ROS packages, which keeps the last of equal keys and reads `!degrees` and
+    `!radians`, as rosparam does.
+    """
+
+    path: Path | None = None
+
+    def repeated(self, key: yaml.ScalarNode) -> None:
+        line = key.start_mark.line + 1
+        logger.warning("%s:%s: key %r is given twice, the last one counts", self.path, line, key.value)
+
+
+def _angle(factor: float) -> Any:
+    return lambda loader, node: factor * float(loader.construct_scalar(node))
+
+
+_RosLoader.add_constructor("!degrees", _angle(math.pi / 180))
+_RosLoader.add_constructor("!radians", _angle(1.0))
+
+
+def read_yaml(path: Path, ros: bool = False) -> dict[str, Any]:
     """Read a YAML file safely. Its top level must be a mapping.
 
+    Args:
+        ros: whether the file belongs to a ROS package, where a key may be given twice (with a warning) and
+            `!degrees` marks an angle.
     Raises:
         InputError: the file is missing, not YAML (with the line), not a mapping, or uses too many aliases.
     """
     text = read_text(path, MAX_YAML_BYTES)
     try:
         check_yaml_events(text, path)
-        data = yaml.load(text, _Loader)
+        data = yaml.load(text, type("Loader", (_RosLoader,), {"path": path}) if ros else _Loader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None
         raise InputError(f"is not valid YAML: {error.problem}", file=path, line=line) from None

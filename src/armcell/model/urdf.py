@@ -6,23 +6,26 @@ Every error message names the file, line, element and hint.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from lxml import etree
 
 from armcell.core import SE3, Format, InputError, Mesh, Shape, named_shapes
-from armcell.model.assets import load_mesh, resolve_uri
+from armcell.model.assets import load_mesh, package_above, resolve_uri
 from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
-from armcell.model.xacro import expand_xacro
+from armcell.model.xacro import Place, expand_with_places, expand_xacro
 
 logger = logging.getLogger(__name__)
 
 LARGEST_LINK = 20.0  # [m] larger meshes of a link are in millimeters
 DEGREES = 30.0, 720.0  # limits [rad] in this range are more likely degrees
+MAX_LISTED = 500  # xacro files of a package that are searched for callers of a macro
 JOINT_TYPES = {"revolute", "continuous", "prismatic", "fixed", "floating", "planar"}
 
 
@@ -40,7 +43,11 @@ def load_urdf(
     Raises:
         InputError: the file is not readable or not a valid URDF.
     """
-    return parse_urdf(urdf_text(path, allow_env, home, xacro_args), path)
+    path = Path(path)
+    if path.suffix == ".xacro":
+        text, places = expand_with_places(path, xacro_args, allow_env, home)
+        return _Reader(path, parse_xml(text, path), places).robot()
+    return parse_urdf(read_text(path), path)
 
 
 def urdf_text(
@@ -56,31 +63,48 @@ def urdf_text(
     return read_text(path)
 
 
-def parse_urdf(text: str, file: Path) -> RobotModel:
+def parse_urdf(text: str, file: Path, warn: bool = True) -> RobotModel:
     """Parse URDF text into a robot model.
 
     Args:
         text: the URDF.
         file: the file's path, for error messages and for mesh paths relative to its folder.
+        warn: whether to report implausible limits and inertias and missing visual meshes.
     Raises:
         InputError: the text is not a valid URDF.
     """
-    return _Reader(file).robot(parse_xml(text, file))
+    return _Reader(file, parse_xml(text, file), warn=warn).robot()
 
 
 class _Reader:
-    """Parser for one URDF file. Its error messages contain the file name, line and element."""
+    """Parser for one URDF file. Its error messages contain the file name, line and element.
 
-    def __init__(self, file: Path):
-        self.file = file
+    Args:
+        places: of the elements in document order, if the URDF is the result of a xacro file.
+    """
+
+    def __init__(self, file: Path, root: etree._Element, places: Sequence[Place] = (), warn: bool = True):
+        self.file, self.root, self.warn = file, root, warn
         self.folder = file.resolve().parent
+        self.places = dict(zip(root.iter(etree.Element), places)) if places else {}
         self.undrawn: list[str] = []  # errors of visual meshes that are missing
-        self.lines: dict[str, int | None] = {}  # of the joints
+        self.joints: dict[str, etree._Element] = {}
 
     def fail(self, element: etree._Element, reason: str, hint: str | None = None) -> InputError:
         name = element.get("name")
         label = f"<{element.tag}{f' name={name!r}' if name else ''}>"
-        return InputError(reason, file=self.file, line=element.sourceline, element=label, hint=hint)
+        file, line = self.place(element)
+        if file != self.file:
+            reason = f"{reason} (part of {self.file})"
+        return InputError(reason, file=file, line=line, element=label, hint=hint)
+
+    def place(self, element: etree._Element) -> tuple[Path, int | None]:
+        """Return the file and line of a URDF element, in the xacro file that it comes from."""
+        return self.places.get(element, (self.file, element.sourceline))
+
+    def report(self, element: etree._Element, text: str, *values: object) -> None:
+        if self.warn:
+            logger.warning(f"%s:%s: {text}", *self.place(element), *values)
 
     def attribute(self, element: etree._Element, name: str) -> str:
         value = element.get(name)
@@ -113,7 +137,8 @@ class _Reader:
             self.numbers(origin, "xyz", 3, "0 0 0"), self.numbers(origin, "rpy", 3, "0 0 0")
         )
 
-    def robot(self, root: etree._Element) -> RobotModel:
+    def robot(self) -> RobotModel:
+        root = self.root
         if root.tag != "robot":
             raise self.fail(root, "root element is not <robot>", hint="is this a URDF file?")
         materials = {m.get("name"): self.color(m) for m in root.findall("material")}
@@ -124,8 +149,8 @@ class _Reader:
                 raise self.fail(element, "a second link of this name")
             links[link.name] = link
         if not links:
-            raise self.fail(root, "has no <link>")
-        if self.undrawn:
+            raise self.fail(root, "has no <link>", self.without_links())
+        if self.undrawn and self.warn:
             logger.warning(
                 "%s: %d visual meshes are missing, those links are drawn by their collision shapes (%s)",
                 self.file, len(self.undrawn), self.undrawn[0],
@@ -135,13 +160,23 @@ class _Reader:
             for joint in self.joint(element, links):
                 if joint.name in joints:
                     raise self.fail(element, "a second joint of this name")
-                joints[joint.name] = joint
+                joints[joint.name], self.joints[joint.name] = joint, element
         for joint in joints.values():
             self.check_mimic(joint, joints)
-        self.lines = {str(e.get("name")): e.sourceline for e in root.findall("joint")}
         root_link, ordered = self.tree(links, joints)
         name = root.get("name") or self.file.stem
         return RobotModel(name=name, root_link=root_link, links=links, joints=ordered, source=str(self.file))
+
+    def without_links(self) -> str | None:
+        """Return a hint for a file that only defines macros: the files of its package that include it."""
+        if b"macro" not in self.file.read_bytes():
+            return None
+        package = package_above(self.file.resolve()) or self.folder
+        name = self.file.name.encode()
+        files = (f for f in sorted(package.rglob("*.xacro")) if f.name != self.file.name and f.is_file())
+        users = [str(f.relative_to(package)) for f in islice(files, MAX_LISTED) if name in f.read_bytes()]
+        callers = f"; {', '.join(users[:5])} include{'s' * (len(users) == 1)} it" if users else ""
+        return f"the file only defines macros: give a file that calls them{callers}"
 
     def check_mimic(self, joint: Joint, joints: dict[str, Joint]) -> None:
         """Check that a mimic joint in a URDF follows an actuated joint, directly or via other mimic joints.
@@ -153,13 +188,17 @@ class _Reader:
         seen, source = {joint.name}, joint
         while source.mimic is not None:
             name = source.mimic.joint
-            where = {"file": self.file, "element": f"joint {joint.name!r}"}
+            element = self.joints[joint.name]
             if name not in joints:
-                raise InputError(f"mimics unknown joint {name!r}", **where)
+                close = get_close_matches(name, joints, 1)
+                hint = f"did you mean {close[0]!r}?" if close else "name a joint of this robot"
+                raise self.fail(element, f"mimics unknown joint {name!r}", hint)
             if name in seen:
-                raise InputError(f"mimics itself ({' -> '.join([*seen, name])})", **where)
+                raise self.fail(
+                    element, f"mimics itself ({' -> '.join([*seen, name])})", "let it follow a driven joint"
+                )
             if not joints[name].movable:
-                raise InputError(f"mimics joint {name!r}, which is fixed", **where)
+                raise self.fail(element, f"mimics joint {name!r}, which is fixed", "name a driven joint")
             seen.add(name)
             source = joints[name]
 
@@ -173,10 +212,9 @@ class _Reader:
         children: dict[str, list[Joint]] = {name: [] for name in links}
         for joint in joints.values():
             if joint.child in parent:
-                raise InputError(
+                raise self.fail(
+                    self.joints[joint.name],
                     f"link {joint.child!r} is the child of both {parent[joint.child]!r} and {joint.name!r}",
-                    file=self.file,
-                    line=self.lines.get(joint.name),
                     hint="a URDF is a tree: cut the loop at one of the joints and couple the passive joints "
                     "to the driven joint with <mimic>; an MJCF file may close the loop",
                 )
@@ -189,7 +227,8 @@ class _Reader:
                 if roots
                 else "a loop of joints and no root link"
             )
-            raise InputError(f"has {what}, exactly one is needed", file=self.file)
+            hint = "join the parts with fixed joints" if roots else "remove the joint that closes the loop"
+            raise InputError(f"has {what}, exactly one is needed", file=self.file, hint=hint)
         ordered: dict[str, Joint] = {}
         stack = list(reversed(children[roots[0]]))
         while stack:
@@ -198,14 +237,19 @@ class _Reader:
             stack.extend(reversed(children[joint.child]))
         if len(ordered) != len(joints):
             lost = sorted(set(joints) - set(ordered))
-            raise InputError(f"joints {', '.join(lost[:5])} form a loop apart from the root", file=self.file)
+            raise self.fail(
+                self.joints[lost[0]],
+                f"joints {', '.join(lost[:5])} form a loop apart from the root",
+                "remove the joint that closes the loop",
+            )
         return roots[0], ordered
 
     def color(self, material: etree._Element) -> tuple[float, float, float, float] | None:
         color = material.find("color")
         if color is None:
             return None
-        r, g, b, a = self.numbers(color, "rgba", 4)
+        opaque = len((color.get("rgba") or "").split()) == 3  # some files leave the opacity out
+        r, g, b, a = (*self.numbers(color, "rgba", 3), 1.0) if opaque else self.numbers(color, "rgba", 4)
         return (r, g, b, a)
 
     def link(self, element: etree._Element, materials: dict) -> Link:
@@ -247,10 +291,11 @@ class _Reader:
         a, b, c = np.linalg.eigvalsh(inertia)
         if mass > 0 and (a <= 0 or a + b < c * (1 - 1e-3) - 1e-9):
             link = element.getparent()
-            logger.warning(
-                "%s:%s: the inertia of link %r is %s (principal moments %.3g, %.3g, %.3g kg m^2; each must "
-                "be above 0 and at most the sum of the others): check signs and units, physics may be wrong",
-                self.file, element.sourceline, None if link is None else link.get("name"),
+            self.report(
+                element,
+                "the inertia of link %r is %s (principal moments %.3g, %.3g, %.3g kg m^2; each must be above "
+                "0 and at most the sum of the others): check signs and units, physics may be wrong",
+                None if link is None else link.get("name"),
                 "not of a real body" if inertia.any() else "zero", a, b, c,
             )  # fmt: skip
 
@@ -382,10 +427,8 @@ class _Reader:
         if lower > upper:
             raise self.fail(limit, f"lower {lower:g} is above upper {upper:g}")
         if type_ == "revolute" and DEGREES[0] <= max(abs(lower), abs(upper)) <= DEGREES[1]:
-            logger.warning(
-                "%s:%s: the limits of joint %r, %g to %g rad, look like degrees: URDF has radians",
-                self.file, limit.sourceline, element.get("name"), lower, upper,
-            )  # fmt: skip
+            text = "the limits of joint %r, %g to %g rad, look like degrees: URDF has radians"
+            self.report(limit, text, element.get("name"), lower, upper)
         positive = lambda v: v if v > 0 else np.inf  # noqa: E731  (0 means "no limit" in many files)
         return JointLimits(
             lower,

@@ -94,12 +94,11 @@ def test_a_package_is_found_by_its_own_name_beside_and_by_the_search_path(home, 
     file = robot(home / "work" / "src" / "clone_of_hand" / "urdf", yaml("$(find hand)/hand.yaml"))
     assert "{'mass': 3}" in expand_xacro(file)
     file = robot(home / "work" / "src" / "arm" / "urdf", yaml("$(find hand)/hand.yaml"))
-    with pytest.raises(InputError, match="package 'hand' not found.*ROS_PACKAGE_PATH"):
-        expand_xacro(file)  # its folder has another name
+    assert "{'mass': 3}" in expand_xacro(file)  # in the workspace, though its folder has another name
     os.rename(home / "work" / "src" / "clone_of_hand", home / "work" / "src" / "hand")
     assert "{'mass': 3}" in expand_xacro(file)
     file = robot(home / "downloads", yaml("$(find hand)/hand.yaml"))
-    with pytest.raises(InputError, match="package 'hand' not found"):
+    with pytest.raises(InputError, match="package 'hand' not found.*ROS_PACKAGE_PATH"):
         expand_xacro(file)
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(home / "work" / "src"))
     assert "{'mass': 3}" in expand_xacro(file)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,6 +12,7 @@ from tests.model.helpers import pin_library
 from tests.planning.helpers import down, ends_at, judge, panda_wall, request, ur10_wall
 from tests.scene.helpers import DOWN, box, panda, ur10
 
+from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
     SE3,
     SO3,
@@ -52,6 +55,20 @@ def tip_pose(result) -> np.ndarray:
 
 def in_box(center, size=(0.2, 0.2, 0.2)) -> PositionConstraint:
     return PositionConstraint(((Box(*size), SE3.from_xyz(*center)),))
+
+
+@pytest.mark.parametrize("kind", ["joints", "pose"])
+def test_a_goal_that_only_the_kernel_rejects_names_the_nearest_bodies(monkeypatch, kind):
+    """The kernel's convex pieces enclose the meshes, so that a narrow gap can count as contact."""
+    scene, turned = panda(), JointState(("panda_joint1",), [0.5])
+    pose = scene.with_state(turned).frame_pose(TIP)
+    home = scene.positions[:7]
+    monkeypatch.setattr(KernelChecker, "is_free", lambda self, q: bool(np.allclose(q[:7], home)))
+    result = plan(scene, request(JointGoal(turned) if kind == "joints" else PoseGoal(pose)))
+    assert result.code is ErrorCode.GOAL_IN_COLLISION
+    named = r"panda_\w+ is \d+\.\d mm from \w+, which is nearer than the kernel's convex pieces"
+    assert re.search(named, result.message)
+    assert all(c.distance > 0 for c in result.evidence["contacts"])
 
 
 # --- tolerances ---

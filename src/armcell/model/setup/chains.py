@@ -11,6 +11,7 @@ from armcell.model.robot import EndEffector, Group, Joint, RobotModel
 
 JAW = re.compile(r"grip|finger|jaw|claw|knuckle|thumb|pincer", re.IGNORECASE)
 TOOL = re.compile(r"tcp|tool|grasp|pinch|ee_link|ee_site|end_effector|attachment|gripper$", re.IGNORECASE)
+IDLE = {"arm", "joint"}  # words of joint names that do not tell one arm from another
 HAND_AFTER = 3  # minimum number of serial joints before a branch counts as fingers
 
 
@@ -136,9 +137,18 @@ def _follow(model: RobotModel, link: str, found: list[Chain], names_of_jaws: Col
 def _row(model: RobotModel, first: Joint) -> tuple[list[Joint], list[Joint]]:
     """Return the movable joints in series from a given joint to the next branch,
     and the first joints after the branch.
+
+    A branch with a short side chain, such as a head on the turning base of an arm, does not end the row.
     """
     row = [first]
-    while len(ends := _next_movable(model, row[-1].child)) == 1:
+    while ends := _next_movable(model, row[-1].child):
+        if len(ends) > 1:
+            depths = [_depth(model, joint) for joint in ends]
+            longest = max(depths)
+            major = [joint for joint, depth in zip(ends, depths, strict=True) if 2 * depth >= longest]
+            if len(major) > 1 or longest <= HAND_AFTER:
+                break
+            ends = major
         row.append(ends[0])
     return row, ends
 
@@ -240,5 +250,5 @@ def _prefix(joints: tuple[str, ...], robots: Sequence[str]) -> str:
         if robot and joints[0].startswith(robot):
             return robot
     words = [name.split("_")[:-1] for name in joints]
-    shared = [level[0] for level in zip(*words) if len(set(level)) == 1]
+    shared = [level[0] for level in zip(*words) if len(set(level)) == 1 and level[0].lower() not in IDLE]
     return "".join(f"{word}_" for word in shared)

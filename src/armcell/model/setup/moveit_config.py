@@ -30,7 +30,7 @@ Data = dict[str, Any]
 
 # Key: (possible file names, of which the first that exists is read; whether MoveIt requires the file).
 FILES: dict[str, tuple[tuple[str, ...], bool]] = {
-    "joint_limits": (("joint_limits.yaml",), True),
+    "joint_limits": (("joint_limits.yaml",), False),
     "kinematics": (("kinematics.yaml",), True),
     "ompl_planning": (("ompl_planning.yaml",), False),
     "controllers": (
@@ -241,7 +241,7 @@ def _controllers(data: Data) -> dict[str, dict[str, Any]]:
     manager = data.get("moveit_simple_controller_manager", data)
     if isinstance(manager.get("controller_list"), list):
         return {
-            entry["name"]: {k: v for k, v in entry.items() if k != "name"}
+            entry["name"] or entry["action_ns"]: {k: v for k, v in entry.items() if k != "name"}
             for entry in manager["controller_list"]
         }
     return {name: manager[name] for name in manager.get("controller_names") or []}
@@ -255,7 +255,7 @@ def load_ompl_planning(file: Path, model: RobotModel) -> Data:
         InputError: a group's planner configuration does not exist or a value has the wrong type; the message
             names the file and key.
     """
-    data = read_yaml(file)
+    data = read_yaml(file, ros=True)
     _Reader(file.parent.parent).check_ompl_planning(data, file, model)
     return _unwrapped(data, "ompl")
 
@@ -293,9 +293,16 @@ class _Reader:
                     missing = self.config / choices[0]
                     raise InputError("file not found", file=missing, hint="MoveIt's packages have one")
                 continue
-            files[key] = read_yaml(file)
+            files[key] = read_yaml(file, ros=True)
             names[key] = file.name
             getattr(self, f"check_{key}")(files[key], file, model)
+        if "joint_limits" not in files:
+            files["joint_limits"], names["joint_limits"] = {"joint_limits": {}}, "joint_limits.yaml"
+            logger.warning(
+                "%s: has no joint_limits.yaml: velocities are the URDF's, accelerations MoveIt's default of "
+                "%g rad/s^2 or m/s^2",
+                self.config, ACCELERATION,
+            )  # fmt: skip
         model = self.limited(model, files["joint_limits"], self.config / names["joint_limits"])
         urdf_text = _with_full_paths(urdf_text, urdf_file)
         return MoveItConfig(self.folder, model, parse_srdf(srdf, srdf_file), urdf_text, files, names)
@@ -305,7 +312,7 @@ class _Reader:
         file = self.folder / SETUP_FILE
         if not file.is_file():
             return {}
-        data = read_yaml(file).get("moveit_setup_assistant_config")
+        data = read_yaml(file, ros=True).get("moveit_setup_assistant_config")
         return self.mapping(data, file, "moveit_setup_assistant_config")
 
     def urdf(self, setup: Data) -> Path:
@@ -340,12 +347,14 @@ class _Reader:
 
     def srdf(self, setup: Data) -> Path:
         entry = setup.get("srdf", setup.get("SRDF"))
+        found = sorted(self.config.glob("*.srdf")) or sorted(self.config.glob("*.srdf.xacro"))
         if isinstance(entry, dict) and isinstance(entry.get("relative_path"), str):
             file = self.folder / entry["relative_path"]
-            if not file.is_file():
+            if file.is_file():
+                return file
+            if len(found) != 1:
                 raise InputError("file not found", file=file, hint=f"named by {SETUP_FILE}")
-            return file
-        found = sorted(self.config.glob("*.srdf")) or sorted(self.config.glob("*.srdf.xacro"))
+            logger.warning("%s: names %s, which does not exist; %s is read", SETUP_FILE, file, found[0])
         if not found:
             raise InputError(
                 "no *.srdf in it", file=self.config, hint="make one with armcell setup ROBOT.urdf -o FOLDER"
@@ -366,7 +375,10 @@ class _Reader:
             return {}
         file = self.folder / SETUP_FILE
         try:
-            return assignments(shlex.split(str(words)), ":=", "xacro argument")
+            own = [
+                word for word in shlex.split(str(words)) if not word.startswith("--")
+            ]  # --inorder: of xacro
+            return assignments(own, ":=", "xacro argument")
         except (InputError, ValueError) as error:
             raise InputError(str(error), file=file, element="urdf/xacro_args") from None
 
@@ -515,9 +527,9 @@ class _Reader:
         if "controller_list" in manager:
             for i, entry in enumerate(self.sequence(manager["controller_list"], file, "controller_list")):
                 entry = self.mapping(entry, file, f"controller_list/{i}")
-                self.controller(
-                    entry, file, self.word(entry.get("name"), file, f"controller_list/{i}/name"), model
-                )
+                # ROS-Industrial's drivers serve the action without a controller's name.
+                name = entry.get("action_ns") if entry.get("name") == "" else entry.get("name")
+                self.controller(entry, file, self.word(name, file, f"controller_list/{i}/name"), model)
             return
         for name in self.sequence(manager.get("controller_names") or [], file, "controller_names"):
             name = self.word(name, file, "controller_names")

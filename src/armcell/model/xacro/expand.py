@@ -49,13 +49,27 @@ ALLOW_ENV = "ARMCELL_ALLOW_ENV"
 """Environment variable that passes `armcell --allow-env` on to child processes."""
 
 
+Place = tuple[Path, int]
+"""Xacro file and line from which an element of the resulting URDF comes."""
+
+
 def expand_xacro(
     file: Path,
     arguments: Mapping[str, str] | None = None,
     allow_env: bool | None = None,
     home: Path | None = None,
 ) -> str:
-    """Expand a xacro file and return the resulting URDF text.
+    """Expand a xacro file and return the resulting URDF text. See `expand_with_places`."""
+    return expand_with_places(file, arguments, allow_env, home)[0]
+
+
+def expand_with_places(
+    file: Path,
+    arguments: Mapping[str, str] | None = None,
+    allow_env: bool | None = None,
+    home: Path | None = None,
+) -> tuple[str, list[Place]]:
+    """Expand a xacro file. Return the resulting URDF text and the places of its elements in document order.
 
     Args:
         file: the xacro file.
@@ -74,11 +88,12 @@ def expand_xacro(
     work = _Expansion(file, dict(given), allow_env, home)
     try:
         with _deep_calls():
-            text = work.document(root)
+            text, places = work.document(root)
     except MissingArgument as error:
         raise work.failed(error.reason, missing_hint(_missing(root, error.name, given))) from None
     except MissingFile as error:
-        values = ", ".join(f"{k}={v!r}" for k, v in work.substitution.values.items())
+        given_or_default = work.substitution.values.items()
+        values = ", ".join(f"{k}={v!r}" for k, v in given_or_default if error.depends_on(v))
         cause = f"; the path may depend on arguments: {values} (--xacro-arg NAME:=VALUE)" if values else ""
         raise work.failed(error.reason, f"{error.hint}{cause}") from None
     except XacroError as error:
@@ -88,7 +103,7 @@ def expand_xacro(
     if unknown := sorted(set(given) - work.substitution.declared):
         known = ", ".join(sorted(work.substitution.declared)) or "none"
         log.warning("%s: has no xacro argument %s; it has %s", file, ", ".join(unknown), known)
-    return text
+    return text, places
 
 
 def _missing(root: Element, name: str, given: Mapping[str, str]) -> list[str]:
@@ -123,11 +138,13 @@ class _Expansion:
         self.reading = [self.files.main]  # stack of open files: the main file and its nested includes
         self.macros: list[str] = []  # stack of the macros that are being expanded
         self.here: Element | None = None
+        self.places: dict[Element, Place] = {}  # of the elements made; holds them, so they stay the same
 
-    def document(self, root: Element) -> str:
+    def document(self, root: Element) -> tuple[str, list[Place]]:
         names = Scope(self.budget, self._substitute)
         names.values.update(self._names(names))
         out = etree.Element(root.tag, nsmap=_spaces(root))
+        self.places[out] = self._place(root)
         scope, macros = names.inner(), Scope(self.budget, self._substitute).inner()
         self.here = root
         try:
@@ -139,15 +156,18 @@ class _Expansion:
             self._children(root, out, macros, scope)
             self.here = root
             self._attributes(root, out, scope)
-        return etree.tostring(out, encoding="unicode")
+        return etree.tostring(out, encoding="unicode"), [self.places[e] for e in out.iter(etree.Element)]
+
+    def _place(self, source: Element) -> Place:
+        url = source.getroottree().docinfo.URL
+        file = Path(url) if url and Path(url) != self.files.main else self.file
+        return file, source.sourceline or 1
 
     def failed(self, reason: str, hint: str | None = None) -> InputError:
         """Return an `InputError` that names the xacro file, line and element where the expansion failed."""
         file, line, label = self.file, None, None
         if self.here is not None:
-            url = self.here.getroottree().docinfo.URL
-            file = Path(url) if url and Path(url) != self.files.main else self.file
-            line, label = self.here.sourceline, _label(self.here)
+            (file, line), label = self._place(self.here), _label(self.here)
         if file != self.file:
             reason = f"{reason} (part of {self.file})"
         reason = f"xacro cannot expand it: {_one_line(reason)}"
@@ -248,6 +268,7 @@ class _Expansion:
             made = etree.SubElement(out, tag, nsmap=_spaces(source))
         except ValueError:
             raise XacroError(f"{tag!r} is not a valid name of an element") from None
+        self.places[made] = self._place(source)
         self._attributes(source, made, scope)
         self._children(source, made, macros, scope)
 

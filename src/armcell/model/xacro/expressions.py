@@ -86,7 +86,8 @@ def evaluate(text: str, names: Names, budget: Budget) -> Any:
     try:
         return _Evaluator(budget).value(tree.body, names)
     except XacroError as error:
-        raise XacroError(f"{error.reason} in {_shown(text)}", error.hint) from None
+        error.reason = f"{error.reason} in {_shown(text)}"
+        raise  # the same type: a missing file or argument gets a hint
     except RecursionError:
         raise XacroError(f"{_shown(text)} is nested too deeply") from None
     except KeyError as error:

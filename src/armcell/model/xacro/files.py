@@ -41,6 +41,10 @@ SHOWN = 20  # entries of a folder in an error message
 class MissingFile(XacroError):
     """Error for a missing file that the xacro file of a robot includes or loads."""
 
+    def depends_on(self, value: str) -> bool:
+        """Return whether an argument's value can be the cause of the wrong path."""
+        return value in self.reason if value else "is a folder" in self.reason
+
 
 class RobotFiles:
     """Reader for the files to which a robot description refers. It reads only from allowed folders.
@@ -101,19 +105,22 @@ class RobotFiles:
         See `checked`.
 
         Raises:
-            MissingFile: the file does not exist; the hint lists what the nearest existing folder contains.
+            MissingFile: the file does not exist or is a folder; the hint lists what the nearest existing
+                folder contains.
             XacroError: see `checked`.
         """
         path = self.checked(path)
-        if path.exists():
+        is_folder = path.is_dir()
+        if path.exists() and not is_folder:
             return path
-        folder = next(folder for folder in path.parents if folder.is_dir())
+        folder = next(folder for folder in (path, *path.parents) if folder.is_dir())
         try:
             entries = sorted(e.name for e in folder.iterdir() if not e.name.startswith("."))
         except OSError:
             entries = []
         more = ", ..." if len(entries) > SHOWN else ""
-        raise MissingFile(f"file {path} not found", f"{folder} has {', '.join(entries[:SHOWN])}{more}")
+        reason = f"{path} is a folder, a file is needed" if is_folder else f"file {path} not found"
+        raise MissingFile(reason, f"{folder} has {', '.join(entries[:SHOWN])}{more}")
 
     def xml(self, path: Path) -> etree._Element:
         """Return the root element of an XML file that the xacro file of a robot includes.

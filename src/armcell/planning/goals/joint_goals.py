@@ -91,11 +91,18 @@ class _GoalFilter:
         """Return the first `count` positions of a joint goal that are collision-free and allowed."""
         return list(islice((q for q in positions if self.usable(q)), count))
 
+    def contacts(self, q: Array) -> list[Contact]:
+        """Return the contacts at joint positions (n,) that the kernel rejects, or the nearest pair of bodies
+        if the meshes do not touch.
+        """
+        nearest = self.checker.exact.nearest
+        return self.checker.exact.contacts(q) or [c for c in (nearest(q),) if c is not None]
+
     def refusal(self) -> Outcome | None:
         """Return the reason why all tested joint goals were rejected, or None if none was tested."""
         if self.forbidden:
             return Outcome(ErrorCode.INVALID_GOAL_CONSTRAINTS, f"goal: {self.forbidden}")
-        contacts = [c for c in map(self.checker.exact.contacts, self.blocked[:BLOCKED]) if c]
+        contacts = [c for c in map(self.contacts, self.blocked[:BLOCKED]) if c]
         if not contacts:
             return None
         shallowest = min(contacts, key=lambda c: -min(x.distance for x in c))
@@ -130,7 +137,7 @@ def _from_joints(
     if found:
         return Outcome(ErrorCode.SUCCESS), found
     refusal = goal_filter.refusal()
-    return _in_collision(checker.exact.contacts(q)) if refusal is None else refusal, []
+    return _in_collision(goal_filter.contacts(q)) if refusal is None else refusal, []
 
 
 def _from_pose(
@@ -185,6 +192,8 @@ def _from_constraints(
 
 def _in_collision(contacts: list[Contact]) -> Outcome:
     text = "goal in collision: " + "; ".join(c.describe() for c in contacts[:3])
+    if all(c.distance > 0 for c in contacts):
+        text += ", which is nearer than the kernel's convex pieces of the meshes resolve"
     return Outcome(ErrorCode.GOAL_IN_COLLISION, text, {"contacts": contacts})
 
 
