@@ -226,7 +226,9 @@ class _Carried:
         lever: lever arm [m] of the weight about the center of the sealed cups.
     """
 
-    def __init__(self, hand: Hand, gripper: SuctionGripper, sealed: Array, com: Array, down: Array):
+    def __init__(
+        self, hand: Hand, gripper: SuctionGripper, sealed: NDArray[np.bool_], com: Array, down: Array
+    ):
         forces = np.array([gripper.force(cup) for cup in gripper.cups])[sealed]
         self._at, self._com, self._down = hand.cups[sealed][:, :2], com, down
         self._radius = CORNER * np.array([cup.radius for cup in gripper.cups])[sealed]
