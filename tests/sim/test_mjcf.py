@@ -111,7 +111,10 @@ def test_a_hand_with_springs_and_friction_reaches_its_width(tmp_path):
     model = written(
         tmp_path, text.format(TENDON + DRIVE + '<equality><joint joint1="r" joint2="l"/></equality>')
     )
-    gripper = Gripper("hand", "none", "none", "l", "palm", ("left", "right"), ("palm", "left", "right"))
+    gripper = Gripper(
+        name="hand", arm_group="none", group="none", joint_name="l", tcp_link="palm",
+        finger_links=("left", "right"), hand_links=("palm", "left", "right"),
+    )  # fmt: skip
     world = SimWorld(scene_of(replace(model, grippers={"hand": gripper})))
     for width in (0.07, 0.02, 0.05):
         world.set_gripper_target("hand", width)

@@ -87,7 +87,7 @@ def test_two_nodes_cannot_move_a_cell_at_once():
     with live() as cell:
         acts = [trees.picking(cell.ctx, "cube", hand_of(cell)), trees.moving_to(cell.ctx, "arm", "home")]
         root = Parallel("both", policy=ParallelPolicy.SuccessOnAll(), children=acts)
-        with pytest.raises(InputError, match=r"would move the same cell at once \(two arms at once"):
+        with pytest.raises(InputError, match=r"would move the same cell at once \(several arms at once"):
             trees.run(root)
 
 
