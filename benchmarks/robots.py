@@ -29,9 +29,9 @@ import yaml
 from numpy.typing import NDArray
 
 import armcell
+from armcell.cell.starter import base_bottom
 from armcell.collision import ExactChecker
 from armcell.core import SE3, Box, Goal, JointGoal, JointState, JointTrajectory, PlanRequest, PoseGoal
-from armcell.core.geometry import local_bounds
 from armcell.kinematics import kinematic_tree
 from armcell.model import Group, RobotModel
 from armcell.planning import plan
@@ -103,7 +103,7 @@ def clutter(model: RobotModel, arm: Group, seed: int = 0) -> PlanningScene:
     shoulder = tree.link_pose(q, model.joints[arm.joint_names[min(1, len(arm.joint_names) - 1)]].child)
     tips = np.array([tree.link_pose(s, tip).translation for s in drawn(model, arm, rng, 1000)])
     reach = float(np.linalg.norm(tips - shoulder.translation, axis=1).max())
-    lowest = bottom(model)
+    lowest = base_bottom(model)
     scene = PlanningScene.of(model, q)
     table = Box(4 * reach, 4 * reach, 0.04)
     with_table = scene.with_object(CollisionObject.single("table", table, SE3.from_xyz(0, 0, lowest - 0.022)))
@@ -128,18 +128,6 @@ def clutter(model: RobotModel, arm: Group, seed: int = 0) -> PlanningScene:
 
 def _touches_robot(scene: PlanningScene, q: Array) -> bool:
     return any("room" in pair for pair in ExactChecker(scene).touching(q))
-
-
-def bottom(model: RobotModel) -> float:
-    """Height [m] of the lowest point of the links that do not move."""
-    fixed = next(links for links in model.rigid_groups if model.root_link in links)
-    tree, q, lowest = kinematic_tree(model), model.default_positions(), [0.0]
-    for name in fixed:
-        for solid in model.links[name].collisions:
-            center, half = local_bounds(solid.shape)
-            corners = center + half * np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
-            lowest.append(float((tree.link_pose(q, name) @ solid.T_link_shape).apply(corners)[:, 2].min()))
-    return min(lowest)
 
 
 class Reference(PinocchioWorld):

@@ -71,7 +71,7 @@ def starter_cells(model: RobotModel, robot: str, xacro_args: dict[str, str]) -> 
         xacro_args: arguments of the robot's xacro file.
     """
     reach = _reach(model)
-    bottom = _bottom(model)
+    bottom = base_bottom(model)
     start, height = _free_start(model, bottom, 2.4 * reach)
     table = bottom - GAP - height
     states = _task_states(model, table, 2.4 * reach)
@@ -151,7 +151,7 @@ def _reach(model: RobotModel) -> float:
     return far
 
 
-def _bottom(model: RobotModel) -> float:
+def base_bottom(model: RobotModel) -> float:
     """Return the height [m] of the lowest point of all fixed links, to place the table of a starter cell.
     It is 0 without geometry.
     """

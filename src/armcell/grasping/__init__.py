@@ -1,19 +1,11 @@
 """Planning of grasps and placements: candidates for picking up and putting down an object."""
 
 import armcell.grasping.generators  # noqa: F401  registers them
-from armcell.grasping.candidates import (
-    Grasp,
-    Proposals,
-    Rejection,
-    generator_for,
-    generators,
-    grasp_candidates,
-    how_near,
-    nearest_miss,
-)
+from armcell.grasping.candidates import Proposals, generator_for, generators, grasp_candidates
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import LIFT_ACCELERATION, grip_force, needed_force, pair_friction
 from armcell.grasping.from_above import AboveSettings, HeapGrasp, grasps_from_above
+from armcell.grasping.grasp import Grasp, Rejection, how_near, nearest_miss
 from armcell.grasping.hand import Hand, hand_of, pre_opening
 from armcell.grasping.placing import (
     FRICTION_MARGIN,

@@ -3,8 +3,8 @@
 A generator proposes TCP poses. All proposals pass the same checks, cheap ones first: do the pads meet the
 object, is the object narrow enough, is the hand clear of the object and its support (`kernel.fit`), do the
 contacts press against each other, is the gripper strong enough. Suction grippers have their own checks
-(`suction.py`). Reachability and other obstacles are checked
-later for each candidate (`tasks.stages.ChooseGrasp`).
+(`suction.py`). Reachability and other obstacles are checked later for each candidate
+(`tasks.stages.ChooseGrasp`).
 """
 
 from __future__ import annotations
@@ -20,14 +20,12 @@ from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Registry, Sphere
 from armcell.grasping import kernel
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import SAFETY, firm_force, holding_factor, needed_force
-from armcell.grasping.grasp import APPROACH, Grasp, Rejection, how_near, nearest_miss
+from armcell.grasping.grasp import APPROACH, Grasp, Rejection
 from armcell.grasping.hand import Hand
 from armcell.grasping.suction import Seals, find_seals, judge_suction
 from armcell.grasping.surface import Surface, surface_of
 from armcell.model import Gripper, SuctionGripper
 from armcell.scene import CollisionObject
-
-__all__ = ["APPROACH", "Grasp", "Proposals", "Rejection", "generators", "how_near", "nearest_miss"]
 
 Array = NDArray[np.float64]
 

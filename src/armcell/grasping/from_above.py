@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3, HeightMap, InputError
 from armcell.core.checks import checked, require
 from armcell.grasping import above_kernel
-from armcell.grasping.candidates import Grasp
+from armcell.grasping.grasp import Grasp
 from armcell.grasping.hand import Hand
 
 Array = NDArray[np.float64]

@@ -3,10 +3,10 @@
 A cup seals if its lip, which reaches `stroke` beyond the ring, closes the gap to the surface all around the
 ring. The vacuum F = pressure x area of the sealed cups must carry the load W = S m (g + a):
 
-- pull and friction: W_normal + W_tangential / mu <= F. For a horizontal surface this is Schmalz' holding
-  force m (g + a) S, for a vertical one m / mu (g + a) S (Schmalz, vacuum knowledge base, "theoretical holding
-  force": S = 1.5 for smooth and dense workpieces, 2.0 for porous, rough or inhomogeneous ones; Piab's suction
-  cup guide uses 2 for horizontal and 4 for vertical lifts).
+- pull and friction: W_normal + W_tangential / mu <= F. For a horizontal surface this is Schmalz' theoretical
+  holding force m (g + a) S, for a vertical one m / mu (g + a) S. Schmalz' safety factor S is at least 1.5 for
+  smooth and dense workpieces, and at least 2.0 for porous, rough, oiled or heterogeneous ones
+  (https://www.schmalz.com, vacuum knowledge, "Theoretical Holding Force of a Suction Cup").
 - tilting: the surface presses on the rings only. Its resultant F - W_normal must act inside the convex hull
   of the rings, or the object tilts over their edge.
 """

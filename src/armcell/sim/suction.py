@@ -10,8 +10,9 @@ same body; otherwise it leaks and does not pull. The ring therefore carries at m
 - friction mu (F - pull) along the surface, with the object's coefficient,
 - a tilting moment r (F - pull) about the ring's edge.
 
-Schmalz and Piab give the same formulas for the static load of a cup ("theoretical holding force" in Schmalz'
-vacuum knowledge base). The vacuum of a sealed cup rises exponentially and is lost at once when it leaks.
+Schmalz gives the same formulas for the pull and the friction of a cup ("Theoretical Holding Force of a
+Suction Cup", https://www.schmalz.com). The vacuum of a sealed cup rises exponentially, and is lost at once
+when the cup leaks.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ from itertools import permutations, product
 
 import numpy as np
 import pytest
-from tests.planning.multi_arm.dual import Judge, tip
-from tests.tasks.arms.test_side_by_side import Watch, tour
+from tests.planning.multi_arm.dual import tip
+from tests.tasks.arms.test_side_by_side import Watch, nearest, tour
 from tests.tasks.test_merger import planned
 
 from armcell.cell import load
@@ -25,22 +25,13 @@ def cell():
     return load("three_ur5_table")
 
 
-def nearest(cell, watch) -> float:
-    judge, best = Judge(cell.scene(), "all_arms"), 0.1
-    for _, state in watch.samples:
-        judge.checker.place(state.reindexed(judge.names).positions)
-        for a, b in judge.pairs[judge.checker.pair_gaps(judge.pairs) < best]:
-            best = min(best, judge.checker.pair_distance(int(a), int(b)))
-    return best
-
-
 def test_tours_through_one_place_end_and_keep_apart(cell):
     watch = Watch()
     with cell.connect("fake", seed=1, observers=[watch]) as live:
         programs = {A: tour(MIDDLE), B: tour(MIDDLE[::-1]), C: tour(MIDDLE[1:] + MIDDLE[:1])}
         result = live.side_by_side(**programs)
     assert result.ok, result.message
-    assert nearest(cell, watch) >= 0.015 and len(watch.samples) > 100
+    assert nearest(cell, watch, "all_arms") >= 0.015 and len(watch.samples) > 100
     assert sum(result.waited.values()) + sum(result.yielded.values()) + sum(result.searched.values()) > 0
 
 

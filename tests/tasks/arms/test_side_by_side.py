@@ -34,9 +34,9 @@ class Watch:
         pass
 
 
-def nearest(cell, watch) -> float:
+def nearest(cell, watch, group="both_arms") -> float:
     """By coal, over all that was executed [m]."""
-    judge, best = Judge(cell.scene()), 0.1
+    judge, best = Judge(cell.scene(), group), 0.1
     for _, state in watch.samples:
         judge.checker.place(state.reindexed(judge.names).positions)
         for a, b in judge.pairs[judge.checker.pair_gaps(judge.pairs) < best]:
