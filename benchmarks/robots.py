@@ -48,6 +48,7 @@ EDGES = 0.05, 0.15  # of a box, in reaches
 RINGS = 0.5, 1.0  # distance of a box's center from the shoulder, in reaches
 FREE = 0.02  # clearance of the start state, in reaches
 STEP = 0.01  # [rad or m] largest step of a joint between two checked states
+CONTROL = 1000  # random states on which the checks are compared
 RANGE = np.pi  # [rad] goals of a joint with more than one turn are within this of zero
 
 
@@ -183,6 +184,23 @@ def _obstacle(item: CollisionObject) -> dict[str, Any]:
     return {"type": "box", "size": size, "position": T.translation, "quat_xyzw": T.rotation.quat_xyzw}
 
 
+def control(exact: ExactChecker, reference: Reference, states: Array) -> dict[str, int]:
+    """How many random states (n, dof) each check finds in collision: a check that finds none proves nothing.
+
+    The checks may differ in states in which one body is entirely inside another, as only `ExactChecker` looks
+    inside.
+    """
+    exact_hits = np.array([not exact.is_free(q) for q in states])
+    coal_hits = np.array([reference.touches(q) for q in states])
+    return {
+        "states": len(states),
+        "exact": int(exact_hits.sum()),
+        "coal": int(coal_hits.sum()),
+        "only_exact": int((exact_hits & ~coal_hits).sum()),
+        "only_coal": int((coal_hits & ~exact_hits).sum()),
+    }
+
+
 def samples(trajectory: JointTrajectory) -> Array:
     """States (n, dof) of a motion in which no joint moves more than STEP from one to the next."""
     count = max(2, len(trajectory.times))
@@ -221,6 +239,7 @@ def measure(folder: Path, goals: int = GOALS) -> dict[str, Any]:
         here = here.with_state(end)
     found |= {"solved": len(motions), "p50_ms": float(np.median(spent)), "failures": failures}
     reference = Reference(folder, scene, arm)
+    found["control"] = control(exact, reference, drawn(model, arm, rng, CONTROL)[:, columns])
     contacts: dict[str, list[str]] = {"exact": [], "coal": []}
     states = 0
     for number, motion in enumerate(motions):

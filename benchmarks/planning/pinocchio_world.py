@@ -8,6 +8,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import trimesh
+from lxml import etree
 from numpy.typing import NDArray
 
 from benchmarks.planning.problems import Problem, Robot
@@ -87,6 +88,7 @@ def _mesh(file: str, scale: Array) -> coal.BVHModelOBBRSS:
     surface instead of 0.099, with triangles up to 32 mm off the link.
     """
     mesh = trimesh.load(file, force="mesh", process=False)
+    scale = scale * _collada_unit(file)
     model = coal.BVHModelOBBRSS()
     model.beginModel(len(mesh.faces), len(mesh.vertices))
     vertices, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
@@ -97,3 +99,11 @@ def _mesh(file: str, scale: Array) -> coal.BVHModelOBBRSS:
     model.addSubModel(vertices, triangles)
     model.endModel()
     return model
+
+
+def _collada_unit(file: str) -> float:
+    """Unit [m] of a COLLADA file's numbers, which RViz applies and pinocchio ignores; 1 for other formats."""
+    if Path(file).suffix.lower() != ".dae":
+        return 1.0
+    unit = etree.parse(file).getroot().find("{*}asset/{*}unit")
+    return 1.0 if unit is None else float(unit.get("meter", 1.0))
