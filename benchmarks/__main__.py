@@ -67,6 +67,7 @@ BENCHMARKS = (
     Benchmark("constraints", "Path constraints", ("--runs", "3", "--rejection", "2")),
     Benchmark("kernel_truth", "The kernel against exact meshes", ("--samples", "20000")),
     Benchmark("perception", "Perception", ("--scenes", "5")),
+    Benchmark("robots", "Vendors' robots", page="robots.md"),
     Benchmark("robot_picks", "Picks of each robot", ("panda", "--seeds", "1")),
     Benchmark("wires", "The ROS-TCP wire", ("--seconds", "5")),
     Benchmark("two_arms", "Two arms", ("--runs", "1", "--recheck", "1", "--batches", "1")),

@@ -42,6 +42,7 @@ from benchmarks.planning.problems import Problem, Robot
 Array = NDArray[np.float64]
 
 LIST = Path(__file__).with_suffix(".yaml")
+REASON = 2  # exit status if the benchmark cannot run
 GOALS = 100
 BOXES = 12
 EDGES = 0.05, 0.15  # of a box, in reaches
@@ -256,12 +257,15 @@ def measure(folder: Path, goals: int = GOALS) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("sources", type=Path, help="folder of the vendors' repositories")
+    parser.add_argument("sources", type=Path, nargs="?", help="folder of the vendors' repositories")
     parser.add_argument("--list", type=Path, default=LIST, help="robots and arguments of armcell setup")
     parser.add_argument("--only", action="append", help="a robot's name; may be repeated")
     parser.add_argument("--goals", type=int, default=GOALS)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
+    if given.sources is None:
+        print("robots: name the folder that holds the vendors' repositories")
+        sys.exit(REASON)
     rows = []
     for entry in yaml.safe_load(given.list.read_text()):
         if given.only and entry["robot"] not in given.only:

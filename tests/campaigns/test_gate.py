@@ -273,7 +273,7 @@ def test_real_arms_ask_for_it(tmp_path, capsys):
     """From a cell's campaign to the emulated arm, and what is said when something was changed in between."""
     (host,) = free_hosts(1)
     (tmp_path / "task.py").write_text(TASK)
-    port = 50100 + 10 * (os.getpid() % 900)  # other tests' arms are on the usual one
+    port = 20100 + 10 * (os.getpid() % 900)  # other tests' arms are on the usual one, clients above 32768
     arm = f"{{host: {host}, model: UR10, port: {port}}}"
     text = NOD + f"real: {{max_state_age: 0.5, watchdog: 0.5, arms: {{arm: {arm}}}}}\n"
     cell, out = cell_file(tmp_path, text), tmp_path / "out.json"

@@ -369,19 +369,19 @@ def test_materials_have_both_frictions(player, tmp_path):
 
 @pytest.mark.parametrize("name", cell_names())
 def test_every_cell_can_be_played(player, tmp_path, name):
-    """All joints are published where the cell starts; every gripper and movable object has its topics."""
+    """All joints are published where the cell starts; all jaws and movable objects have their topics."""
     cell = load(name)
     export = export_unity(cell, tmp_path)
-    lines, grippers = [], list(cell.model.grippers.values())
-    for g in grippers:
-        topic = "/gripper_command" if len(grippers) == 1 else f"/{g.name}/gripper_command"
+    lines, jaws = [], [g for g in cell.model.grippers.values() if g.joint_name]
+    for g in jaws:
+        topic = "/gripper_command" if len(cell.model.grippers) == 1 else f"/{g.name}/gripper_command"
         lines.append(player().message(0.1, topic, S.new("std_msgs/Float64", g.max_width / 2)))
     rows = player().play(export.cell / "scene.json", lines, 1.5)
     states = player().received(rows, "/joint_states")
     assert states[0][1].name == list(cell.model.joint_names)
     np.testing.assert_allclose(states[0][1].position, cell.scene().positions, atol=1e-6)
     last = dict(zip(states[-1][1].name, states[-1][1].position))
-    for g in grippers:
+    for g in jaws:
         assert g.width(last[g.joint_name]) == pytest.approx(g.max_width / 2, abs=1e-4)
     movable = [o for o in cell.scene().objects.values() if o.movable]
     topics = {words[0] for _, words in rows["out"] if words[0].startswith("/object_pose")}

@@ -9,7 +9,8 @@ from itertools import islice
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armcell.core import SE3
+from armcell.core import SE3, UnknownNameError
+from armcell.core.checks import float_array, require
 from armcell.kinematics.ik.numeric import NumericIK
 from armcell.model import Joint, Link, RobotModel
 
@@ -28,9 +29,16 @@ def spin_angles(
 
     Args:
         reference: positions (dof,) of all joints of the model.
+    Raises:
+        UnknownNameError: no such group or link.
+        InputError: an axis is not a pose, or the reference is not (dof,) finite numbers.
     """
-    spin = Joint(f"{tip_link}/spin", "continuous", tip_link, f"{tip_link}/axis", T_tip_axis, axis=(0, 0, 1))
     arm = model.group(group)
+    if tip_link not in model.links:
+        raise UnknownNameError("link", tip_link, model.links)
+    require(isinstance(T_tip_axis, SE3) and isinstance(T_world_axis, SE3), "the axes must be poses (SE3)")
+    start = np.append(float_array(reference, (model.dof,), "reference"), 0.0)
+    spin = Joint(f"{tip_link}/spin", "continuous", tip_link, f"{tip_link}/axis", T_tip_axis, axis=(0, 0, 1))
     names = (*arm.joint_names, spin.name)
     extended = replace(
         model,
@@ -39,7 +47,6 @@ def spin_angles(
         groups={**model.groups, group: replace(arm, joint_names=names, tip_link=spin.child)},
     )
     solver = NumericIK(extended, group, spin.child)
-    start = np.append(np.asarray(reference, dtype=float), 0.0)
     found: list[float] = []
     for q in islice(solver.solutions(T_world_axis, start, np.random.default_rng(0)), SOLUTIONS):
         angle = -float(q[-1])

@@ -51,7 +51,9 @@ def scene_json(cell: Cell, seed: int | None, folder: Path, urdf: str) -> tuple[d
         "robot": {
             "urdf": urdf,
             "start": dict(zip(scene.model.joint_names, scene.positions.tolist(), strict=True)),
-            "grippers": [_gripper(g, len(scene.model.grippers)) for g in scene.model.grippers.values()],
+            "grippers": [  # the Unity package moves jaws; it has no vacuum
+                _gripper(g, len(scene.model.grippers)) for g in scene.model.grippers.values() if g.joint_name
+            ],
             "drives": _drives(scene.model, cell.physics),
             "may_touch": sorted(sorted(pair) for pair in scene.model.disabled_collisions if len(pair) == 2),
         },
