@@ -10,13 +10,14 @@ All values are in the support's frame: z = 0 is the support plane, and z points 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from armcell.core import SE3
-from armcell.perception.solids import Solid, solid_distance
+from armcell.perception.solids import GRID, Solid, solid_distance
 
 F64 = NDArray[np.float64]
 
@@ -28,10 +29,9 @@ The solids of the last four modes rest on the support plane.
 _LEAST = 0.002  # [m] smallest size of a fitted solid
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
+class Evidence(NamedTuple):
     """Camera evidence for fitting a solid to an object: points (n, 3) on the object,
-    and rays that pass beside it.
+    and rays that pass beside it. Kernels take it as one argument.
 
     The rays start at `eye`, have unit directions `rays` (m, 3), and are free up to `free_to` (m,) [m].
     """
@@ -81,11 +81,7 @@ def fit(evidence: Evidence, solid: Solid, mode: int, start: F64, T0: SE3, iterat
         T0: T_support_solid from which FREE and SLIDING start.
     """
     base = T0.matrix[:3].ravel()
-    e, s = evidence, solid
-    parameters, cost = _solve(
-        np.array(start, float), mode, base, e.points, e.eye, e.rays, e.free_to, e.scale, s.kinds, s.sizes,
-        s.poses, s.grid, s.origin, s.step, s.radius, iterations,
-    )  # fmt: skip
+    parameters, cost = _solve(np.array(start, float), mode, base, evidence, solid, solid.radius, iterations)
     return judged(evidence, solid, mode, parameters, T0, cost)
 
 
@@ -94,10 +90,8 @@ def judged(e: Evidence, solid: Solid, mode: int, parameters: F64, T0: SE3, cost:
     _place(mode, parameters, T0.matrix[:3].ravel(), R, t, size)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, t
-    sizes = solid.sizes if mode in (FREE, SLIDING) else size[None]
-    r = _point_residuals(
-        e.points, R, t, solid.kinds, sizes, solid.poses, solid.grid, solid.origin, solid.step
-    )
+    fitted = solid if mode in (FREE, SLIDING) else solid._replace(sizes=size[None])
+    r = _point_residuals(e.points, R, t, fitted)
     near = r[np.abs(r) <= 3 * e.scale]
     rms = float(np.sqrt(np.mean(near**2))) if len(near) else np.inf
     return Fit(mode, parameters, SE3.from_matrix(T), size, cost, rms)
@@ -107,14 +101,8 @@ def cost_at(evidence: Evidence, solid: Solid, T: SE3) -> float:
     """Return how well a fitted solid at a given pose explains the camera evidence: 0 is perfect and 1 is
     worst.
     """
-    e, s = evidence, solid
-    zero = np.zeros(3)
-    return float(
-        _cost_of(
-            zero, SLIDING, T.matrix[:3].ravel(), e.points, e.eye, e.rays, e.free_to, e.scale, s.kinds,
-            s.sizes, s.poses, s.grid, s.origin, s.step, s.radius,
-        )
-    )  # fmt: skip
+    base = T.matrix[:3].ravel()
+    return float(_cost_of(np.zeros(3), SLIDING, base, evidence, solid, solid.radius))
 
 
 @njit(cache=True)
@@ -169,24 +157,29 @@ def _place(mode, p, base, R, t, size):
 
 
 @njit(cache=True)
-def _at(R, t, x, y, z, kinds, sizes, poses, grid, origin, step):
+def _at(solid, R, t, x, y, z):
     a, b, c = x - t[0], y - t[1], z - t[2]
     return solid_distance(
-        R[0, 0] * a + R[1, 0] * b + R[2, 0] * c, R[0, 1] * a + R[1, 1] * b + R[2, 1] * c,
-        R[0, 2] * a + R[1, 2] * b + R[2, 2] * c, kinds, sizes, poses, grid, origin, step,
+        solid, R[0, 0] * a + R[1, 0] * b + R[2, 0] * c, R[0, 1] * a + R[1, 1] * b + R[2, 1] * c,
+        R[0, 2] * a + R[1, 2] * b + R[2, 2] * c,
     )  # fmt: skip
 
 
 @njit(cache=True)
-def _point_residuals(points, R, t, kinds, sizes, poses, grid, origin, step):
+def _on_ray(solid, R, t, eye, ray, depth):
+    return _at(solid, R, t, eye[0] + depth * ray[0], eye[1] + depth * ray[1], eye[2] + depth * ray[2])
+
+
+@njit(cache=True)
+def _point_residuals(points, R, t, solid):
     out = np.empty(len(points))
     for i in range(len(points)):
-        out[i] = _at(R, t, points[i, 0], points[i, 1], points[i, 2], kinds, sizes, poses, grid, origin, step)
+        out[i] = _at(solid, R, t, points[i, 0], points[i, 1], points[i, 2])
     return out
 
 
 @njit(cache=True)
-def _depth_of_ray(R, t, eye, ray, free_to, reach, kinds, sizes, poses, grid, origin, step, convex):
+def _depth_of_ray(solid, R, t, eye, ray, free_to, reach, convex):
     """Return how deep [m] the free part of a camera ray penetrates a fitted solid.
     It is 0 if the ray passes beside the solid.
 
@@ -208,54 +201,48 @@ def _depth_of_ray(R, t, eye, ray, free_to, reach, kinds, sizes, poses, grid, ori
     if convex:
         g = 0.6180339887498949
         c, d = b - g * (b - a), a + g * (b - a)
-        fc = _at(R, t, eye[0] + c * ray[0], eye[1] + c * ray[1], eye[2] + c * ray[2], kinds, sizes, poses,
-                 grid, origin, step)  # fmt: skip
-        fd = _at(R, t, eye[0] + d * ray[0], eye[1] + d * ray[1], eye[2] + d * ray[2], kinds, sizes, poses,
-                 grid, origin, step)  # fmt: skip
+        fc = _on_ray(solid, R, t, eye, ray, c)
+        fd = _on_ray(solid, R, t, eye, ray, d)
         for _ in range(11):
             if fc < fd:
                 b, d, fd = d, c, fc
                 c = b - g * (b - a)
-                fc = _at(R, t, eye[0] + c * ray[0], eye[1] + c * ray[1], eye[2] + c * ray[2], kinds, sizes,
-                         poses, grid, origin, step)  # fmt: skip
+                fc = _on_ray(solid, R, t, eye, ray, c)
             else:
                 a, c, fc = c, d, fd
                 d = a + g * (b - a)
-                fd = _at(R, t, eye[0] + d * ray[0], eye[1] + d * ray[1], eye[2] + d * ray[2], kinds, sizes,
-                         poses, grid, origin, step)  # fmt: skip
+                fd = _on_ray(solid, R, t, eye, ray, d)
             if min(fc, fd) > b - a:  # a distance changes by at most 1 m per meter
                 break
         least = min(fc, fd)
     else:
         for k in range(16):
             s = a + (b - a) * k / 15.0
-            f = _at(R, t, eye[0] + s * ray[0], eye[1] + s * ray[1], eye[2] + s * ray[2], kinds, sizes, poses,
-                    grid, origin, step)  # fmt: skip
+            f = _on_ray(solid, R, t, eye, ray, s)
             least = min(least, f)
     return max(-least, 0.0)
 
 
 @njit(cache=True)
-def _residuals(
-    p, mode, base, points, eye, rays, free_to, kinds, sizes0, poses, grid, origin, step, radius, out
-):
+def _residuals(p, mode, base, e, solid, radius, out):
     R, t, size = np.empty((3, 3)), np.empty(3), np.empty(3)
     _place(mode, p, base, R, t, size)
-    sizes, reach = sizes0, radius
+    sizes, reach = solid.sizes, radius
     if mode >= BOX_STANDS:
         sizes = size.reshape(1, 3)
         if mode == BOX_STANDS:
             reach = np.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
         else:
             reach = np.sqrt(size[0] ** 2 + size[1] ** 2)
-    convex = len(kinds) == 1 and kinds[0] != 3
-    n = len(points)
+    fitted = Solid(
+        solid.kinds, sizes, solid.poses, solid.grid, solid.origin, solid.step, solid.low, solid.high
+    )
+    convex = len(solid.kinds) == 1 and solid.kinds[0] != GRID
+    n = len(e.points)
     for i in range(n):
-        out[i] = _at(R, t, points[i, 0], points[i, 1], points[i, 2], kinds, sizes, poses, grid, origin, step)
-    for i in range(len(rays)):
-        out[n + i] = _depth_of_ray(
-            R, t, eye, rays[i], free_to[i], reach, kinds, sizes, poses, grid, origin, step, convex
-        )
+        out[i] = _at(fitted, R, t, e.points[i, 0], e.points[i, 1], e.points[i, 2])
+    for i in range(len(e.rays)):
+        out[n + i] = _depth_of_ray(fitted, R, t, e.eye, e.rays[i], e.free_to[i], reach, convex)
 
 
 @njit(cache=True)
@@ -272,12 +259,10 @@ def _robust(r, scale):
 
 
 @njit(cache=True)
-def _cost_of(
-    p, mode, base, points, eye, rays, free_to, scale, kinds, sizes, poses, grid, origin, step, radius
-):
-    r = np.empty(len(points) + len(rays))
-    _residuals(p, mode, base, points, eye, rays, free_to, kinds, sizes, poses, grid, origin, step, radius, r)
-    return _robust(r, scale)
+def _cost_of(p, mode, base, e, solid, radius):
+    r = np.empty(len(e.points) + len(e.rays))
+    _residuals(p, mode, base, e, solid, radius, r)
+    return _robust(r, e.scale)
 
 
 @njit(cache=True)
@@ -292,29 +277,24 @@ def _bounded(p, mode):
 
 
 @njit(cache=True)
-def _solve(
-    p, mode, base, points, eye, rays, free_to, scale, kinds, sizes, poses, grid, origin, step, radius,
-    iterations,
-):  # fmt: skip
-    m, n = len(points) + len(rays), len(p)
+def _solve(p, mode, base, e, solid, radius, iterations):
+    m, n = len(e.points) + len(e.rays), len(p)
     r, r2 = np.empty(m), np.empty(m)
     J = np.empty((m, n))
-    _residuals(p, mode, base, points, eye, rays, free_to, kinds, sizes, poses, grid, origin, step, radius, r)
-    cost = _robust(r, scale)
+    _residuals(p, mode, base, e, solid, radius, r)
+    cost = _robust(r, e.scale)
     damping = 1e-3
     for _ in range(iterations):
         h = 1e-5
         for k in range(n):
             q = p.copy()
             q[k] += h
-            _residuals(
-                q, mode, base, points, eye, rays, free_to, kinds, sizes, poses, grid, origin, step, radius, r2
-            )
+            _residuals(q, mode, base, e, solid, radius, r2)
             for i in range(m):
                 J[i, k] = (r2[i] - r[i]) / h
         A, g = np.zeros((n, n)), np.zeros(n)
         for i in range(m):
-            w = 1.0 / (1.0 + (r[i] / scale) ** 2) ** 2
+            w = 1.0 / (1.0 + (r[i] / e.scale) ** 2) ** 2
             for a in range(n):
                 g[a] += w * J[i, a] * r[i]
                 for b in range(a + 1):
@@ -330,10 +310,8 @@ def _solve(
             step_ = np.linalg.solve(D, -g)
             q = p + step_
             _bounded(q, mode)
-            _residuals(
-                q, mode, base, points, eye, rays, free_to, kinds, sizes, poses, grid, origin, step, radius, r2
-            )
-            new = _robust(r2, scale)
+            _residuals(q, mode, base, e, solid, radius, r2)
+            new = _robust(r2, e.scale)
             if new < cost:
                 better = cost - new > 1e-5 * cost
                 p, cost, damping = q, new, max(damping / 5, 1e-9)

@@ -7,8 +7,8 @@ its parts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -25,9 +25,10 @@ _MARGIN = 4  # margin of a grid around the object, in nodes
 _SAMPLES = 40_000  # number of samples on the surface
 
 
-@dataclass(frozen=True, eq=False)
-class Solid:
+class Solid(NamedTuple):
     """Solid for computing signed distances. It consists of primitive parts or of one grid of distances.
+
+    Kernels take it as one argument.
 
     The parts have kinds (k,), sizes (k, 3) and poses (k, 12) as rows of 3x4 matrices; kind GRID has a grid
     (i, j, k).
@@ -56,7 +57,7 @@ class Solid:
         """Return the signed distances (n,) [m] from points (n, 3) to the solid.
         The points are given in the solid's frame.
         """
-        return _distances(points, self.kinds, self.sizes, self.poses, self.grid, self.origin, self.step)
+        return _distances(self, points)
 
 
 NO_GRID = np.zeros((1, 1, 1))
@@ -197,10 +198,11 @@ def _grid_of(shapes: tuple[tuple[Shape, SE3], ...]) -> Solid:
 
 
 @njit(cache=True)
-def part_distance(kind, size, x, y, z, grid, origin, step):
-    """Return the signed distance [m] from a point to one part of a solid.
+def part_distance(solid, part, x, y, z):
+    """Return the signed distance [m] from a point to one part of a solid, given by its number.
     The point is given in the frame of the part.
     """
+    kind, size = solid.kinds[part], solid.sizes[part]
     if kind == SPHERE:
         return np.sqrt(x * x + y * y + z * z) - size[0]
     if kind == BOX:
@@ -210,11 +212,11 @@ def part_distance(kind, size, x, y, z, grid, origin, step):
     if kind == CYLINDER:
         a, b = np.sqrt(x * x + y * y) - size[0], abs(z) - size[1]
         return np.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2) + min(max(a, b), 0.0)
-    return _interpolated(x, y, z, grid, origin, step)
+    return _interpolated(solid.grid, solid.origin, solid.step, x, y, z)
 
 
 @njit(cache=True)
-def _interpolated(x, y, z, grid, origin, step):
+def _interpolated(grid, origin, step, x, y, z):
     """Interpolate the signed distance [m] at a point in the distance grid of a solid.
 
     Beyond the grid, the distance to the grid's edge is added.
@@ -240,27 +242,25 @@ def _interpolated(x, y, z, grid, origin, step):
 
 
 @njit(cache=True)
-def solid_distance(x, y, z, kinds, sizes, poses, grid, origin, step):
+def solid_distance(solid, x, y, z):
     """Return the signed distance [m] from a point to a solid.
     The point is given in the frame of the solid.
     """
     least = np.inf
-    for k in range(len(kinds)):
-        P = poses[k]
+    for k in range(len(solid.kinds)):
+        P = solid.poses[k]
         a, b, c = x - P[3], y - P[7], z - P[11]
         d = part_distance(
-            kinds[k], sizes[k], P[0] * a + P[4] * b + P[8] * c, P[1] * a + P[5] * b + P[9] * c,
-            P[2] * a + P[6] * b + P[10] * c, grid, origin, step,
+            solid, k, P[0] * a + P[4] * b + P[8] * c, P[1] * a + P[5] * b + P[9] * c,
+            P[2] * a + P[6] * b + P[10] * c,
         )  # fmt: skip
         least = min(least, d)
     return least
 
 
 @njit(cache=True)
-def _distances(points, kinds, sizes, poses, grid, origin, step):
+def _distances(solid, points):
     out = np.empty(len(points))
     for i in range(len(points)):
-        out[i] = solid_distance(
-            points[i, 0], points[i, 1], points[i, 2], kinds, sizes, poses, grid, origin, step
-        )
+        out[i] = solid_distance(solid, points[i, 0], points[i, 1], points[i, 2])
     return out

@@ -18,18 +18,16 @@ from tests.scene.helpers import box
 
 from armcell.collision import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.kernel.simd import L, pointer
+from armcell.collision.kernel.simd import pointer
 from armcell.core import ErrorCode, JointGoal, JointState, PoseGoal
 from armcell.planning import plan
 from armcell.planning.planners.aorrtc import AnytimePlanner, AnytimeSettings, length
 from armcell.planning.planners.native.nearest_neighbors import (
     LEAF_THRESHOLD,
     nearest_node,
-    new_leaves,
-    reset_leaves,
 )
 from armcell.planning.planners.native.rrt_connect import ITERATIONS
-from armcell.planning.planners.native.tree import new_trees, put
+from armcell.planning.planners.native.tree import new_trees, put, remove_nodes, tree_pointers
 from armcell.planning.planners.prm import Roadmap
 from armcell.planning.planners.prm import plan_with_roadmap as plan_on
 from armcell.planning.planners.registry import find_planner, first_use_hooks
@@ -89,16 +87,13 @@ def _put_rows(nodes, dims, first, points, begin, end):
 
 
 @njit
-def _ask(nodes, parents, floats, ints, dims, capacity, tree, count, q, room):
-    return nearest_node(
-        pointer(nodes), pointer(parents), pointer(floats), pointer(ints), dims, capacity, tree, count,
-        pointer(q), 0, pointer(room),
-    )  # fmt: skip
+def _ask(trees, tree, count, q):
+    return nearest_node(tree_pointers(trees), tree, count, pointer(q), 0)
 
 
 @njit
-def _forget(ints, capacity):
-    reset_leaves(pointer(ints), capacity)
+def _forget(trees):
+    remove_nodes(tree_pointers(trees))
 
 
 @pytest.mark.parametrize("dims", [1, 6, 7, 14])
@@ -107,10 +102,9 @@ def test_the_nearest_node_is_the_nearest(dims, kind):
     """Against NumPy, in both trees, while they grow through the number where leaves take over."""
     rng = np.random.default_rng(dims)
     capacity, n = 4096, 3000
-    nodes, parents, _ = new_trees(dims, capacity)
-    floats, ints = new_leaves(dims, capacity)
-    _forget(ints, capacity)
-    room = np.zeros(L, np.float32)
+    trees = new_trees(dims, capacity)
+    nodes, parents = trees.nodes, trees.parents
+    _forget(trees)
     for tree in (0, 1):
         points = np.round(rng.uniform(-3, 3, (n, dims)), 3)
         if kind == "chains":  # as trees grow: each a step from an earlier one
@@ -127,7 +121,7 @@ def test_the_nearest_node_is_the_nearest(dims, kind):
             _put_rows(nodes, dims, tree * capacity, points, before, count)
             for _ in range(30):
                 q = rng.uniform(-3.5, 3.5, dims)
-                i = _ask(nodes, parents, floats, ints, dims, capacity, tree, count, q, room)
+                i = _ask(trees, tree, count, q)
                 apart = np.linalg.norm(kept[:count] - q, axis=1)
                 assert 0 <= i < count and apart[i] <= apart.min() * (1 + 1e-5) + 1e-6
 

@@ -15,9 +15,14 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import SE3, Box, Constraints, PositionConstraint
 from armcell.model import load_robot
 from armcell.planning.constraints.manifold import ConstraintManifold
-from armcell.planning.constraints.rrt_connect import closest_at, constrained_rrt_connect, space_size
+from armcell.planning.constraints.rrt_connect import (
+    Steps,
+    closest_at,
+    constrained_rrt_connect,
+    space_size,
+)
 from armcell.planning.constraints.simplify import shorten
-from armcell.planning.planners.native.rrt_connect import ITERATIONS
+from armcell.planning.planners.native.rrt_connect import ITERATIONS, Query
 from armcell.planning.planners.registry import announce_compilation
 from armcell.planning.planners.rrt_connect import NativePlanner, NativeSettings, planner_of
 from armcell.scene import PlanningScene
@@ -40,7 +45,7 @@ class ConstrainedPlanner(NativePlanner):
 
     def __init__(self, native: NativePlanner, manifold: ConstraintManifold, rejection: bool = False):
         self.checker, self.settings, self.manifold = native.checker, SETTINGS, manifold
-        self.reach, self.trees, self.found, self.room = native.reach, native.trees, native.found, native.room
+        self.reach, self.trees, self.found = native.reach, native.trees, native.found
         dof, m = manifold.dof, SETTINGS.max_waypoints
         self.path = np.zeros((m, dof))
         self.slack, self.ends = np.zeros(dof), np.zeros(space_size(dof))
@@ -64,12 +69,11 @@ class ConstrainedPlanner(NativePlanner):
             self.found[ITERATIONS] = 0
         self.bounds = (lower, upper)
         shift = np.random.default_rng(seed).random(len(start)) if seed else np.full(len(start), 0.5)
-        nodes, parents, _, leaves, leaf_ints = self.trees
         delta = self.reach if self.rejection else self.manifold.step
         return constrained_rrt_connect(
-            self.checker.handle, self.manifold.handle, start, goals, lower, upper, shift, self.reach, delta,
-            step, self.manifold.allowance, not self.rejection, nodes, parents, leaves, leaf_ints, self.room,
-            self.ends, self.found, stop,
+            self.checker.handle, self.manifold.handle,
+            Query(start, goals, lower, upper, shift, self.reach, step), delta, self.manifold.allowance,
+            not self.rejection, self.trees, self.ends, self.found, stop,
             self.settings.max_iterations if iterations is None else iterations, self.path,
         )  # fmt: skip
 
@@ -79,10 +83,8 @@ class ConstrainedPlanner(NativePlanner):
         Return the new count, or 0 if a proof fails.
         """
         m = self.manifold
-        return shorten(
-            self.checker.handle, m.handle, self.path, count, self.space, self.index, self.slack, *self.bounds,
-            m.step, self.settings.step, m.allowance, stop,
-        )  # fmt: skip
+        rules = Steps(*self.bounds, self.slack, m.step, self.settings.step, m.allowance, True)
+        return shorten(self.checker.handle, m.handle, self.path, count, self.space, self.index, rules, stop)
 
     @property
     def closest(self) -> Array | None:

@@ -8,6 +8,8 @@ state space of Kingston, Moll and Kavraki, IJRR 2019), so that extensions head f
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -24,7 +26,7 @@ from armcell.planning.constraints.error_kernels import (
 )
 from armcell.planning.constraints.projection import project
 from armcell.planning.constraints.proof import edge_keeps_tolerances
-from armcell.planning.planners.native.nearest_neighbors import nearest_node, reset_leaves
+from armcell.planning.planners.native.nearest_neighbors import nearest_node
 from armcell.planning.planners.native.rrt_connect import (
     FROM,
     ITERATIONS,
@@ -33,9 +35,13 @@ from armcell.planning.planners.native.rrt_connect import (
     NODES_1,
     TO,
     TURN,
-    kronecker_steps,
+    UNLIMITED,
+    Samples,
+    begin_search,
+    next_sample,
+    write_path,
 )
-from armcell.planning.planners.native.tree import get, put, trace
+from armcell.planning.planners.native.tree import add, get, next_tree, tree_pointers
 
 ROWS = 64  # rows of one walk
 STALL = 0.1  # smallest progress of a step, as a share of its length
@@ -56,6 +62,25 @@ def closest_at(dof: int) -> int:
     The closest approach is a length [rad], then its two ends.
     """
     return (ROWS + 4) * dof
+
+
+class Steps(NamedTuple):
+    """Rules for the steps of a walk on the constraint manifold, as one argument of the kernels.
+
+    Attributes:
+        lower, upper: pointers to the joint limits (dof,). zeros: pointer to dof zeros.
+        delta: length of a step [rad]. step: distance between validity checks [rad].
+        allowance: [rad and m] added to the tolerances.
+        projecting: if False, the walk ends at a step with a sample outside the tolerances (rejection).
+    """
+
+    lower: Any
+    upper: Any
+    zeros: Any
+    delta: float
+    step: float
+    allowance: float
+    projecting: bool
 
 
 @njit(cache=True)
@@ -111,18 +136,17 @@ def _clear(k, p, a, out, first, end, step):
 
 
 @njit(cache=True)
-def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allowance, projecting, stop):
+def walk(k, n, c, x, p, a, to, out, most, rules, stop):
     """Walk in RRT-Connect from p[a:] toward p[to:] in steps that are projected onto the constraints, as long
     as the steps are collision-free.
 
     Args:
-        most: maximal number of rows, at least one less than the buffer holds. delta: length of a step
-            [rad].
-        step: distance between validity checks [rad]. none: dof zeros.
-        projecting: if False, the walk ends at a step with a sample outside the tolerances (rejection).
+        out: where the rows are written in p. most: maximal number of rows, at least one less than the buffer
+            holds. rules: see `Steps`.
     Returns:
         Number of rows written, and whether the last row is p[to:].
     """
+    delta, step, projecting = rules.delta, rules.step, rules.projecting
     dof, count, clear, at = n[DOF], 0, 0, a
     left, arrived, going = _apart(p, a, to, n[DOF]), False, True
     together = min(max(int(L * step / delta), 1), L)
@@ -131,7 +155,7 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
         going = False
         if left <= delta:
             arrived = (
-                edge_keeps_tolerances(n, c, x, p, at, to, none, allowance)
+                edge_keeps_tolerances(n, c, x, p, at, to, rules.zeros, rules.allowance)
                 if projecting
                 else _sampled(n, c, x, p, at, to, step)
             )
@@ -149,12 +173,12 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
             for j in range(dof):
                 p[row + j] = p[at + j] + f * (p[to + j] - p[at + j])
             if projecting:
-                if project(n, c, x, p, row, lower, upper):
+                if project(n, c, x, p, row, rules.lower, rules.upper):
                     near = _apart(p, row, to, dof)
                     going = (
                         _apart(p, at, row, dof) <= 2.0 * delta
                         and near <= left - STALL * f * left
-                        and edge_keeps_tolerances(n, c, x, p, at, row, none, allowance)
+                        and edge_keeps_tolerances(n, c, x, p, at, row, rules.zeros, rules.allowance)
                     )
                     left = near
             else:
@@ -172,9 +196,7 @@ def walk(k, n, c, x, p, a, to, out, most, lower, upper, none, delta, step, allow
 
 
 @njit(cache=True)
-def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, delta, step, allowance,
-            projecting, nodes, parents, leaves, leaf_ints, capacity, room, stop, max_iterations,
-            found):  # fmt: skip
+def _search(k, n, c, x, t, samples, closest, p, reach, rules, stop, max_iterations, found):
     """Run the search loop of RRT-Connect under path constraints, in compiled code.
 
     The arguments are pointers to arrays. The trees have the memory layout of `native.rrt_connect`.
@@ -183,43 +205,34 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
     q, out = dof, 2 * dof
     n0, n1, tree = found[NODES_0], found[NODES_1], found[TURN]
     for iteration in range(found[ITERATIONS] + 1, found[ITERATIONS] + max_iterations + 1):
-        if stop[0] != 0 or n0 + 4 * ROWS > capacity or n1 + 4 * ROWS > capacity:
+        if stop[0] != 0 or n0 + 4 * ROWS > t.capacity or n1 + 4 * ROWS > t.capacity:
             break
         found[ITERATIONS], found[NODES], found[NODES_0], found[NODES_1] = iteration, n0 + n1, n0, n1
-        for j in range(dof):
-            u = sample[j] + steps[j]
-            sample[j] = u - 1.0 if u >= 1.0 else u
-            p[q + j] = lower[j] + (upper[j] - lower[j]) * sample[j]
-        if projecting:
-            if not project(n, c, x, p, q, lower, upper):
+        next_sample(samples, dof, p, q)
+        if rules.projecting:
+            if not project(n, c, x, p, q, rules.lower, rules.upper):
                 continue
         elif not within_tolerances(n, c, x, p, q, False):
             continue
-        mine, other = (n1, n0) if tree == 1 else (n0, n1)
-        if abs(mine - other) < mine:  # take turns, unless the other tree is twice as large
-            tree = 1 - tree
-            mine, other = other, mine
+        tree, mine, other = next_tree(tree, n0, n1)
         found[TURN] = tree
-        first, first_other = tree * capacity, (1 - tree) * capacity
-        i = nearest_node(nodes, parents, leaves, leaf_ints, dof, capacity, tree, mine, p, q, room)
-        get(nodes, dof, first + i, p, 0)
-        most = min(int(np.ceil(reach / delta)), ROWS - 1)
-        count, _ = walk(
-            k, n, c, x, p, 0, q, out, most, lower, upper, none, delta, step, allowance, projecting, stop
-        )
+        first, first_other = tree * t.capacity, (1 - tree) * t.capacity
+        i = nearest_node(t, tree, mine, p, q)
+        get(t.nodes, dof, first + i, p, 0)
+        most = min(int(np.ceil(reach / rules.delta)), ROWS - 1)
+        count, _ = walk(k, n, c, x, p, 0, q, out, most, rules, stop)
         if count == 0:
             continue
         near, reached = 0, False  # reaching a sample is not reaching the other tree
         while True:
             for row in range(count - 1 if reached else count):  # the last row belongs to the other tree
-                put(nodes, dof, first + mine, p, out + row * dof)
-                parents[first + mine] = i
+                add(t, first + mine, p, out + row * dof, i, UNLIMITED)
                 i = mine
                 mine += 1
             if count > 0:
                 for j in range(dof):
                     p[j] = p[out + (count - 1) * dof + j]
-            if reached or mine + 2 * ROWS > capacity:
+            if reached or mine + 2 * ROWS > t.capacity:
                 break
             if near > 0 and count < ROWS - 1:  # the walk toward the other tree has ended
                 left = _apart(p, 0, q, dof)
@@ -229,28 +242,10 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
                         closest[1 + j] = p[j]
                 break
             # Continue toward the nearest node of the other tree.
-            to = nearest_node(nodes, parents, leaves, leaf_ints, dof, capacity, 1 - tree, other, p, 0, room)
+            to = nearest_node(t, 1 - tree, other, p, 0)
             near = 1 + to
-            get(nodes, dof, first_other + to, p, q)
-            count, reached = walk(
-                k,
-                n,
-                c,
-                x,
-                p,
-                0,
-                q,
-                out,
-                ROWS - 1,
-                lower,
-                upper,
-                none,
-                delta,
-                step,
-                allowance,
-                projecting,
-                stop,
-            )
+            get(t.nodes, dof, first_other + to, p, q)
+            count, reached = walk(k, n, c, x, p, 0, q, out, ROWS - 1, rules, stop)
         n0, n1 = (mine, other) if tree == 0 else (other, mine)
         if reached:
             found[FROM], found[TO] = (i, near - 1) if tree == 0 else (near - 1, i)
@@ -260,47 +255,33 @@ def _search(k, n, c, x, lower, upper, steps, sample, closest, none, p, reach, de
 
 
 @njit(cache=True, nogil=True)
-def constrained_rrt_connect(handle, constraints, start, goals, lower, upper, shift, reach, delta, step,
-                            allowance, projecting, nodes, parents, leaves, leaf_ints, room, space, found,
-                            stop, max_iterations, path):  # fmt: skip
+def constrained_rrt_connect(
+    handle, constraints, query, delta, allowance, projecting, trees, space, found, stop, max_iterations, path
+):  # fmt: skip
     """Search by RRT-Connect for a path under constraints from the start to one of the goals, and write its
     waypoints (m, dof) to `path`.
 
     See `rrt_connect`.
 
     Args:
-        constraints: handle of the manifold. delta: length of a projected step [rad].
-        allowance: [rad and m] added to the tolerances. projecting: 0 for rejection sampling.
+        constraints: handle of the manifold. delta, allowance, projecting: see `Steps`.
         space: see `space_size`.
     Returns:
         Number of waypoints (0: none found), iterations and nodes of all calls.
     """
-    dof, capacity = len(start), len(parents) // 2
+    dof, t, p = len(query.start), tree_pointers(trees), pointer(space)
     n, c, x = manifold_pointers(constraints)
-    t, u = pointer(nodes), pointer(parents)
     at = (ROWS + 2) * dof
     if found[ITERATIONS] == 0:
-        put(t, dof, 0, pointer(start), 0)
-        parents[0] = -1
-        for g in range(len(goals)):
-            put(t, dof, capacity + g, pointer(goals), g * dof)
-            parents[capacity + g] = -1 - g
-        found[NODES_0], found[NODES_1], found[TURN] = 1, len(goals), 1
-        reset_leaves(pointer(leaf_ints), capacity)
-        kronecker_steps(dof, space[at:])
-        space[at + dof : at + 2 * dof] = shift
-        space[at + 2 * dof] = np.inf
+        begin_search(t, query, dof, space[at:], found)
+    lower, upper = pointer(query.lower), pointer(query.upper)
+    samples = Samples(lower, upper, pointer(space[at:]), pointer(space[at + dof :]))
+    zeros = pointer(space[at + 4 * dof + 1 :])
+    rules = Steps(lower, upper, zeros, delta, query.step, allowance, projecting)
+    closest = pointer(space[at + 2 * dof :])
     if not _search(
-        pointer(handle), n, c, x, pointer(lower), pointer(upper), pointer(space[at:]),
-        pointer(space[at + dof :]), pointer(space[at + 2 * dof :]), pointer(space[at + 4 * dof + 1 :]),
-        pointer(space), reach, delta, step, allowance, projecting, t, u, pointer(leaves),
-        pointer(leaf_ints), capacity, pointer(room), pointer(stop), max_iterations, pointer(found),
+        pointer(handle), n, c, x, t, samples, closest, p, query.reach, rules, pointer(stop), max_iterations,
+        pointer(found),
     ):  # fmt: skip
         return 0, found[ITERATIONS], found[NODES]
-    count, goal = trace(
-        t, u, dof, capacity, found[FROM], found[TO], dof, pointer(space), pointer(path), len(path)
-    )
-    if count > 0:  # the trees are float32; restore the exact ends
-        path[0] = start
-        path[count - 1] = goals[goal]
-    return count, found[ITERATIONS], found[NODES]
+    return write_path(t, query, dof, found, p, path), found[ITERATIONS], found[NODES]

@@ -16,7 +16,7 @@ from armcell.collision.kernel.simd import pointer
 from armcell.planning.constraints.error_kernels import DOF, manifold_pointers
 from armcell.planning.constraints.projection import project
 from armcell.planning.constraints.proof import edge_keeps_tolerances
-from armcell.planning.constraints.rrt_connect import walk
+from armcell.planning.constraints.rrt_connect import Steps, walk
 from armcell.planning.planners.native.simplify import COARSE
 
 SHORTER = 0.97  # largest length ratio of a shortcut to the part that it replaces
@@ -36,7 +36,7 @@ def _length(p, dof, first, last):
 
 
 @njit(cache=True)
-def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta, step, allowance, stop):
+def _shortcuts(k, n, c, x, p, count, tried, f, t, at, rules, stop):
     """Simplify a path under constraints: replace first long, then ever shorter parts of it with shortcuts
     that are projected onto the constraints.
 
@@ -53,10 +53,7 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
             for d in range(dof):
                 p[tried + d] = p[i * dof + d]
                 p[tried + dof + d] = p[j * dof + d]
-            rows, reached = walk(
-                k, n, c, x, p, tried, tried + dof, tried + 2 * dof, j - i + 1, lower, upper, none, delta,
-                step, allowance, True, stop,
-            )  # fmt: skip
+            rows, reached = walk(k, n, c, x, p, tried, tried + dof, tried + 2 * dof, j - i + 1, rules, stop)
             good = False
             rows -= 1  # the last row is row j itself
             if reached and rows <= j - i - 1:
@@ -85,7 +82,7 @@ def _shortcuts(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, delta,
 
 
 @njit(cache=True)
-def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance):
+def _sweep(k, n, c, x, p, count, tried, f, t, at, rules):
     """Smooth a path under constraints: move each row toward the middle of
     its neighbors if the new edges are proven valid.
 
@@ -98,7 +95,7 @@ def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance)
         row = tried + i * dof
         for d in range(dof):
             p[row + d] = 0.5 * p[i * dof + d] + 0.25 * (p[(i - 1) * dof + d] + p[(i + 1) * dof + d])
-        if not project(n, c, x, p, row, lower, upper):
+        if not project(n, c, x, p, row, rules.lower, rules.upper):
             for d in range(dof):
                 p[row + d] = p[i * dof + d]
     while True:  # undo invalid moves until the remaining ones are valid
@@ -107,7 +104,9 @@ def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance)
         prove(k, p, f, t, count - 1, at, np.int64(PADDED), COARSE)
         back = 0
         for e in range(count - 1):
-            if at[e] == PROVEN and edge_keeps_tolerances(n, c, x, p, f[e], t[e], none, allowance):
+            if at[e] == PROVEN and edge_keeps_tolerances(
+                n, c, x, p, f[e], t[e], rules.zeros, rules.allowance
+            ):
                 continue
             for i in range(max(e, 1), min(e + 2, count - 1)):
                 moved = False
@@ -128,39 +127,41 @@ def _sweep(k, n, c, x, p, count, tried, f, t, at, lower, upper, none, allowance)
 
 
 @njit(cache=True, nogil=True)
-def shorten(handle, constraints, path, count, space, index, room, lower, upper, delta, step, allowance, stop):
+def shorten(handle, constraints, path, count, space, index, rules, stop):
     """Shorten and smooth a path (path[:count]) on the constraint manifold, in place.
 
     Args:
         path: (m, dof). space: float64 scratch of 2 m + 8 rows and m numbers. index: int64 scratch of 2 m.
-        room: (dof,) zeros. lower, upper: (dof,).
+        rules: see `Steps`, with arrays.
     Returns:
         The new count; 0 if an edge cannot be proven free or within the constraints.
     """
     k, (n, c, x) = pointer(handle), manifold_pointers(constraints)
     m, dof = path.shape
     p, at, f, t = pointer(space), pointer(space[(2 * m + 8) * dof :]), pointer(index), pointer(index[m:])
-    low, high, none, halt = pointer(lower), pointer(upper), pointer(room), pointer(stop)
+    halt = pointer(stop)
+    rules = Steps(
+        pointer(rules.lower), pointer(rules.upper), pointer(rules.zeros), rules.delta, rules.step,
+        rules.allowance, True,
+    )  # fmt: skip
     for i in range(count):
         for j in range(dof):
             p[i * dof + j] = path[i, j]
-    loosen(k, none)
+    loosen(k, rules.zeros)
     tried = m * dof
     length = _length(p, dof, 0, count - 1)
     for _ in range(ROUNDS):
         before = length
-        count = _shortcuts(
-            k, n, c, x, p, count, tried, f, t, at, low, high, none, delta, step, allowance, halt
-        )
+        count = _shortcuts(k, n, c, x, p, count, tried, f, t, at, rules, halt)
         length = _length(p, dof, 0, count - 1)
         if halt[0] != 0 or length > SHORTER * before:
             break
     for _ in range(SWEEPS):
-        if halt[0] != 0 or _sweep(k, n, c, x, p, count, tried, f, t, at, low, high, none, allowance) == 0:
+        if halt[0] != 0 or _sweep(k, n, c, x, p, count, tried, f, t, at, rules) == 0:
             break
     for e in range(count - 1):
         f[e], t[e] = e * dof, (e + 1) * dof
-        if not edge_keeps_tolerances(n, c, x, p, f[e], t[e], none, allowance):
+        if not edge_keeps_tolerances(n, c, x, p, f[e], t[e], rules.zeros, rules.allowance):
             return 0
     if prove(k, p, f, t, count - 1, at, np.int64(FIRST), FINEST) != 0:
         return 0

@@ -17,9 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.simd import L
-from armcell.planning.planners.native.aorrtc import aorrtc
-from armcell.planning.planners.native.nearest_neighbors import new_leaves
+from armcell.planning.planners.native.aorrtc import Improvement, aorrtc
 from armcell.planning.planners.native.rrt_connect import FOUND
 from armcell.planning.planners.native.tree import new_trees
 from armcell.planning.planners.problem import PlannerResult, Problem
@@ -83,8 +81,7 @@ class AnytimePlanner:
     def __init__(self, first: NativePlanner, settings: AnytimeSettings = AnytimeSettings()):
         self.first, self.settings = first, settings
         dims = len(first.slack) + 1
-        self.trees = (*new_trees(dims, settings.max_nodes), *new_leaves(dims, settings.max_nodes))
-        self.room = np.zeros(L, np.float32)
+        self.trees = new_trees(dims, settings.max_nodes)
         self.space = np.zeros(4 * dims)
         self.found = np.zeros(FOUND, np.int64)
 
@@ -158,10 +155,12 @@ class AnytimePlanner:
             roots: (1 + g, dof), start and goals.
         """
         first = self.first
+        ask = Improvement(
+            roots, len(roots) - 1, lower, upper, bound, first.reach, first.settings.step, random
+        )
         return aorrtc(
-            first.checker.handle, roots, lower, upper, bound, first.reach, first.settings.step, *self.trees,
-            self.room, self.space, random, self.found, stop, iterations, first.path,
-        )  # fmt: skip
+            first.checker.handle, ask, self.trees, self.space, self.found, stop, iterations, first.path
+        )
 
     def _polished(self, path: Array, rng: np.random.Generator, stop: NDArray[np.int64]) -> Array | None:
         """Divide the edges of a path from AORRTC at random points, and simplify the path again.

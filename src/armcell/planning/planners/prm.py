@@ -25,8 +25,8 @@ from armcell.collision.kernel.motion import prove_points
 from armcell.collision.kernel.simd import L
 from armcell.model import RobotModel
 from armcell.planning.planners.native import roadmap as compiled
-from armcell.planning.planners.native.roadmap import query
-from armcell.planning.planners.native.rrt_connect import kronecker_steps
+from armcell.planning.planners.native.roadmap import Graph, Search, query
+from armcell.planning.planners.native.rrt_connect import Samples, kronecker_steps
 from armcell.planning.planners.problem import PlannerResult, Problem
 from armcell.planning.planners.registry import (
     announce_compilation,
@@ -89,33 +89,22 @@ class Roadmap:
         self.settings, self.lock = settings, threading.Lock()
         n = settings.max_vertices
         edges = n * compiled.MAX_NEIGHBORS
-        self.nodes = np.empty(n * dof, np.float32)
-        self.head = np.full(n, -1, np.int32)
-        self.vertex_stamps, self.edge_stamps = np.zeros(n, np.int32), np.zeros(edges, np.int32)
-        self.following, self.to = np.empty(2 * edges, np.int32), np.empty(2 * edges, np.int32)
-        self.lengths = np.empty(edges, np.float32)
-        self.counts = np.zeros(compiled.COUNTS, np.int64)
-        self.near = (
+        self.graph = Graph(
+            np.empty(n * dof, np.float32), np.full(n, -1, np.int32), np.empty(2 * edges, np.int32),
+            np.empty(2 * edges, np.int32), np.empty(edges, np.float32), np.zeros(n, np.int32),
+            np.zeros(edges, np.int32), np.zeros(compiled.COUNTS, np.int64),
             np.zeros(compiled.MAX_NEIGHBORS, np.int32), np.zeros(compiled.MAX_NEIGHBORS, np.float32),
             np.zeros(L, np.float32),
         )  # fmt: skip
-        # State of one A* search: its number at each reached vertex, cost, incoming edge; the queue.
-        self.search = (
+        self.search = Search(
             np.zeros(n, np.int64), np.empty(n), np.empty(n, np.int32), np.empty(2 * edges),
             np.empty(2 * edges, np.int32), np.zeros(2 * dof),
         )  # fmt: skip
         self.steps = np.zeros(dof)
         kronecker_steps(dof, self.steps)
         self.sample = np.random.default_rng(seed).random(dof)
-        self.block, self.no_room = np.zeros((L, dof)), np.zeros(dof)
+        self.block, self.no_room = np.zeros(L * dof), np.zeros(dof)
         self.stamp, self._scene = 0, b""
-
-    @property
-    def _graph(self) -> tuple:
-        return (
-            self.nodes, self.head, self.following, self.to, self.lengths, self.vertex_stamps,
-            self.edge_stamps, self.counts,
-        )  # fmt: skip
 
     def enter(self, checker: KernelChecker, stop: NDArray[np.int64]) -> None:
         """Check every vertex of a PRM roadmap in the scene of the checker, unless the last query used the
@@ -127,16 +116,12 @@ class Roadmap:
         if digest.digest() != self._scene:
             self._scene = digest.digest()
             self.stamp += 1
-        compiled.recheck(
-            checker.handle, self.no_room, self.nodes, self.vertex_stamps, self.stamp, self.counts, stop
-        )
+        compiled.recheck(checker.handle, self.no_room, self.graph, self.stamp, stop)
 
     def grow(self, checker: KernelChecker, lower: Array, upper: Array, blocks: int, stop) -> None:
         """Extend a PRM roadmap: sample `blocks` times 16 configurations, and add the collision-free ones."""
-        compiled.grow(
-            checker.handle, self.no_room, *self._graph, *self.near, self.stamp, lower, upper, self.steps,
-            self.sample, self.block, blocks, stop,
-        )  # fmt: skip
+        samples = Samples(lower, upper, self.steps, self.sample)
+        compiled.grow(checker.handle, self.no_room, self.graph, self.stamp, samples, self.block, blocks, stop)
 
     def insert(self, path: Array, joined: bool) -> NDArray[np.int32]:
         """Add collision-free configurations, and optionally the edges between them, to a PRM roadmap.
@@ -145,7 +130,7 @@ class Roadmap:
         """
         numbers = np.zeros(len(path), np.int32)
         rows = np.ascontiguousarray(path)
-        compiled.insert(*self._graph, *self.near, self.stamp, rows, numbers, joined)
+        compiled.insert(self.graph, self.stamp, rows, numbers, joined)
         return numbers
 
     def query(self, checker, start: int, goals, step: float, path: Array, route, stop) -> int:
@@ -154,7 +139,7 @@ class Roadmap:
         See native.roadmap.query.
         """
         return compiled.query(
-            checker.handle, *self._graph, self.stamp, start, goals, step, *self.search, route, path, stop
+            checker.handle, self.graph, self.stamp, start, goals, step, self.search, route, path, stop
         )
 
 
@@ -170,7 +155,7 @@ def plan_with_roadmap(
     Args:
         goals: (g, dof). stop: an int64 array (1,) that another thread writes to.
     """
-    began, before = time.thread_time(), roadmap.counts.copy()
+    began, before = time.thread_time(), roadmap.graph.counts.copy()
     stop = np.zeros(1, np.int64) if stop is None else stop
     checker, step, settings = planner.checker, planner.settings.step, roadmap.settings
     roadmap.enter(checker, stop)
@@ -181,10 +166,10 @@ def plan_with_roadmap(
     closest = nearest_roots(start, goals)  # over all searches: a new search may stop before it has one
 
     def answer(waypoints: Array | None) -> PRMResult:
-        now = roadmap.counts - before
+        now = roadmap.graph.counts - before
         return PRMResult(
-            waypoints, time.thread_time() - began, int(roadmap.counts[compiled.VERTICES]),
-            int(roadmap.counts[compiled.EDGES]), int(now[compiled.VERTEX_CHECKS]),
+            waypoints, time.thread_time() - began, int(roadmap.graph.counts[compiled.VERTICES]),
+            int(roadmap.graph.counts[compiled.EDGES]), int(now[compiled.VERTEX_CHECKS]),
             int(now[compiled.EDGE_CHECKS]), bridged, iterations,
             None if waypoints is not None else closest,
         )  # fmt: skip
@@ -206,7 +191,7 @@ def plan_with_roadmap(
                 prove_points(checker.handle, rows, roadmap.no_room, 0.0, 0) >= 0
                 for rows in np.stack([raw[:-1], raw[1:]], axis=1)
             ]
-            roadmap.edge_stamps[edges[failed] if any(failed) else edges] = -roadmap.stamp
+            roadmap.graph.edge_stamps[edges[failed] if any(failed) else edges] = -roadmap.stamp
             step /= 2
             continue
         if iterations >= planner.settings.max_iterations:

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from armcell.collision.kernel.block import PADDED
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.simd import L
-from armcell.planning.planners.native.nearest_neighbors import new_leaves
 from armcell.planning.planners.native.rrt_connect import (
     FOUND,
     ITERATIONS,
     NODES_1,
     UNLIMITED,
+    Query,
     closest_at,
     rrt_connect,
     space_size,
@@ -78,9 +78,8 @@ class NativePlanner:
         self.checker, self.settings = checker, settings
         dof = len(checker.joint_names)
         self.reach = settings.range or min(2.0, 14.0 / dof)
-        self.trees = (*new_trees(dof, settings.max_nodes), *new_leaves(dof, settings.max_nodes))
+        self.trees = new_trees(dof, settings.max_nodes)
         self.path = np.zeros((settings.max_waypoints, dof))
-        self.room = np.zeros(4 * L, np.float32)
         self.space = np.zeros(len(self.path) * (6 * dof + 8))
         self.index = np.zeros(4 * len(self.path), np.int64)
         self.ends = np.zeros(space_size(dof))
@@ -112,15 +111,8 @@ class NativePlanner:
         shift = np.random.default_rng(seed).random(len(start)) if seed else np.full(len(start), 0.5)
         return rrt_connect(
             self.checker.handle,
-            start,
-            goals,
-            lower,
-            upper,
-            shift,
-            self.reach,
-            step,
-            *self.trees,
-            self.room,
+            Query(start, goals, lower, upper, shift, self.reach, step),
+            self.trees,
             self.ends,
             self.found,
             stop,
@@ -133,13 +125,13 @@ class NativePlanner:
 
         The goal becomes row `number` of the goals.
         """
-        nodes, parents, radii = self.trees[:3]
-        i = len(parents) // 2 + self.found[NODES_1]
-        block = nodes[i // L * L * len(q) :][: L * len(q)].reshape(len(q), L)
+        trees = self.trees
+        i = trees.capacity + self.found[NODES_1]
+        block = trees.nodes[i // L * L * len(q) :][: L * len(q)].reshape(len(q), L)
         if i % L == 0:
             block[:] = FAR
         block[:, i % L] = q
-        parents[i], radii[i] = -1 - number, UNLIMITED
+        trees.parents[i], trees.radii[i] = -1 - number, UNLIMITED
         self.found[NODES_1] += 1
 
     def shorten(self, count: int, stop: NDArray[np.int64]) -> int:

@@ -14,6 +14,8 @@ Samples come from the configurations that a path below the bound can pass (Gamme
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -22,15 +24,37 @@ from armcell.collision.kernel.block import ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free
 from armcell.collision.kernel.simd import pointer
-from armcell.planning.planners.native.nearest_neighbors import nearest_node, reset_leaves
+from armcell.planning.planners.native.nearest_neighbors import nearest_node
 from armcell.planning.planners.native.rrt_connect import FROM, ITERATIONS, NODES, TO
-from armcell.planning.planners.native.tree import get, put, trace
+from armcell.planning.planners.native.tree import add, get, remove_nodes, trace, tree_pointers
 
 TRIES = 8  # attempts in the box, then in the ellipsoid, to sample a point of a cheaper path
 PARENTS = 3  # other parents tried for a new node
 PARTNERS = 3  # nodes tried, at ever lower costs, to find one with a path below the bound
 SHORTER, SHORTEST = 0.7, 0.05  # factor by which a node's longest edge shrinks on failure, and its minimum
 GAIN = 1e-3  # [rad] smallest cost reduction for another parent of a node
+
+
+class Improvement(NamedTuple):
+    """What AORRTC looks for, as one argument of its kernels: a path that is shorter than a bound.
+
+    The fields hold arrays in Python and pointers within the kernels.
+
+    Attributes:
+        roots: (1 + g, dof), start and goals. goals: g.
+        lower, upper: (dof,), bounds of the samples.
+        bound: [rad]. reach: longest edge of the trees [rad]. step: distance between validity checks [rad].
+        random: uint64 (1,), the generator's state.
+    """
+
+    roots: Any
+    goals: int
+    lower: Any
+    upper: Any
+    bound: float
+    reach: float
+    step: float
+    random: Any
 
 
 @inner_njit(forceinline=True)
@@ -67,8 +91,9 @@ def _to_go(roots, dof, first, last, q, at):
 
 
 @inner_njit
-def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
+def _in_ellipsoid(ask, dof, goal, q, at, axis):
     """Sample uniformly from the ellipsoid that contains all paths cheaper than the cost bound of AORRTC."""
+    roots, bound, random = ask.roots, ask.bound, ask.random
     length = _apart(roots, 0, roots, goal * dof, dof)
     norm = 0.0
     for j in range(0, dof, 2):  # a direction from normal deviates (Box and Muller)
@@ -93,46 +118,46 @@ def _in_ellipsoid(roots, dof, goal, bound, random, q, at, axis):
 
 
 @inner_njit
-def _sample(roots, dof, goals, bound, lower, upper, random, q, at, axis):
+def _sample(ask, dof, q, at, axis):
     """Sample a configuration that lies on some path cheaper than the
     cost bound of AORRTC, and write it to q[at:].
 
     Return False if no sample was found.
     """
+    roots, goals, lower, upper = ask.roots, ask.goals, ask.lower, ask.upper
     for k in range(2 * TRIES):
         if k < TRIES:
             for j in range(dof):
-                q[at + j] = lower[j] + (upper[j] - lower[j]) * uniform(random)
+                q[at + j] = lower[j] + (upper[j] - lower[j]) * uniform(ask.random)
         else:
-            _in_ellipsoid(roots, dof, 1 + int(uniform(random) * goals), bound, random, q, at, axis)
+            _in_ellipsoid(ask, dof, 1 + int(uniform(ask.random) * goals), q, at, axis)
         inside = True
         for j in range(dof):
             inside = inside and lower[j] <= q[at + j] <= upper[j]
-        if inside and _to_go(roots, dof, 0, 1, q, at) + _to_go(roots, dof, 1, 1 + goals, q, at) < bound:
+        if inside and _to_go(roots, dof, 0, 1, q, at) + _to_go(roots, dof, 1, 1 + goals, q, at) < ask.bound:
             return True
     return False
 
 
 @inner_njit
-def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
-            axis, nodes, parents, radii, leaves, leaf_ints, capacity, room, random, stop, max_iterations,
-            found):  # fmt: skip
+def _search(k, ask, t, edge, axis, stop, max_iterations, found):
     """Run the compiled search of AORRTC on raw pointers.
 
     Nodes have dof + 1 coordinates; the last coordinate is the cost from their root.
     """
+    roots, goals, bound, reach, random = ask.roots, ask.goals, ask.bound, ask.reach, ask.random
     dof = ints(k)[DOF]
     dims = dof + 1
     b, q = dims, 2 * dims  # in edge: its two ends, the sample; each with its cost
     n0, n1, tree = 1, goals, 1
     for iteration in range(1, max_iterations + 1):
-        if stop[0] != 0 or n0 + 64 > capacity or n1 + 64 > capacity:
+        if stop[0] != 0 or n0 + 64 > t.capacity or n1 + 64 > t.capacity:
             break
         found[ITERATIONS], found[NODES] = iteration, n0 + n1
         tree = 1 - tree  # alternate: below a tight bound one of the trees may hardly grow at all
         mine, other = (n1, n0) if tree == 1 else (n0, n1)
-        first, first_other = tree * capacity, (1 - tree) * capacity
-        if not _sample(roots, dof, goals, bound, lower, upper, random, edge, q, axis):
+        first, first_other = tree * t.capacity, (1 - tree) * t.capacity
+        if not _sample(ask, dof, edge, q, axis):
             continue
         mine_a, mine_b = (0, 1) if tree == 0 else (1, 1 + goals)  # the roots of this tree, of the other one
         other_a, other_b = (1, 1 + goals) if tree == 0 else (0, 1)
@@ -142,9 +167,9 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
         for _ in range(PARTNERS):
             most = least + (most - least) * uniform(random)
             edge[q + dof] = most
-            i = nearest_node(nodes, parents, leaves, leaf_ints, dims, capacity, tree, mine, edge, q, room)
-            get(nodes, dims, first + i, edge, 0)
-            distance, longest = _apart(edge, 0, edge, q, dof), radii[first + i]
+            i = nearest_node(t, tree, mine, edge, q)
+            get(t.nodes, dims, first + i, edge, 0)
+            distance, longest = _apart(edge, 0, edge, q, dof), t.radii[first + i]
             f = min(1.0, longest / max(distance, 1e-9))  # learned: near obstacles most long edges fail
             for j in range(dof):
                 edge[b + j] = edge[j] + f * (edge[q + j] - edge[j])
@@ -154,24 +179,23 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
             i = -1
         if i < 0:
             continue
-        if not edge_free(k, edge, 0, b, step):
-            radii[first + i] = max(SHORTER * longest, SHORTEST * reach)
+        if not edge_free(k, edge, 0, b, ask.step):
+            t.radii[first + i] = max(SHORTER * longest, SHORTEST * reach)
             continue
-        radii[first + i] = min(longest / SHORTER, reach)
+        t.radii[first + i] = min(longest / SHORTER, reach)
         # Another parent that makes the node cheaper: near in configuration, at a lower random cost.
         least = _to_go(roots, dof, mine_a, mine_b, edge, b)
         for _ in range(PARENTS):
             edge[b + dof] = least + (cost - least) * uniform(random)
-            near = nearest_node(nodes, parents, leaves, leaf_ints, dims, capacity, tree, mine, edge, b, room)
+            near = nearest_node(t, tree, mine, edge, b)
             if near == i:
                 continue
-            get(nodes, dims, first + near, edge, 0)
+            get(t.nodes, dims, first + near, edge, 0)
             cheaper = edge[dof] + _apart(edge, 0, edge, b, dof)
-            if cheaper < cost - GAIN and edge_free(k, edge, 0, b, step):
+            if cheaper < cost - GAIN and edge_free(k, edge, 0, b, ask.step):
                 i, cost = near, cheaper
         edge[b + dof] = cost
-        put(nodes, dims, first + mine, edge, b)
-        parents[first + mine], radii[first + mine] = i, longest
+        add(t, first + mine, edge, b, i, longest)
         mine += 1
         n0, n1 = (mine, other) if tree == 0 else (other, mine)
         # Continue to a node of the other tree with which the path stays below the bound.
@@ -180,10 +204,8 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
         for _ in range(PARTNERS):
             most = least + (most - least) * uniform(random)
             edge[b + dof] = most
-            near = nearest_node(
-                nodes, parents, leaves, leaf_ints, dims, capacity, 1 - tree, other, edge, b, room
-            )
-            get(nodes, dims, first_other + near, edge, q)
+            near = nearest_node(t, 1 - tree, other, edge, b)
+            get(t.nodes, dims, first_other + near, edge, q)
             distance = _apart(edge, b, edge, q, dof)
             if cost + distance + edge[q + dof] < bound:
                 break
@@ -198,13 +220,12 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
         for c in range(count):
             for j in range(dof):
                 edge[b + j] = edge[j] + edge[q + j] / count
-            if stop[0] != 0 or not edge_free(k, edge, 0, b, step):
+            if stop[0] != 0 or not edge_free(k, edge, 0, b, ask.step):
                 reached = False
                 break
             if c < count - 1:
                 edge[b + dof] = cost + distance * (c + 1) / count
-                put(nodes, dims, first + mine, edge, b)
-                parents[first + mine], radii[first + mine] = mine - 1, reach
+                add(t, first + mine, edge, b, mine - 1, reach)
                 mine += 1
             for j in range(dof):
                 edge[j] = edge[b + j]
@@ -216,58 +237,36 @@ def _search(k, lower, upper, roots, goals, bound, reach, step, edge,
 
 
 @njit(cache=True, nogil=True)
-def aorrtc(
-    handle,
-    roots,
-    lower,
-    upper,
-    bound,
-    reach,
-    step,
-    nodes,
-    parents,
-    radii,
-    leaves,
-    leaf_ints,
-    room,
-    space,
-    random,
-    found,
-    stop,
-    max_iterations,
-    path,
-):
-    """Search by AORRTC, in a compiled kernel, for a path that is shorter than `bound` [rad], and write its
+def aorrtc(handle, ask, trees, space, found, stop, max_iterations, path):
+    """Search by AORRTC, in a compiled kernel, for a path that is shorter than a bound, and write its
     waypoints (m, dof).
 
     Args:
-        roots: (1 + g, dof) start and goals. reach: longest edge of the trees [rad].
-        step: distance between validity checks [rad]. nodes ... leaf_ints: memory for trees with dof + 1
-            coordinates (see tree.new_trees, nearest_neighbors.new_leaves). room: float32 scratch, L.
-        space: float64 scratch, 4 (dof + 1). random: uint64 (1,), the generator's state.
-        found: int64 scratch, see rrt_connect.FOUND. stop: see rrt_connect.
+        ask: see `Improvement`. trees: trees with dof + 1 coordinates (see `tree.new_trees`).
+        space: float64 scratch, 4 (dof + 1). found: int64 scratch, see rrt_connect.FOUND.
+        stop: see rrt_connect.
     Returns:
         Number of waypoints (0: none found), iterations, nodes.
     """
-    goals, dof, capacity = len(roots) - 1, len(lower), len(parents) // 2
-    n, p, r, x, e = pointer(nodes), pointer(parents), pointer(radii), pointer(space), pointer(roots)
+    dof, t, x = len(ask.lower), tree_pointers(trees), pointer(space)
     found[:] = 0
-    for g in range(goals + 1):
+    for g in range(ask.goals + 1):
         for j in range(dof):
-            space[j] = roots[g, j]
+            space[j] = ask.roots[g, j]
         space[dof] = 0.0
-        node = 0 if g == 0 else capacity + g - 1
-        put(n, dof + 1, node, x, 0)
-        parents[node], radii[node] = -1 if g == 0 else -g, reach
-    reset_leaves(pointer(leaf_ints), capacity)
+        add(t, 0 if g == 0 else t.capacity + g - 1, x, 0, -1 if g == 0 else -g, ask.reach)
+    remove_nodes(t)
+    pointers = Improvement(
+        pointer(ask.roots), ask.goals, pointer(ask.lower), pointer(ask.upper), ask.bound, ask.reach, ask.step,
+        pointer(ask.random),
+    )  # fmt: skip
     if not _search(
-        pointer(handle), pointer(lower), pointer(upper), e, goals, bound, reach, step, x,
-        pointer(space[3 * (dof + 1) :]), n, p, r, pointer(leaves), pointer(leaf_ints), capacity,
-        pointer(room), pointer(random), pointer(stop), max_iterations, pointer(found),
+        pointer(handle), pointers, t, x, pointer(space[3 * (dof + 1) :]), pointer(stop), max_iterations,
+        pointer(found),
     ):  # fmt: skip
         return 0, found[ITERATIONS], found[NODES]
-    count, goal = trace(n, p, dof + 1, capacity, found[FROM], found[TO], dof, x, pointer(path), len(path))
+    count, goal = trace(t, found[FROM], found[TO], dof, x, pointer(path), len(path))
     if count > 0:
-        path[0] = roots[0]
-        path[count - 1] = roots[1 + goal]
+        path[0] = ask.roots[0]
+        path[count - 1] = ask.roots[1 + goal]
     return count, found[ITERATIONS], found[NODES]

@@ -26,7 +26,6 @@ leaves; at this number, all nodes join at once.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.simd import (
@@ -41,58 +40,22 @@ from armcell.collision.kernel.simd import (
     trailing_zeros,
     vmax,
 )
-from armcell.planning.planners.native.tree import FAR, nearest
+from armcell.planning.planners.native.tree import FAR, JOINED, LEAVES, SIZES, most_leaves, nearest
 
 LEAF_THRESHOLD = 1000  # number of nodes above which leaves are faster
 
-# Integer array of each tree: number of joined nodes, number of leaves; then the leaves' sizes, the nodes in
-# their lanes, and each node's leaf. Float array: the leaves (dims, L), the boxes (16 at a time: dims lower
-# sides, dims upper sides, L each), and the bounds of a query.
-JOINED, LEAVES, SIZES = 0, 1, 2
-
-
-def new_leaves(dims: int, capacity: int) -> tuple[np.ndarray, np.ndarray]:
-    """Allocate the leaves for nearest-neighbor search in two search trees of `capacity` nodes each,
-    with `dims` coordinates per node.
-    """
-    most = _most(capacity)
-    return (
-        np.empty(2 * most * ((L + 2) * dims + 1), np.float32),
-        np.zeros(2 * (SIZES + most * (L + 1) + capacity), np.int32),
-    )
-
-
-@njit(cache=True)
-def _most(capacity):
-    """Return the largest number of leaves that the nearest-neighbor search needs for a tree of `capacity`
-    nodes.
-
-    Each leaf holds at least half of L nodes.
-    """
-    return (2 * capacity // L + L) // L * L
-
 
 @inner_njit
-def reset_leaves(ints, capacity):
-    """Remove all nodes of both search trees from the leaves of the nearest-neighbor search."""
-    size = SIZES + _most(capacity) * (L + 1) + capacity
-    for tree in range(2):
-        ints[tree * size + JOINED] = ints[tree * size + LEAVES] = 0
-
-
-@inner_njit
-def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, at, room):
+def nearest_node(t, tree, count, q, at):
     """Find the nearest neighbor of q[at:] among the first `count` nodes of a search tree.
 
-    New nodes join their leaves first.
-
-    `room` is scratch memory of L floats.
+    New nodes join their leaves first. `t` holds the memory of both trees (see `tree_pointers`).
     """
-    first = tree * capacity
+    floats, ints, dims, first = t.leaves, t.leaf_ints, t.dims, tree * t.capacity
     if count < LEAF_THRESHOLD:
-        return nearest(nodes, dims, first, count, q, at, room)
-    most = _most(capacity)
-    f, i = tree * most * ((L + 2) * dims + 1), tree * (SIZES + most * (L + 1) + capacity)
+        return nearest(t.nodes, dims, first, count, q, at, t.lanes)
+    most = most_leaves(t.capacity)
+    f, i = tree * most * ((L + 2) * dims + 1), tree * (SIZES + most * (L + 1) + t.capacity)
     boxes, bounds = f + most * L * dims, f + most * (L + 2) * dims
     inside, leaf_of = i + SIZES + most, i + SIZES + most * (L + 1)
     for node in range(ints[i + JOINED], count):
@@ -100,12 +63,12 @@ def nearest_node(nodes, parents, floats, ints, dims, capacity, tree, count, q, a
         if ints[i + LEAVES] == 0:
             ints[i + LEAVES] = 1
             _clear(floats, ints, dims, f, boxes, i, 0)
-        elif parents[first + node] >= 0:
-            leaf = ints[leaf_of + parents[first + node]]
-        _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, node)
+        elif t.parents[first + node] >= 0:
+            leaf = ints[leaf_of + t.parents[first + node]]
+        _join(t.nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, node)
     ints[i + JOINED] = count
     leaves = ints[i + LEAVES]
-    k = _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room)
+    k = _nearest(floats, dims, f, boxes, bounds, leaves, q, at, t.lanes)
     return int(ints[inside + k])
 
 
@@ -200,7 +163,7 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
 
 
 @inner_njit
-def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
+def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, lanes):
     """Find the slot that holds the nearest neighbor of configuration q[at:].
     Slots (SIMD lanes) are counted over all leaves.
     """
@@ -237,9 +200,9 @@ def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, room):
             if nearer < limit:
                 limit = nearer
                 mask &= mask_lt(bound, splat(limit))
-    store(room, 0, where)
+    store(lanes, 0, where)
     lane = trailing_zeros(mask_lt(best, splat(limit * np.float32(1.000001) + np.float32(1e-30))))
-    return int(room[lane]) * L + lane
+    return int(lanes[lane]) * L + lane
 
 
 @inner_njit(forceinline=True)

@@ -10,6 +10,8 @@ its k nearest, k = e (1 + 1/d) log n (PRM*: Karaman and Frazzoli, IJRR 2011).
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -19,6 +21,7 @@ from armcell.collision.kernel.frames import half_at, rate_at
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free, loosen
 from armcell.collision.kernel.simd import L, fma, load, mask_lt, pointer, splat, store, trailing_zeros
+from armcell.planning.planners.native.rrt_connect import next_sample
 from armcell.planning.planners.native.tree import FAR, get, put
 
 MAX_NEIGHBORS = 32
@@ -28,13 +31,58 @@ SAME = 1e-6  # [rad] vertices with a smaller distance count as one
 VERTICES, EDGES, VERTEX_CHECKS, EDGE_CHECKS, SEARCHES, COUNTS = range(6)
 
 
+class Graph(NamedTuple):
+    """Arrays of a PRM roadmap, as one argument of its kernels. Edge e is entry 2 e at one of its vertices and
+    entry 2 e + 1 at the other.
+
+    Attributes:
+        nodes: float32, blocks of (dof, L) coordinates.
+        head: int32 (vertices,), a vertex's first entry (-1: none). following: int32, the vertex's next entry.
+        to: int32, the vertex to which an entry leads. lengths: float32 (edges,) [rad].
+        vertex_stamps, edge_stamps: int32, results of checks.
+        counts: int64, see VERTICES.
+        ids, near, lanes: scratch memory of a nearest-neighbor query.
+    """
+
+    nodes: Any
+    head: Any
+    following: Any
+    to: Any
+    lengths: Any
+    vertex_stamps: Any
+    edge_stamps: Any
+    counts: Any
+    ids: Any
+    near: Any
+    lanes: Any
+
+
+class Search(NamedTuple):
+    """State of one A* search on a PRM roadmap, as one argument of its kernels.
+
+    Attributes:
+        mark: int64 (vertices,), the number of the last search that reached a vertex. cost: (vertices,).
+        came: int32 (vertices,), entry by which the vertex was reached.
+        keys, items: priority queue. ends: scratch memory of 2 dof numbers.
+    """
+
+    mark: Any
+    cost: Any
+    came: Any
+    keys: Any
+    items: Any
+    ends: Any
+
+
 @inner_njit
-def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
+def _nearest_vertices(g, dof, q, at, k):
     """Find in a compiled kernel the k vertices of a PRM roadmap that are nearest to q[at:], sorted by
     distance.
 
-    Write their numbers to ids and their squared distances to near. Return the count.
+    Write their numbers to g.ids and their squared distances to g.near. Return the count.
     """
+    nodes, ids, near, lanes = pointer(g.nodes), pointer(g.ids), pointer(g.near), pointer(g.lanes)
+    count = g.counts[VERTICES]
     n, worst = 0, np.float32(FAR)
     for block in range((count + L - 1) // L):
         total = splat(np.float32(0.0))
@@ -42,11 +90,11 @@ def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
             d = load(nodes, (block * dof + j) * L) - splat(q[at + j])
             total = fma(d, d, total)
         mask = mask_lt(total, splat(worst))
-        store(room, 0, total)
+        store(lanes, 0, total)
         while mask != 0:
             lane = trailing_zeros(mask)
             mask &= mask - 1
-            d2 = room[lane]
+            d2 = lanes[lane]
             if d2 >= worst:
                 continue
             i = min(n, k - 1)
@@ -61,43 +109,37 @@ def _nearest_vertices(nodes, dof, count, q, at, k, ids, near, room):
 
 
 @inner_njit
-def _link(a, b, length, stamp, head, following, to, lengths, edge_stamps, counts):
-    """Add an edge between two vertices to a PRM roadmap, in the compiled kernel.
-
-    Edge e is entry 2 e at vertex a and entry 2 e + 1 at vertex b.
-    """
-    e = counts[EDGES]
-    if 2 * e + 2 > 2 * len(lengths):
+def _link(g, a, b, length, stamp):
+    """Add an edge between two vertices to a PRM roadmap, in the compiled kernel."""
+    e = g.counts[EDGES]
+    if 2 * e + 2 > 2 * len(g.lengths):
         return
-    counts[EDGES] = e + 1
-    to[2 * e], following[2 * e], head[a] = b, head[a], 2 * e
-    to[2 * e + 1], following[2 * e + 1], head[b] = a, head[b], 2 * e + 1
-    lengths[e], edge_stamps[e] = length, stamp
+    g.counts[EDGES] = e + 1
+    g.to[2 * e], g.following[2 * e], g.head[a] = b, g.head[a], 2 * e
+    g.to[2 * e + 1], g.following[2 * e + 1], g.head[b] = a, g.head[b], 2 * e + 1
+    g.lengths[e], g.edge_stamps[e] = length, stamp
 
 
 @inner_njit
-def _add(nodes, dof, q, at, stamp, head, following, to, lengths, vertex_stamps, edge_stamps, counts, ids,
-         near, room):  # fmt: skip
+def _add(g, dof, q, at, stamp):
     """Add a collision-free configuration as a vertex to a PRM roadmap, and connect it with its nearest
     vertices.
 
     Return the number of the vertex (-1: the roadmap is full).
     """
-    n = counts[VERTICES]
+    n = g.counts[VERTICES]
     k = int(np.ceil(np.e * (1 + 1 / dof) * np.log(n + 2)))
-    found = _nearest_vertices(
-        nodes, dof, n, q, at, min(k, MAX_NEIGHBORS), pointer(ids), pointer(near), pointer(room)
-    )
-    if found > 0 and near[0] < SAME * SAME:
-        vertex_stamps[ids[0]] = stamp
-        return ids[0]
-    if n == len(head):
+    found = _nearest_vertices(g, dof, q, at, min(k, MAX_NEIGHBORS))
+    if found > 0 and g.near[0] < SAME * SAME:
+        g.vertex_stamps[g.ids[0]] = stamp
+        return g.ids[0]
+    if n == len(g.head):
         return -1
-    put(nodes, dof, n, q, at)
-    head[n], vertex_stamps[n] = -1, stamp
-    counts[VERTICES] = n + 1
+    put(pointer(g.nodes), dof, n, q, at)
+    g.head[n], g.vertex_stamps[n] = -1, stamp
+    g.counts[VERTICES] = n + 1
     for i in range(found):
-        _link(n, ids[i], np.sqrt(near[i]), 0, head, following, to, lengths, edge_stamps, counts)
+        _link(g, n, g.ids[i], np.sqrt(g.near[i]), 0)
     return n
 
 
@@ -114,70 +156,58 @@ def _not_free(k, lanes):
 
 
 @njit(cache=True, nogil=True)
-def recheck(handle, no_room, nodes, vertex_stamps, stamp, counts, stop):
+def recheck(handle, no_room, g, stamp, stop):
     """Check every vertex of a PRM roadmap for collisions in the current scene, and mark it with a stamp:
     positive if it is collision-free, else negative.
 
     no_room: zeros (dof,).
     """
-    dof, n, W, x = len(no_room), counts[VERTICES], lanes_of(pointer(handle)), pointer(nodes)
+    dof, n, W, x = len(no_room), g.counts[VERTICES], lanes_of(pointer(handle)), pointer(g.nodes)
     loosen(pointer(handle), pointer(no_room))
     for first in range(0, n, L):
         if stop[0] != 0:
             return
         lanes = np.int64(0)
         for lane in range(L):
-            known = first + lane >= n or abs(vertex_stamps[first + lane]) == stamp
+            known = first + lane >= n or abs(g.vertex_stamps[first + lane]) == stamp
             lanes |= np.int64(0 if known else 1) << lane
             for j in range(dof):
                 W[j * L + lane] = x[first * dof + j * L + (lane if first + lane < n else 0)]
         if lanes == 0:
             continue
-        bad = _not_free(
-            pointer(handle), lanes,
-        )  # fmt: skip
+        bad = _not_free(pointer(handle), lanes)
         for lane in range(L):
             if lanes & (np.int64(1) << lane):
-                vertex_stamps[first + lane] = -stamp if bad & (np.int64(1) << lane) else stamp
-                counts[VERTEX_CHECKS] += 1
+                g.vertex_stamps[first + lane] = -stamp if bad & (np.int64(1) << lane) else stamp
+                g.counts[VERTEX_CHECKS] += 1
 
 
 @njit(cache=True, nogil=True)
-def grow(handle, no_room, nodes, head, following, to, lengths, vertex_stamps,
-         edge_stamps, counts, ids, near, room, stamp, lower, upper, steps, sample, block, blocks,
-         stop):  # fmt: skip
+def grow(handle, no_room, g, stamp, samples, block, blocks, stop):
     """Extend a PRM roadmap in the compiled kernel: sample `blocks` times 16 configurations, and add the
     collision-free ones.
 
     Args:
-        steps, sample: (dof,), see rrt_connect.kronecker_steps. block: scratch (16, dof).
+        samples: see rrt_connect.Samples. block: scratch (16 dof,).
     """
-    dof, W = len(lower), lanes_of(pointer(handle))
+    dof, W, q = len(no_room), lanes_of(pointer(handle)), pointer(block)
     loosen(pointer(handle), pointer(no_room))
     for _ in range(blocks):
         if stop[0] != 0:
             return
         for lane in range(L):
+            next_sample(samples, dof, q, lane * dof)
             for j in range(dof):
-                u = sample[j] + steps[j]
-                sample[j] = u - 1.0 if u >= 1.0 else u
-                block[lane, j] = lower[j] + (upper[j] - lower[j]) * sample[j]
-                W[j * L + lane] = np.float32(block[lane, j])
-        bad = _not_free(
-            pointer(handle), (np.int64(1) << L) - 1,
-        )  # fmt: skip
-        counts[VERTEX_CHECKS] += L
+                W[j * L + lane] = np.float32(q[lane * dof + j])
+        bad = _not_free(pointer(handle), (np.int64(1) << L) - 1)
+        g.counts[VERTEX_CHECKS] += L
         for lane in range(L):
             if bad & (np.int64(1) << lane) == 0:
-                _add(
-                    pointer(nodes), dof, pointer(block), lane * dof, stamp, head, following, to, lengths,
-                    vertex_stamps, edge_stamps, counts, ids, near, room,
-                )  # fmt: skip
+                _add(g, dof, q, lane * dof, stamp)
 
 
 @njit(cache=True, nogil=True)
-def insert(nodes, head, following, to, lengths, vertex_stamps, edge_stamps, counts, ids, near, room, stamp,
-           path, numbers, joined):  # fmt: skip
+def insert(g, stamp, path, numbers, joined):
     """Add the collision-free rows of a path (m, dof) as vertices to a PRM roadmap, and return the numbers of
     these vertices.
 
@@ -186,19 +216,13 @@ def insert(nodes, head, following, to, lengths, vertex_stamps, edge_stamps, coun
     """
     m, dof = path.shape
     for i in range(m):
-        numbers[i] = _add(
-            pointer(nodes), dof, pointer(path), i * dof, stamp, head, following, to, lengths, vertex_stamps,
-            edge_stamps, counts, ids, near, room,
-        )  # fmt: skip
+        numbers[i] = _add(g, dof, pointer(path), i * dof, stamp)
         if not joined or i == 0 or numbers[i] < 0 or numbers[i - 1] < 0 or numbers[i] == numbers[i - 1]:
             continue
         length = 0.0
         for j in range(dof):
             length += (path[i, j] - path[i - 1, j]) ** 2
-        _link(
-            numbers[i], numbers[i - 1], np.sqrt(length), stamp, head, following, to, lengths, edge_stamps,
-            counts,
-        )  # fmt: skip
+        _link(g, numbers[i], numbers[i - 1], np.sqrt(length), stamp)
 
 
 @inner_njit
@@ -248,73 +272,65 @@ def _to_go(nodes, dof, v, goals, room):
 
 
 @inner_njit
-def _shortest(nodes, dof, head, following, to, lengths, vertex_stamps, edge_stamps, stamp, start, goals,
-              number, mark, cost, came, keys, items, ends, stop):  # fmt: skip
+def _shortest(g, dof, stamp, start, goals, s, stop):
     """Find a shortest path on a PRM roadmap to a goal by A*. Return the goal, or -1 if there is no path.
 
     Only edges that are known to be blocked are excluded.
     """
-    mark[start], cost[start], came[start] = number, 0.0, -1
-    e = pointer(ends)
-    _push(keys, items, 0, _to_go(nodes, dof, start, goals, e), start)
+    number, nodes, e = g.counts[SEARCHES], pointer(g.nodes), pointer(s.ends)
+    s.mark[start], s.cost[start], s.came[start] = number, 0.0, -1
+    _push(s.keys, s.items, 0, _to_go(nodes, dof, start, goals, e), start)
     n = 1
     while n > 0 and stop[0] == 0:
-        _pop(keys, items, n)
+        _pop(s.keys, s.items, n)
         n -= 1
-        key, v = keys[n], items[n]
+        key, v = s.keys[n], s.items[n]
         left = _to_go(nodes, dof, v, goals, e)
-        if key > cost[v] + left + 1e-9:
+        if key > s.cost[v] + left + 1e-9:
             continue  # outdated entry: a cheaper path to v was found later
         if left == 0.0:
             return v
-        k = head[v]
+        k = g.head[v]
         while k >= 0:
-            u = to[k]
-            through = cost[v] + lengths[k // 2]
-            blocked = edge_stamps[k // 2] == -stamp or vertex_stamps[u] == -stamp
-            if not blocked and (mark[u] != number or through < cost[u] - 1e-9) and n < len(keys):
-                mark[u], cost[u], came[u] = number, through, k
-                _push(keys, items, n, through + _to_go(nodes, dof, u, goals, e), u)
+            u = g.to[k]
+            through = s.cost[v] + g.lengths[k // 2]
+            blocked = g.edge_stamps[k // 2] == -stamp or g.vertex_stamps[u] == -stamp
+            if not blocked and (s.mark[u] != number or through < s.cost[u] - 1e-9) and n < len(s.keys):
+                s.mark[u], s.cost[u], s.came[u] = number, through, k
+                _push(s.keys, s.items, n, through + _to_go(nodes, dof, u, goals, e), u)
                 n += 1
-            k = following[k]
+            k = g.following[k]
     return -1
 
 
 @njit(cache=True, nogil=True)
-def query(handle, nodes, head, following, to, lengths, vertex_stamps,
-          edge_stamps, counts, stamp, start, goals, step, mark, cost, came, keys, items, ends, route, path,
-          stop):  # fmt: skip
+def query(handle, g, stamp, start, goals, step, s, route, path, stop):
     """Find the shortest collision-free path on a PRM roadmap in a compiled kernel, and write it to `path` (m,
     dof).
 
     The path is free at samples `step` [rad] apart.
 
     Args:
-        start: vertex. goals: vertices (-1: none). route: receives the path's edges (m,).
+        start: vertex. goals: vertices (-1: none). s: see `Search`. route: receives the path's edges (m,).
     Returns:
         Number of waypoints; 0 if there is no path yet.
     """
-    dof, x, e = path.shape[1], pointer(nodes), pointer(ends)
+    dof, x, e = path.shape[1], pointer(g.nodes), pointer(s.ends)
     while stop[0] == 0:
-        counts[SEARCHES] += 1
-        goal = _shortest(
-            x, dof, head, following, to, lengths, vertex_stamps, edge_stamps, stamp, start, goals,
-            counts[SEARCHES], mark, cost, came, keys, items, ends, stop,
-        )  # fmt: skip
+        g.counts[SEARCHES] += 1
+        goal = _shortest(g, dof, stamp, start, goals, s, stop)
         if goal < 0:
             return 0
         n, v, free = 1, goal, True
-        while came[v] >= 0 and stop[0] == 0:
-            k = came[v]
-            u = to[k ^ 1]
-            if edge_stamps[k // 2] != stamp:
-                counts[EDGE_CHECKS] += 1
+        while s.came[v] >= 0 and stop[0] == 0:
+            k = s.came[v]
+            u = g.to[k ^ 1]
+            if g.edge_stamps[k // 2] != stamp:
+                g.counts[EDGE_CHECKS] += 1
                 get(x, dof, u, e, 0)
                 get(x, dof, v, e, dof)
-                good = edge_free(
-                    pointer(handle), e, 0, dof, step,
-                )  # fmt: skip
-                edge_stamps[k // 2] = stamp if good else -stamp
+                good = edge_free(pointer(handle), e, 0, dof, step)
+                g.edge_stamps[k // 2] = stamp if good else -stamp
                 free = free and good
             n, v = n + 1, u
         if stop[0] != 0 or n > len(path):
@@ -325,7 +341,7 @@ def query(handle, nodes, head, following, to, lengths, vertex_stamps,
         for row in range(n - 1, -1, -1):
             get(x, dof, v, pointer(path), row * dof)
             if row > 0:
-                route[row - 1] = came[v] // 2
-                v = to[came[v] ^ 1]
+                route[row - 1] = s.came[v] // 2
+                v = g.to[s.came[v] ^ 1]
         return n
     return 0

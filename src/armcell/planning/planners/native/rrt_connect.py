@@ -7,6 +7,8 @@ Design choices follow VAMP (Thomason, Kingston and Kavraki, ICRA 2024).
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -15,8 +17,15 @@ from armcell.collision.kernel.block import ints
 from armcell.collision.kernel.layout import DOF
 from armcell.collision.kernel.motion import edge_free
 from armcell.collision.kernel.simd import pointer
-from armcell.planning.planners.native.nearest_neighbors import nearest_node, reset_leaves
-from armcell.planning.planners.native.tree import get, put, trace
+from armcell.planning.planners.native.nearest_neighbors import nearest_node
+from armcell.planning.planners.native.tree import (
+    add,
+    get,
+    next_tree,
+    remove_nodes,
+    trace,
+    tree_pointers,
+)
 
 # Radius of a node's domain after its first failure, and its minimum, as shares of the typical distance of
 # two random configurations (4 and 1 rad for a Panda).
@@ -64,41 +73,103 @@ def kronecker_steps(dof, out):
         out[j] = value
 
 
-@inner_njit
-def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
-            nodes, parents, radii, leaves, leaf_ints, capacity, room, stop, max_iterations,
-            found):  # fmt: skip
-    """Run the compiled search of RRT-Connect on raw pointers.
+class Query(NamedTuple):
+    """What a compiled search by RRT-Connect looks for, as one argument.
 
-    Tree 0 grows from the start, tree 1 from the goals. Node i of tree t is node t * capacity + i.
+    Attributes:
+        start: (dof,). goals: (g, dof).
+        lower, upper: (dof,), bounds of the samples.
+        shift: (dof,) in [0, 1), start of the sample sequence (the seed).
+        reach: longest edge [rad].
+        step: distance between validity checks [rad].
+    """
+
+    start: Any
+    goals: Any
+    lower: Any
+    upper: Any
+    shift: Any
+    reach: float
+    step: float
+
+
+class Samples(NamedTuple):
+    """Sequence of uniform samples between bounds, as one argument of the kernels; see `next_sample`.
+
+    Attributes:
+        lower, upper: bounds of the samples. steps: see `kronecker_steps`. last: the last sample in [0, 1).
+    """
+
+    lower: Any
+    upper: Any
+    steps: Any
+    last: Any
+
+
+@inner_njit
+def next_sample(s, dof, q, at):
+    """Write the next sample of a sequence to q[at:]."""
+    for j in range(dof):
+        u = s.last[j] + s.steps[j]
+        s.last[j] = u - 1.0 if u >= 1.0 else u
+        q[at + j] = s.lower[j] + (s.upper[j] - s.lower[j]) * s.last[j]
+
+
+@inner_njit
+def begin_search(t, query, dof, space, found):
+    """Begin a search by RRT-Connect: make the start the root of tree 0 and the goals the roots of tree 1,
+    and begin the sequence of samples. `space` holds its steps, the last sample, and the closest approach.
+    """
+    add(t, 0, pointer(query.start), 0, -1, UNLIMITED)
+    for g in range(len(query.goals)):
+        add(t, t.capacity + g, pointer(query.goals), g * dof, -1 - g, UNLIMITED)
+    found[NODES_0], found[NODES_1], found[TURN] = 1, len(query.goals), 1
+    remove_nodes(t)
+    kronecker_steps(dof, space)
+    space[dof : 2 * dof] = query.shift
+    space[2 * dof] = np.inf
+
+
+@inner_njit
+def write_path(t, query, dof, found, row, path):
+    """Write the path (m, dof) that a search by RRT-Connect found, with its exact ends: the trees are float32.
+    Return the number of waypoints.
+
+    `row` is scratch memory of dof numbers.
+    """
+    count, goal = trace(t, found[FROM], found[TO], dof, row, pointer(path), len(path))
+    if count > 0:
+        path[0] = query.start
+        path[count - 1] = query.goals[goal]
+    return count
+
+
+@inner_njit
+def _search(k, t, s, edge, closest, reach, step, stop, max_iterations, found):
+    """Run the compiled search of RRT-Connect on raw pointers. Tree 0 grows from the start, tree 1 from the
+    goals.
     """
     dof = ints(k)[DOF]
     q = 2 * dof  # edge: its two ends, then the sample
     n0, n1, tree = found[NODES_0], found[NODES_1], found[TURN]
     apart = 0.0
     for j in range(dof):
-        apart += (upper[j] - lower[j]) ** 2 / 6
+        apart += (s.upper[j] - s.lower[j]) ** 2 / 6
     domain, domain_min = DOMAIN * np.sqrt(apart), DOMAIN_MIN * np.sqrt(apart)
     for iteration in range(found[ITERATIONS] + 1, found[ITERATIONS] + max_iterations + 1):
-        if stop[0] != 0 or n0 + 64 > capacity or n1 + 64 > capacity:
+        if stop[0] != 0 or n0 + 64 > t.capacity or n1 + 64 > t.capacity:
             break
         found[ITERATIONS], found[NODES], found[NODES_0], found[NODES_1] = iteration, n0 + n1, n0, n1
-        mine, other = (n1, n0) if tree == 1 else (n0, n1)
-        if abs(mine - other) < mine:  # take turns, unless the other tree is twice as large
-            tree = 1 - tree
-            mine, other = other, mine
+        tree, mine, other = next_tree(tree, n0, n1)
         found[TURN] = tree
-        first, first_other = tree * capacity, (1 - tree) * capacity
-        for j in range(dof):
-            u = sample[j] + steps[j]
-            sample[j] = u - 1.0 if u >= 1.0 else u
-            edge[q + j] = lower[j] + (upper[j] - lower[j]) * sample[j]
-        i = nearest_node(nodes, parents, leaves, leaf_ints, dof, capacity, tree, mine, edge, q, room)
-        get(nodes, dof, first + i, edge, 0)
+        first, first_other = tree * t.capacity, (1 - tree) * t.capacity
+        next_sample(s, dof, edge, q)
+        i = nearest_node(t, tree, mine, edge, q)
+        get(t.nodes, dof, first + i, edge, 0)
         distance = 0.0
         for j in range(dof):
             distance += (edge[q + j] - edge[j]) ** 2
-        distance, radius = np.sqrt(distance), radii[first + i]
+        distance, radius = np.sqrt(distance), t.radii[first + i]
         if distance > radius:
             continue
         # Where long edges failed, every other edge is half as long: short edges leave narrow passages.
@@ -108,18 +179,15 @@ def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
             edge[dof + j] = edge[j] + f * (edge[q + j] - edge[j])
         if not edge_free(k, edge, 0, dof, step):
             shrunk = max(radius * (1 - DOMAIN_STEP), domain_min)
-            radii[first + i] = domain if radius == UNLIMITED else shrunk
+            t.radii[first + i] = domain if radius == UNLIMITED else shrunk
             continue
         if radius != UNLIMITED:
-            radii[first + i] = radius * (1 + DOMAIN_STEP)
-        put(nodes, dof, first + mine, edge, dof)
-        parents[first + mine], radii[first + mine] = i, UNLIMITED
+            t.radii[first + i] = radius * (1 + DOMAIN_STEP)
+        add(t, first + mine, edge, dof, i, UNLIMITED)
         mine += 1
         # Continue toward the nearest node of the other tree, as far as the motion is free.
-        near = nearest_node(
-            nodes, parents, leaves, leaf_ints, dof, capacity, 1 - tree, other, edge, dof, room
-        )
-        get(nodes, dof, first_other + near, edge, q)
+        near = nearest_node(t, 1 - tree, other, edge, dof)
+        get(t.nodes, dof, first_other + near, edge, q)
         distance = 0.0
         for j in range(dof):
             edge[j] = edge[dof + j]
@@ -140,8 +208,7 @@ def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
                         closest[1 + dof + j] = edge[j] + edge[q + j] * (count - c) / count
                 break
             if c < count - 1:
-                put(nodes, dof, first + mine, edge, dof)
-                parents[first + mine], radii[first + mine] = mine - 1, UNLIMITED
+                add(t, first + mine, edge, dof, mine - 1, UNLIMITED)
                 mine += 1
             for j in range(dof):
                 edge[j] = edge[dof + j]
@@ -154,35 +221,12 @@ def _search(k, lower, upper, steps, sample, edge, closest, reach, step,
 
 
 @njit(cache=True, nogil=True)
-def rrt_connect(
-    handle,
-    start,
-    goals,
-    lower,
-    upper,
-    shift,
-    reach,
-    step,
-    nodes,
-    parents,
-    radii,
-    leaves,
-    leaf_ints,
-    room,
-    space,
-    found,
-    stop,
-    max_iterations,
-    path,
-):
+def rrt_connect(handle, query, trees, space, found, stop, max_iterations, path):
     """Search by RRT-Connect, in a compiled kernel, for a path from the start to one of the goals, and write
     its waypoints (m, dof).
 
     Args:
-        goals: (g, dof). shift: (dof,) in [0, 1), start of the sample sequence (the seed).
-        reach: longest edge [rad]. step: distance between validity checks [rad].
-        nodes, parents, radii: memory of both trees (see tree.new_trees). leaves, leaf_ints: see
-            nearest_neighbors.new_leaves. room: float32 scratch.
+        query: see `Query`. trees: see `tree.new_trees`.
         space: float64 scratch, see `space_size`. found: int64, see FOUND. Both keep the search between
             calls: the search restarts if found[ITERATIONS] is 0 and continues otherwise.
         stop: stop[0] != 0 ends the search at once; set by another thread.
@@ -190,27 +234,15 @@ def rrt_connect(
     Returns:
         Number of waypoints (0: none found), iterations and nodes of all calls.
     """
-    dof, capacity = len(start), len(parents) // 2
-    n, p, c, x = pointer(nodes), pointer(parents), pointer(radii), pointer(space)
+    dof, t, x = len(query.start), tree_pointers(trees), pointer(space)
     if found[ITERATIONS] == 0:
-        put(n, dof, 0, pointer(start), 0)
-        parents[0], radii[0] = -1, UNLIMITED
-        for g in range(len(goals)):
-            put(n, dof, capacity + g, pointer(goals), g * dof)
-            parents[capacity + g], radii[capacity + g] = -1 - g, UNLIMITED
-        found[NODES_0], found[NODES_1], found[TURN] = 1, len(goals), 1
-        reset_leaves(pointer(leaf_ints), capacity)
-        kronecker_steps(dof, space[3 * dof :])
-        space[4 * dof : 5 * dof] = shift
-        space[5 * dof] = np.inf
+        begin_search(t, query, dof, space[3 * dof :], found)
+    samples = Samples(
+        pointer(query.lower), pointer(query.upper), pointer(space[3 * dof :]), pointer(space[4 * dof :])
+    )
     if not _search(
-        pointer(handle), pointer(lower), pointer(upper), pointer(space[3 * dof :]),
-        pointer(space[4 * dof :]), x, pointer(space[5 * dof :]), reach, step, n, p, c, pointer(leaves),
-        pointer(leaf_ints), capacity, pointer(room), pointer(stop), max_iterations, pointer(found),
+        pointer(handle), t, samples, x, pointer(space[5 * dof :]), query.reach, query.step, pointer(stop),
+        max_iterations, pointer(found),
     ):  # fmt: skip
         return 0, found[ITERATIONS], found[NODES]
-    count, goal = trace(n, p, dof, capacity, found[FROM], found[TO], dof, x, pointer(path), len(path))
-    if count > 0:  # the trees are float32; restore the exact ends
-        path[0] = start
-        path[count - 1] = goals[goal]
-    return count, found[ITERATIONS], found[NODES]
+    return write_path(t, query, dof, found, x, path), found[ITERATIONS], found[NODES]

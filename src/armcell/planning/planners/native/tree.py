@@ -1,10 +1,15 @@
-"""Storage of two search trees in blocks of 16 nodes, and brute-force nearest neighbors."""
+"""Memory of two search trees, with nodes in blocks of 16, and the steps that all searches on two trees share:
+taking turns, nearest neighbors by brute force, and writing the path.
+"""
 
 # pyright: reportCallIssue=false
 # Numba calls intrinsics without their typing context, and splices tuples into compiled calls.
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from numba import njit
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.simd import (
@@ -14,6 +19,7 @@ from armcell.collision.kernel.simd import (
     hmin,
     load,
     mask_lt,
+    pointer,
     select_lt,
     splat,
     store,
@@ -23,20 +29,81 @@ from armcell.collision.kernel.simd import (
 FAR = 1e9
 
 
-def new_trees(dof: int, capacity: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Allocate the memory for two native search trees. Each tree has space for `capacity` nodes.
+# Integer array of each tree's leaves: number of joined nodes, number of leaves; then the leaves' sizes, the
+# nodes in their lanes, and each node's leaf. Float array: the leaves (dims, L), the boxes (16 at a time: dims
+# lower sides, dims upper sides, L each), and the bounds of a query.
+JOINED, LEAVES, SIZES = 0, 1, 2
 
-    `capacity` must be a multiple of L, the number of nodes per block. `put` fills the blocks in order.
 
-    Returns:
-        Nodes (blocks, dof, L) as one float32 array, parents (-1 - r for root r), radii of the dynamic
-        domain.
+class Trees(NamedTuple):
+    """Memory of two search trees, as one argument of the compiled planners.
+
+    The fields hold arrays in Python and pointers in the kernels (see `tree_pointers`). Node i of tree t is
+    node t * capacity + i.
+
+    Attributes:
+        nodes: float32, blocks of (dims, L) coordinates.
+        parents: int32, -1 - r for root r.
+        radii: float64, radius of each node's dynamic domain, or its longest edge [rad].
+        leaves, leaf_ints: float32 and int32, see nearest_neighbors.
+        lanes: float32 scratch memory, L numbers.
+        capacity: number of nodes for which each tree has space; a multiple of L, the number of nodes per
+            block.
+        dims: coordinates per node.
     """
-    return (
-        np.empty(2 * capacity * dof, np.float32),
+
+    nodes: Any
+    parents: Any
+    radii: Any
+    leaves: Any
+    leaf_ints: Any
+    lanes: Any
+    capacity: int
+    dims: int
+
+
+def new_trees(dims: int, capacity: int) -> Trees:
+    """Allocate the memory for two native search trees of `capacity` nodes each, with `dims` coordinates per
+    node. `put` fills the blocks of nodes in order.
+    """
+    most = most_leaves(capacity)
+    return Trees(
+        np.empty(2 * capacity * dims, np.float32),
         np.empty(2 * capacity, np.int32),
         np.empty(2 * capacity),
+        np.empty(2 * most * ((L + 2) * dims + 1), np.float32),
+        np.zeros(2 * (SIZES + most * (L + 1) + capacity), np.int32),
+        np.zeros(L, np.float32),
+        capacity,
+        dims,
     )
+
+
+@njit(cache=True)
+def most_leaves(capacity):
+    """Return the largest number of leaves that the nearest-neighbor search needs for a tree of `capacity`
+    nodes.
+
+    Each leaf holds at least half of L nodes.
+    """
+    return (2 * capacity // L + L) // L * L
+
+
+@inner_njit
+def tree_pointers(trees):
+    """Convert the arrays of two search trees to pointers."""
+    return Trees(
+        pointer(trees.nodes), pointer(trees.parents), pointer(trees.radii), pointer(trees.leaves),
+        pointer(trees.leaf_ints), pointer(trees.lanes), trees.capacity, trees.dims,
+    )  # fmt: skip
+
+
+@inner_njit
+def remove_nodes(t):
+    """Remove all nodes of both search trees from the leaves of the nearest-neighbor search."""
+    size = SIZES + most_leaves(t.capacity) * (L + 1) + t.capacity
+    for tree in range(2):
+        t.leaf_ints[tree * size + JOINED] = t.leaf_ints[tree * size + LEAVES] = 0
 
 
 @inner_njit(forceinline=True)
@@ -62,13 +129,13 @@ def get(nodes, dof, i, q, at):
 
 
 @inner_njit
-def nearest(nodes, dof, first, count, q, at, room):
+def nearest(nodes, dof, first, count, q, at, lanes):
     """Find the node of a native search tree that is nearest to q[at:],
     by comparing `count` nodes beginning with node `first`.
 
     `first` is a multiple of L.
 
-    `room` is scratch memory of L floats.
+    `lanes` is scratch memory of L floats.
     """
     best, where = splat(np.float32(FAR * FAR)), splat(np.float32(0.0))
     for block in range((count + L - 1) // L):
@@ -81,38 +148,62 @@ def nearest(nodes, dof, first, count, q, at, room):
         if any_lt(total, best):
             where = select_lt(total, best, splat(np.float32(block)), where)
             best = select_lt(total, best, total, best)
-    store(room, 0, where)
+    store(lanes, 0, where)
     # The smallest lane; a tiny increment makes the comparison "less than" find it.
     lane = trailing_zeros(mask_lt(best, splat(hmin(best) * np.float32(1.000001) + np.float32(1e-30))))
-    return int(room[lane]) * L + lane
+    return int(lanes[lane]) * L + lane
+
+
+@inner_njit(forceinline=True)
+def add(t, node, q, at, parent, radius):
+    """Add the configuration q[at:] to a search tree as node number `node` of both trees' memory."""
+    put(t.nodes, t.dims, node, q, at)
+    t.parents[node], t.radii[node] = parent, radius
 
 
 @inner_njit
-def trace(nodes, parents, dims, capacity, i, k, dof, row, path, most):
+def next_tree(tree, n0, n1):
+    """Choose the tree that a search on two trees extends next: they take turns, unless the other tree is
+    twice as large.
+
+    Args:
+        tree: the tree that was extended last. n0, n1: nodes of both trees.
+    Returns:
+        The tree, its number of nodes, and the other tree's number of nodes.
+    """
+    mine, other = (n1, n0) if tree == 1 else (n0, n1)
+    if abs(mine - other) < mine:
+        return 1 - tree, other, mine
+    return tree, mine, other
+
+
+@inner_njit
+def trace(t, i, k, dof, row, path, most):
     """Write the path that connects two native search trees: from the root of tree 0 to node i, then from node
     k to the root of tree 1.
 
     Args:
-        row: scratch, dims numbers. path: rows of the first dof coordinates, at most `most`.
+        row: scratch, as many numbers as a node has coordinates. path: rows of the first dof coordinates, at
+            most `most`.
     Returns:
         Number of rows (0: too many), and the root of tree 1 at which the path ends.
     """
     before, after, root = 0, 0, i
     while root >= 0:
-        before, root = before + 1, parents[root]
+        before, root = before + 1, t.parents[root]
     root = k
     while root >= 0:
-        after, root = after + 1, parents[capacity + root]
+        after, root = after + 1, t.parents[t.capacity + root]
     if before + after > most:
         return 0, -1 - root
     for at in range(before - 1, -1, -1):
-        get(nodes, dims, i, row, 0)
+        get(t.nodes, t.dims, i, row, 0)
         for j in range(dof):
             path[at * dof + j] = row[j]
-        i = parents[i]
+        i = t.parents[i]
     for at in range(before, before + after):
-        get(nodes, dims, capacity + k, row, 0)
+        get(t.nodes, t.dims, t.capacity + k, row, 0)
         for j in range(dof):
             path[at * dof + j] = row[j]
-        k = parents[capacity + k]
+        k = t.parents[t.capacity + k]
     return before + after, -1 - root
