@@ -150,7 +150,7 @@ def _at_goal(problem: Carry) -> np.ndarray | None:
     """Joints that hold the rod at the goal free of contact, as the straight way leads there; or None."""
     hands, q = ClosedChainIK(problem.scene, problem.carried), problem.scene.positions
     for pose in problem.start.interpolated(problem.goal, np.linspace(0, 1, 80)):
-        q = hands.at(pose, q)
+        q = hands.solve(pose, q)
         if not isinstance(q, np.ndarray):
             return None
     names = problem.scene.model.group("both_arms").joint_names
@@ -178,7 +178,7 @@ def look_at(problem: Carry, trajectory: JointTrajectory, step: float = 1e-3) -> 
         strict = strict.with_allowed("rod", problem.rests_on, allow=False)
     resting, raised = ExactChecker(scene.with_padding(0.0), names), ExactChecker(strict, names)
     first, second = problem.carried.grasps
-    wanted = problem.carried.grasps[first].inv() @ problem.carried.grasps[second]
+    wanted = problem.carried.grasps[first].inverse() @ problem.carried.grasps[second]
     full, contacts, off, turn, share = scene.positions.copy(), 0, 0.0, 0.0, 0.0
     limits = [model.limits(names, kind) for kind in ("velocity", "acceleration")]
     limits = [limits[0] * SPEED["velocity_scaling"], limits[1] * SPEED["acceleration_scaling"]]
@@ -186,10 +186,10 @@ def look_at(problem: Carry, trajectory: JointTrajectory, step: float = 1e-3) -> 
         q, v, a = trajectory.sample(min(t, trajectory.duration))
         full[columns] = q
         hands = {g: tree.link_pose(full, problem.carried.tips[g]) for g in (first, second)}
-        meters, radians = wanted.distance_to(hands[first].inv() @ hands[second])
+        meters, radians = wanted.distance_to(hands[first].inverse() @ hands[second])
         off, turn = max(off, meters), max(turn, radians)
         share = max(share, float(np.max(np.abs(v) / limits[0])), float(np.max(np.abs(a) / limits[1])))
-        rod = hands[first] @ problem.carried.grasps[first].inv()
+        rod = hands[first] @ problem.carried.grasps[first].inverse()
         near = min(rod.distance_to(end)[0] for end in (problem.start, problem.goal)) < 2e-3
         contacts += not (resting if near else raised).is_free(q)
     return Seen(contacts, off, turn, share)
@@ -251,7 +251,7 @@ def _length(problem: Carry, trajectory: JointTrajectory) -> float:
     for q in trajectory.positions:
         full[columns] = q
         hand = tree.link_pose(full, problem.carried.tips[first])
-        at.append((hand @ problem.carried.grasps[first].inv()).translation)
+        at.append((hand @ problem.carried.grasps[first].inverse()).translation)
     return float(np.linalg.norm(np.diff(at, axis=0), axis=1).sum())
 
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.kernel.cloud_part import cloud_of
+from armcell.collision.kernel.cloud_arrays import cloud_of
 from armcell.core import SE3, Box, JointGoal, JointState, PlanRequest, PointCloud
 from armcell.model import load_robot
 from armcell.planning import plan

@@ -23,7 +23,7 @@ from armcell.cell import cell_names, run_task
 from armcell.core import SE3, Box
 from armcell.kinematics import kinematic_tree
 from armcell.scene import CollisionObject, Material, PlanningScene
-from armcell.sim import SimWorld, holding
+from armcell.sim import SimWorld, held_object_correction
 
 LIMIT = 0.1  # [um/s] largest creep that passes
 DRIFT_LIMIT = 0.5  # [mm]
@@ -95,13 +95,13 @@ def print_creep(seconds: float) -> bool:
 @contextmanager
 def _plain_friction(cell: armcell.Cell) -> Iterator[None]:
     """Run a cell with MuJoCo's plain friction: one `impratio`, and no correction of the lag."""
-    physics, lag = cell.physics, holding.lag
+    physics, lag = cell.physics, held_object_correction.lag
     cell.physics = replace(physics, holding_impratio=physics.impratio)
-    holding.lag = lambda settings: 0.0
+    held_object_correction.lag = lambda settings: 0.0
     try:
         yield
     finally:
-        cell.physics, holding.lag = physics, lag
+        cell.physics, held_object_correction.lag = physics, lag
 
 
 def _trial(cell: armcell.Cell, seed: int) -> tuple[dict, float]:

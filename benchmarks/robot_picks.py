@@ -24,7 +24,7 @@ from armcell.cell.starter import starter_cells
 from armcell.cli.check import findings
 from armcell.core import InputError
 from armcell.model import RobotModel, load_robot, robot_names
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 
 ROBOTS = ("panda", "ur10_gripper", "z1", "scara", "palletizer", "mobile_ur10", "ur10_rail")
 OBJECTS = ("cube", "can")

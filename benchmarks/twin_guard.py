@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from armcell.cell import Cell, LiveCell, load
-from armcell.cell.twin import bands_file, learn_bands
+from armcell.cell.twin import learn_thresholds, thresholds_file
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
 from armcell.drivers import Driver
 from armcell.drivers.ur.dashboard import DashboardClient
@@ -187,8 +187,8 @@ def main() -> None:
         file.write_text(CELL.replace("HOST", HOST).replace("MODEL", options.model))
         cell = load(file)
         with emulator(file, options.model):
-            bands = learn_bands(cell, options.motions)
-            bands.save(bands_file(cell))
+            bands = learn_thresholds(cell, options.motions)
+            bands.save(thresholds_file(cell))
             arm = bands.arms["arm"]
             print(f"{options.model}, learned from {arm.samples} looks: lag {arm.lag * 1000:.1f} ms,", end=" ")
             print(f"position {np.rad2deg(arm.position).round(2).tolist()} deg,", end=" ")

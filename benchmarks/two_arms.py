@@ -23,8 +23,8 @@ import armcell
 from armcell.cell import run_task
 from armcell.cell.live import LiveCell
 from armcell.collision import ExactChecker
-from armcell.collision.arms import Arms
-from armcell.collision.motion_proof import Moving, first_conflict
+from armcell.collision.inter_arm_checker import InterArmChecker
+from armcell.collision.motion_proof import ActiveMotion, first_conflict
 from armcell.core import SE3, Box, PlanRequest, PoseGoal
 from armcell.execution import execute_coupled
 from armcell.planning import plan_synchronized
@@ -55,7 +55,7 @@ def pairs(count: int) -> dict:
     scene, rng = cell.scene(), np.random.default_rng(0)
     how: dict[str, int] = {}
     recheck, arrival = [], []
-    arms = Arms(scene, (LEFT, RIGHT))
+    arms = InterArmChecker(scene, (LEFT, RIGHT))
     while sum(how.values()) < count:
         result = plan_synchronized(
             scene, {LEFT: tip(rng), RIGHT: tip(rng)}, template=PlanRequest(LEFT, (), **SPEED)
@@ -85,7 +85,7 @@ def gate_proofs(count: int) -> dict[str, list[float]]:
     scene = scene.with_object(CollisionObject.single("crate", Box(0.1, 0.1, 0.1), movable=True))
     spent: dict[str, list[float]] = {}
 
-    def prove(what: str, there: PlanningScene, *motions: Moving) -> None:
+    def prove(what: str, there: PlanningScene, *motions: ActiveMotion) -> None:
         t0 = time.thread_time()
         first_conflict(there, motions[0], motions[1:])
         spent.setdefault(what, []).append(1000 * (time.thread_time() - t0))
@@ -95,10 +95,10 @@ def gate_proofs(count: int) -> dict[str, list[float]]:
         while result is None or result.trajectory is None or result.trajectories is None:
             goals = {LEFT: tip(rng), RIGHT: tip(rng)}
             result = plan_synchronized(scene, goals, template=PlanRequest(LEFT, (), **SPEED))
-        left, right = (Moving(result.trajectories[g]) for g in (LEFT, RIGHT))
+        left, right = (ActiveMotion(result.trajectories[g]) for g in (LEFT, RIGHT))
         moved = scene.with_object_pose("crate", SE3.from_xyz(0.0, 0.0, rng.uniform(0.2, 0.3)))
-        prove("both arms as one, an object moved", moved, Moving(result.trajectory))
-        prove("both arms as one, nothing new", moved, Moving(result.trajectory))
+        prove("both arms as one, an object moved", moved, ActiveMotion(result.trajectory))
+        prove("both arms as one, nothing new", moved, ActiveMotion(result.trajectory))
         prove("beside an arm that moves, nothing new", moved, left, right)
         rests = scene.with_state(left.trajectory.end)
         prove("beside an arm that rests elsewhere", rests, right)

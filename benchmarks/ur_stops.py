@@ -27,7 +27,7 @@ from armcell.core import SE3, ArmcellError, InputError, JointTrajectory
 from armcell.drivers import DriverOptions, drivers
 from armcell.drivers.ur.dashboard import DashboardClient
 from armcell.emulators.ur.controller import TRACE
-from armcell.model import Part, RobotModel, compose, load_robot
+from armcell.model import MountedRobot, RobotModel, compose, load_robot
 from armcell.scene import PlanningScene
 from benchmarks.picture import dots
 
@@ -78,7 +78,7 @@ def pair() -> RobotModel:
     """Two UR10, 1.5 m apart, as one model (groups "left_arm", "right_arm")."""
     robot = load_robot("ur10")
     parts = [
-        Part(robot, f"{side}_", T_parent_root=SE3.from_xyz(0, y, 0))
+        MountedRobot(robot, f"{side}_", T_parent_root=SE3.from_xyz(0, y, 0))
         for side, y in (("left", 0.75), ("right", -0.75))
     ]
     return compose("pair", parts)

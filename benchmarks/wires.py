@@ -29,8 +29,8 @@ from tests.ros.unity_like import UnityLike
 
 from armcell.ros import Bus, schema
 from armcell.ros.tcp import RosTcpServer, ServerSettings
-from armcell.ros.tcp.frames import FrameReader
-from armcell.ros.tcp.outbox import Caps
+from armcell.ros.tcp.framing import FrameReader
+from armcell.ros.tcp.outbox import OutboxLimits
 
 RATE = 30.0  # [Hz]
 TOPICS = 100
@@ -189,7 +189,7 @@ def bars(report):
     alone, images = report["states"], report["states and RGB-D"]
     stalled = report["beside a stalled client"]
     cap = (
-        2 * Caps().topic_bytes + TOPICS * ServerSettings().queue * 1024
+        2 * OutboxLimits().topic_bytes + TOPICS * ServerSettings().queue * 1024
     ) / 2**20  # two images, states of < 1 kB
     delays = [
         (f"{name}, {part}", round(run[part] - alone[part], 3), 5.0)

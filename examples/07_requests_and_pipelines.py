@@ -22,7 +22,7 @@ from armcell.core import (
     PoseGoal,
     PositionConstraint,
 )
-from armcell.planning import pipelines, plan, violations
+from armcell.planning import describe_violations, pipelines, plan
 from armcell.scene import CollisionObject, PlanningScene
 
 robot = armcell.load_robot("panda")
@@ -50,8 +50,11 @@ upright = OrientationConstraint(down, (0.1, 0.1, pi))
 wanted = Constraints((JointConstraint("panda_joint7", 0.5, 0.6, 0.6),), (box,), (upright,))
 result = plan(scene, PlanRequest("arm", (ConstraintGoal(wanted),)))
 tell("constraint set", result)
-print("at its end:", violations(scene, "arm", wanted, result.trajectory.positions[-1]) or "all are kept")
-print("at the start:", violations(scene, "arm", wanted, scene.positions[:7]))
+print(
+    "at its end:",
+    describe_violations(scene, "arm", wanted, result.trajectory.positions[-1]) or "all are kept",
+)
+print("at the start:", describe_violations(scene, "arm", wanted, scene.positions[:7]))
 
 # Of four attempts side by side the shortest path; the tip in a box, and not faster than 0.2 m/s.
 there = PoseGoal(SE3(down, [0.5, 0.3, 0.15]))

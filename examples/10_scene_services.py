@@ -12,10 +12,10 @@ import numpy as np
 import armcell
 from armcell.collision import attached_by_contact, touching_links
 from armcell.core import SE3, Box, Cylinder, InputError, JointGoal, JointState, PlanRequest
-from armcell.planning import PlanLibrary, plan_among_moving
+from armcell.planning import PlanLibrary, plan_around_moving_obstacles
 from armcell.scene import (
     AddObject,
-    Allow,
+    AllowCollision,
     CollisionObject,
     MovingObject,
     PlanningScene,
@@ -40,7 +40,7 @@ scene = scene.apply(
 x, y, z = scene.frame_pose("mug").translation
 print(f"the mug stands at {x:.2f}, {y:.2f}, {z:.3f}; the scene has", *scene.objects)
 try:
-    scene.apply(SceneDiff.of(RemoveObject("mug"), Allow("mgu", "panda_hand")))
+    scene.apply(SceneDiff.of(RemoveObject("mug"), AllowCollision("mgu", "panda_hand")))
 except InputError as error:
     print("refused:", error)
 print("the mug is still there:", "mug" in scene.objects)
@@ -72,7 +72,7 @@ with tempfile.TemporaryDirectory() as folder:
 ways = (SE3.from_xyz(0.45, 0.0, 2.0), SE3.from_xyz(0.45, 0.0, 0.55), SE3.from_xyz(0.45, 0.0, 2.0))
 box = CollisionObject.single("box", Box(0.2, 0.2, 0.3))
 moving = MovingObject(box, np.array([-2.0, 1.0, 4.0]), ways)
-result = plan_among_moving(here, request, [moving])
+result = plan_around_moving_obstacles(here, request, [moving])
 print(f"\nwith a moving box: {result.evidence['moving']}, done after {result.trajectory.duration:.1f} s")
 
 # A live cell's scene can be changed at any time, from any thread: what comes across a motion stops it.

@@ -9,7 +9,7 @@ The cloud is made here (a post and a table seen by an imaginary camera); `armcel
 import numpy as np
 
 import armcell
-from armcell.collision import robot_mask, without_robot
+from armcell.collision import remove_robot_points, robot_mask
 from armcell.core import JointGoal, JointState, PlanRequest, PointCloud
 from armcell.planning import plan
 from armcell.scene import CollisionObject, OccupancyMap, PlanningScene, with_octomap
@@ -40,7 +40,7 @@ wall = np.column_stack([np.full(20_000, -0.9), rng.uniform(-1, 1, 20_000), rng.u
 cloud = np.vstack([seen_post(20_000), seen_robot(1_000), wall])
 
 # 1. The robot sees itself: those points are taken out (held objects too).
-kept = without_robot(scene, cloud, padding=0.02)
+kept = remove_robot_points(scene, cloud, padding=0.02)
 print(f"{len(cloud)} points, {len(cloud) - len(kept)} of them are the robot")
 
 # 2. A map of log-odds, as OctoMap's: points make voxels occupied, the rays in front of them free.
@@ -57,7 +57,7 @@ print(f"{result.min_clearance * 1000:.0f} mm clear")
 # 4. The post is taken away: the wall behind it is seen through it, and the rays clear the map.
 behind = np.column_stack([np.full(60_000, -0.9), rng.uniform(-0.4, 0.4, 60_000), rng.uniform(-1, 1, 60_000)])
 for _ in range(3):
-    seen = seen.updated(without_robot(scene, behind), eye)
+    seen = seen.updated(remove_robot_points(scene, behind), eye)
 free = plan(with_octomap(scene, seen.octree()), request)
 print(f"after it is gone: {free.planner_id}, {free.trajectory.duration:.2f} s")
 front = seen.at(seen_post(5_000))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import armcell
 from armcell.grasping import Noise, grasp_candidates, grasp_quality, hand_of, robustness
 from armcell.scene import library_object
-from armcell.tasks import prove, varied
+from armcell.tasks import distinct_grasps, prove_grasps
 
 model = armcell.load("six_axis_pick").model  # a UR10 with a parallel gripper
 gripper = model.gripper()
@@ -14,8 +14,8 @@ bottle = library_object("bottle")
 
 # --- six ways to hold a full bottle that differ
 grasps, _ = grasp_candidates(bottle, hand)
-some = varied(grasps[:: max(1, len(grasps) // 24)], 6)
-proofs = prove(model, gripper, bottle, some, trials=12)
+some = distinct_grasps(grasps[:: max(1, len(grasps) // 24)], 6)
+proofs = prove_grasps(model, gripper, bottle, some, trials=12)
 print(f"{bottle.mass_kg:.2f} kg; grasp, force [N], epsilon, robustness, P(success) and its interval, slip")
 for proof in proofs:
     grasp = proof.grasp
@@ -29,11 +29,11 @@ for proof in proofs:
 # --- how hard to grip: with a third of the force the same grasp lets go
 best = max(proofs, key=lambda p: (p.successes, -p.slip)).grasp
 for share in (1.0, 0.33, 0.1):
-    (proof,) = prove(model, gripper, bottle, [replace(best, force=best.force * share)], trials=12)
+    (proof,) = prove_grasps(model, gripper, bottle, [replace(best, force=best.force * share)], trials=12)
     print(f"{best.force * share:5.1f} N per finger: {proof.successes} of {proof.trials} held")
 
 # --- how well the pose has to be known
 for position in (0.001, 0.004, 0.012):
     noise = Noise(position=position, rotation=0.02)
-    (proof,) = prove(model, gripper, bottle, [best], trials=12, noise=noise)
+    (proof,) = prove_grasps(model, gripper, bottle, [best], trials=12, noise=noise)
     print(f"pose known to {position * 1000:.0f} mm: {proof.successes} of {proof.trials} held")

@@ -5,13 +5,13 @@ python examples/17_clear_a_bin.py
 
 import armcell
 from armcell.core import Event
-from armcell.tasks import ClearSettings
+from armcell.tasks import BinClearingSettings
 
 # 1. Twenty mixed things, dropped by physics. The planner knows none of them.
 cell = armcell.load("bin_clearing")
 with cell.connect("sim", seed=0) as live:
     print("the planner knows:", ", ".join(live.scene().objects))
-    few = ClearSettings(most_picks=6)  # take the limit away and it goes on until the bin is empty
+    few = BinClearingSettings(most_picks=6)  # take the limit away and it goes on until the bin is empty
     outcome = live.clear(
         "bin", into="tray", table="work_table", camera="above_bin", tray_camera="above_tray", settings=few
     )

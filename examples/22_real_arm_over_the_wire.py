@@ -10,7 +10,7 @@ import numpy as np
 
 from armcell.core import JointTrajectory
 from armcell.drivers import DashboardClient, DriverOptions, drivers
-from armcell.emulators import ControllerSettings, Rack
+from armcell.emulators import ControllerSettings, UrRack
 from armcell.execution import DriverWorld, MotionGate, execute
 from armcell.model import load_robot
 from armcell.scene import PlanningScene
@@ -31,7 +31,7 @@ def swing(driver, distance: float, seconds: float) -> JointTrajectory:
 
 scene = PlanningScene.of(load_robot("ur10"))
 with (
-    Rack([ControllerSettings("UR10", HOST)]),
+    UrRack([ControllerSettings("UR10", HOST)]),
     drivers["real"](scene, DriverOptions(extra={"real": REAL})) as robot,
 ):
     gate = MotionGate(DriverWorld(robot, scene))  # proves every motion when it starts

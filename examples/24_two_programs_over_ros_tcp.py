@@ -12,7 +12,7 @@ import numpy as np
 import armcell
 from armcell.core import JointGoal, JointState, PlanRequest
 from armcell.planning import plan
-from armcell.ros import Bridge, Bus, CellNode, RosTcpClient, RosTcpServer, ServerSettings
+from armcell.ros import Bus, CellNode, ForwardedNames, RosTcpClient, RosTcpServer, ServerSettings
 
 STATES = {"/joint_states": "sensor_msgs/JointState", "/trajectory_status": "std_msgs/String"}
 TRAJECTORY = {"/planned_trajectory": "trajectory_msgs/JointTrajectory"}
@@ -28,7 +28,9 @@ states = bus.subscribe("/joint_states", STATES["/joint_states"], queue_size=1)
 status = bus.subscribe("/trajectory_status", STATES["/trajectory_status"])
 with (
     RosTcpServer(bus, ServerSettings(port=0)) as server,
-    RosTcpClient(simulator.bus, *server.address, Bridge(publish=STATES, subscribe=TRAJECTORY)) as client,
+    RosTcpClient(
+        simulator.bus, *server.address, ForwardedNames(publish=STATES, subscribe=TRAJECTORY)
+    ) as client,
 ):
     client.wait_connected(10)
 

@@ -8,7 +8,7 @@ them. The other has what a Unity scene would have: the cube's pose as it comes, 
 """
 
 import armcell
-from armcell.ros import Bridge, Bus, RosTcpClient, RosTcpServer, ServedCell, ServerSettings
+from armcell.ros import Bus, ForwardedNames, RosTcpClient, RosTcpServer, ServedCell, ServerSettings
 
 POSE, TRIGGER, TEXT = "geometry_msgs/PoseStamped", "std_srvs/Trigger", "std_msgs/String"
 
@@ -18,7 +18,7 @@ served = ServedCell(cell.connect("sim", seed=2, time_scale=4.0), Bus())
 
 # The client: what it wants of the server, by name and type.
 bus = Bus()
-bridge = Bridge(subscribe={"/object_pose": POSE, "/grasp_status": TEXT}, use={"/grasp": TRIGGER})
+bridge = ForwardedNames(subscribe={"/object_pose": POSE, "/grasp_status": TEXT}, use={"/grasp": TRIGGER})
 poses = bus.subscribe("/object_pose", POSE, queue_size=1)
 status = bus.subscribe("/grasp_status", TEXT, queue_size=50)
 

@@ -61,7 +61,7 @@ def operator(master: str) -> None:
         with ActionClient(bus, "/arm_controller/follow_joint_trajectory", ACTION) as client:
             client.wait_for_server(10)
             feedback = []
-            sent = client.send(new(f"{ACTION}Goal", trajectory=trajectory), feedback.append)
+            sent = client.send_goal(new(f"{ACTION}Goal", trajectory=trajectory), feedback.append)
             sent.wait(30)
             print(f"operator: {sent.state.name} after {len(feedback)} feedback messages")
 

@@ -15,9 +15,9 @@ import numpy as np
 
 import armcell
 from armcell.core import MissingExtraError
-from armcell.ros import ActionClient, Bus, CellNode, Reach, Ros2Bridge, Ros2Settings
+from armcell.ros import ActionClient, Bus, CellNode, DomainScope, Ros2Bridge, Ros2Settings
 
-DOMAIN = Reach(domain=28)  # this machine only
+DOMAIN = DomainScope(domain=28)  # this machine only
 ACTION = "control_msgs/FollowJointTrajectory"
 
 
@@ -57,7 +57,7 @@ def program() -> None:
             point.time_from_start = bus.schema.message("builtin_interfaces/Duration").from_sec(seconds)
             goal.trajectory.points.append(point)
         feedback = []
-        sent = arm.send(goal, feedback.append)
+        sent = arm.send_goal(goal, feedback.append)
         sent.wait(timeout=30)
         print(f"{sent.state.name}: error code {sent.result.error_code}, {len(feedback)} feedback messages")
 

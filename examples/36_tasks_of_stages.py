@@ -12,10 +12,10 @@ from armcell.tasks import (
     Fallbacks,
     Merger,
     MoveGripper,
+    MoveStraight,
     PartialSolution,
-    Planning,
+    SearchState,
     Serial,
-    Straight,
     Task,
     TaskError,
     clearance,
@@ -42,28 +42,30 @@ with cell.connect(seed=1) as live:
     pick = Serial("pick", tuple(pick_stages(scene, "cube", hand, s)))
     place = Serial("place", tuple(place_stages("cube", "tray", hand, s)))
     try:
-        Task("the wrong way round", (place, pick)).plan(PartialSolution(scene), Planning(s))
+        Task("the wrong way round", (place, pick)).plan(PartialSolution(scene), SearchState(s))
     except TaskError as error:
         print("checked:", error.problems[0])
 
     # 2. Several plans, cheapest first. Any function of a solution can be the cost.
     for name, cost in (("duration", duration), ("path_length", path_length),
                        ("both", weighted((1.0, duration), (0.05, clearance)))):  # fmt: skip
-        plan = Task("pick and place", (pick, place), cost).plan(PartialSolution(scene), Planning(s), count=4)
+        plan = Task("pick and place", (pick, place), cost).plan(
+            PartialSolution(scene), SearchState(s), count=4
+        )
         print(f"by {name}:", ", ".join(f"{c:.2f}" for c in plan.costs))
 
     # 3. Alternatives: go home and close the fingers at the same time if certified, otherwise in sequence.
     home = Connect("home", arm, s.free, goal=NamedGoal("home"))
     narrow = MoveGripper("narrow", hand, 0.03)
     leave = Fallbacks("leave", (Merger("at once", (home, narrow)), Serial("in turn", (home, narrow))))
-    plan = Task("all of it", (pick, place, leave)).plan(PartialSolution(scene), Planning(s))
+    plan = Task("all of it", (pick, place, leave)).plan(PartialSolution(scene), SearchState(s))
     last = type(plan.best.steps[-1]).__name__
     print("performed:", perform_all(live.ctx, plan.best.steps).code.name, "- the last step:", last)
 
     # 4. The failure table: stages, counts, nearest miss and reason.
-    ways = [Straight(f"{x:g} m", arm, tip, s.near, (x, 0.0, 0.0)) for x in (2.0, 3.0)]
+    ways = [MoveStraight(f"{x:g} m", arm, tip, s.near, (x, 0.0, 0.0)) for x in (2.0, 3.0)]
     plan = Task("too far", (Alternatives("ahead", tuple(ways)), leave)).plan(
-        PartialSolution(live.scene()), Planning(s)
+        PartialSolution(live.scene()), SearchState(s)
     )
     print(plan.code.name)
     print(plan.table())

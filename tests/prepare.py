@@ -14,7 +14,7 @@ import armcell
 from armcell.cell import run_task
 from armcell.planning import warm_up
 from armcell.planning.constraints.planner import warm_up_constraints
-from armcell.planning.planners.aorrtc import warm_up_anytime
+from armcell.planning.planners.aorrtc import warm_up_aorrtc
 from armcell.planning.planners.prm import warm_up_roadmap
 
 CELLS = {"panda_pick": "sim", "six_axis_pick": "sim", "dual_ur10_sort": "fake", "six_axis_camera": "sim"}
@@ -40,7 +40,7 @@ def main(part: str = "all") -> int:
     warm_up()  # both parts use these kernels
     other = subprocess.Popen([sys.executable, "-m", "tests.prepare", "constraints"], env=os.environ)
     warm_up_roadmap()
-    warm_up_anytime()
+    warm_up_aorrtc()
     for name, mode in CELLS.items():
         run(name, mode)
     return other.wait()

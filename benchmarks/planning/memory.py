@@ -44,7 +44,7 @@ def main() -> dict[str, Any]:
     """
     from armcell.cli import bench_dual, bench_plans
     from armcell.collision.kernel.checker import KernelChecker
-    from armcell.collision.kernel.cloud_part import cloud_of
+    from armcell.collision.kernel.cloud_arrays import cloud_of
     from armcell.core import PlanRequest, PointCloud
     from armcell.planning import warm_up
     from armcell.scene import CollisionObject
@@ -65,7 +65,7 @@ def main() -> dict[str, Any]:
         """CPU time [ms] of every task that has a free start and goal; infinite where it is not solved."""
         times = []
         for task in tasks:
-            if bench_plans.touching(checker, task.start, task.goals):
+            if bench_plans.endpoint_collisions(checker, task.start, task.goals):
                 continue
             began = time.process_time()
             answer = plan(checker, task.start, task.goals, task.lower, task.upper, 5.0)

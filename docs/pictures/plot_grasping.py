@@ -13,7 +13,7 @@ from PIL import Image
 
 from armcell.core import SE3, Box
 from armcell.grasping import grasp_candidates, hand_of
-from armcell.model import Part, compose, hand_alone, load_robot
+from armcell.model import MountedRobot, compose, hand_alone, load_robot
 from armcell.scene import CollisionObject, PlanningScene, library_object
 from armcell.sim import Camera, SimWorld, render_rgb
 
@@ -26,8 +26,8 @@ def picture(kind: str) -> Image.Image:
     gripper, item = model.gripper(), library_object(kind)
     grasp = grasp_candidates(item, hand_of(model, gripper))[0][0]
     alone = hand_alone(model, gripper)
-    T_tcp_root = PlanningScene.of(alone).frame_pose(gripper.tcp_link).inv()
-    hand = compose("hand", [Part(alone, T_parent_root=grasp.T_object_tcp @ T_tcp_root)])
+    T_tcp_root = PlanningScene.of(alone).frame_pose(gripper.tcp_link).inverse()
+    hand = compose("hand", [MountedRobot(alone, T_parent_root=grasp.T_object_tcp @ T_tcp_root)])
     floor = CollisionObject.single(
         "floor", Box(3, 3, 0.02), SE3.from_xyz(0, 0, -0.0105), color=(0.86, 0.86, 0.84, 1.0)
     )

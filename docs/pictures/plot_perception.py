@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 from tests.perception.scenes import random_scene
 
-from armcell.perception import drawn, look
+from armcell.perception import draw_detections, look
 from armcell.sim import DepthNoise, take_image
 
 HERE = Path(__file__).parent
@@ -21,7 +21,7 @@ def seen() -> None:
     unknown = look(made.image, made.world.built.scene)
     known = look(made.image, made.world.built.scene, tuple(made.objects.values()))
     grey = take_image(made.world, made.world.cameras["eye"], rgb=False)
-    both = np.hstack([drawn(made.image, unknown), drawn(grey, known)])
+    both = np.hstack([draw_detections(made.image, unknown), draw_detections(grey, known)])
     Image.fromarray(both).resize((1280, 480), Image.Resampling.LANCZOS).save(
         HERE / "perception.png", optimize=True
     )

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import armcell
-from armcell.grasping import grasps_from_above, hand_of
-from armcell.perception import height_map, pieces
+from armcell.grasping import hand_of, top_down_grasps
+from armcell.perception import height_map, label_pieces
 from armcell.sim import SimWorld, render_rgb, take_image
 
 HERE = Path(__file__).parent
@@ -26,9 +26,9 @@ def bin_clearing() -> None:
     image = take_image(world, world.cameras["above_bin"], rgb=False)
     room = 0.05
     seen = height_map(image, scene, (LOW[0] - room, LOW[1] - room), (HIGH[0] + room, HIGH[1] + room), FLOOR)
-    labels = pieces(seen, seen.cells_within(LOW, HIGH), FLOOR + 0.007)
+    labels = label_pieces(seen, seen.cells_within(LOW, HIGH), FLOOR + 0.007)
     hand = hand_of(scene.model, scene.model.gripper())
-    grasps = grasps_from_above(seen, labels, FLOOR, hand, 30.0)[:10]
+    grasps = top_down_grasps(seen, labels, FLOOR, hand, 30.0)[:10]
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.2), width_ratios=[1.35, 1])
     left.imshow(render_rgb(world, world.cameras["overview"]))
     left.axis("off")

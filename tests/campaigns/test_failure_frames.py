@@ -8,7 +8,7 @@ from PIL import Image
 
 import armcell
 from armcell.campaigns import CampaignSpec, begin, take_pictures
-from armcell.campaigns.failure_frames import moment, picture_file
+from armcell.campaigns.failure_frames import failure_frame, picture_file
 from armcell.campaigns.trial import Trial, failed, run_trial
 
 OFFSET = {"disturbances.joint_offset_deg.panda_joint2": 3.9, "objects.cube.friction": 0.36}  # meets the cube
@@ -24,17 +24,17 @@ def touched() -> dict:
 @pytest.mark.slow
 def test_the_moment_is_that_of_the_first_contact(touched, monkeypatch):
     cell = armcell.load("panda_pick")
-    first = moment(cell, touched)
+    first = failure_frame(cell, touched)
     assert first is not None and first.shape == (480, 640, 3) and first.std() > 20  # something is on it
     monkeypatch.setattr("armcell.cell.pictures.Pictures.on_event", lambda self, event: None)
-    last = moment(cell, touched)
+    last = failure_frame(cell, touched)
     assert last is not None and np.abs(first.astype(int) - last).max() > 60  # else that of the end
 
 
 @pytest.mark.slow
 def test_a_trial_that_succeeds_has_none():
     row = run_trial(armcell.load("panda_pick"), Trial(0, 0, {}))
-    assert row["success"] and moment(armcell.load("panda_pick"), row) is None
+    assert row["success"] and failure_frame(armcell.load("panda_pick"), row) is None
 
 
 @pytest.mark.slow

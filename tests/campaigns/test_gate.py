@@ -13,7 +13,7 @@ from armcell.campaigns import CampaignSpec, Store, gate
 from armcell.campaigns.spec import checked_cell
 from armcell.campaigns.trial import Trial, row_of
 from armcell.cell import content_hashes, load, with_values
-from armcell.cli.gating import gate_of, gate_words
+from armcell.cli.gate_check import check_gate, gate_summary
 from armcell.core import InputError
 from armcell.records import read_record
 
@@ -188,7 +188,7 @@ def test_versions_and_forgery(cell, tmp_path, monkeypatch):
     monkeypatch.setenv(gate.KEY_VARIABLE, str(tmp_path / "key" / "gate.key"))
     found = gate.versions() | {"mujoco": "4.0.9"}
     monkeypatch.setattr(gate, "versions", lambda: found)
-    monkeypatch.setattr("armcell.cell.identity.versions", lambda: found)
+    monkeypatch.setattr("armcell.cell.cell_hashes.versions", lambda: found)
     with pytest.raises(InputError, match=r"mujoco \S+ -> 4\.0\.9"):
         gate.check(load(cell))
 
@@ -262,10 +262,10 @@ def test_runs_with_real_arms_print_what_was_allowed(cell, tmp_path, capsys):
     loaded = load(cell)
     folder = campaign(cell, tmp_path / "runs", 80)
     gate.issue(loaded, folder, gate.gate_file(loaded), allow_unvaried="one part, always there")
-    passed = gate_of(loaded, "real", None, None)
+    passed = check_gate(loaded, "real", None, None)
     assert "varied nothing: one part, always there" in capsys.readouterr().err
     assert passed["gate"]["allow_unvaried"] == "one part, always there"  # the run's record keeps it
-    assert "varied nothing: one part, always there" in gate_words(passed)
+    assert "varied nothing: one part, always there" in gate_summary(passed)
 
 
 @pytest.mark.slow

@@ -15,10 +15,10 @@ import pytest
 from tests.campaigns.test_campaign import QUICK, VARIED, alive, kill, table, unbroken, workers_of
 from tests.cli.helpers import call, cell_file, start
 
-from armcell.campaigns import CampaignSpec, begin, cluster, resume, rows_of, run
+from armcell.campaigns import CampaignSpec, begin, ray_workers, resume, rows_of, run
 from armcell.campaigns.store import TRIALS
 from armcell.core import InputError
-from armcell.core.endpoints import open_sockets
+from armcell.core.network_endpoints import open_sockets
 
 
 def test_without_ray_the_extra_is_named(monkeypatch, capsys):
@@ -35,15 +35,15 @@ def ray():
 def test_wrong_addresses(ray, monkeypatch):
     for address in ("garbage", "ray://127.0.0.1:10001", "127.0.0.1:", ":6379", "a:b"):
         with pytest.raises(InputError, match="HOST:PORT as `ray start --head` prints it"):
-            cluster.find_cluster(address)
+            ray_workers.find_cluster(address)
 
 
 @pytest.mark.slow
 def test_an_address_where_something_else_answers(ray, monkeypatch):
-    monkeypatch.setattr(cluster, "ANSWER_WITHIN", 5.0)  # it would never answer
+    monkeypatch.setattr(ray_workers, "ANSWER_WITHIN", 5.0)  # it would never answer
     told = "no Ray cluster answers within 5 s.*ray start --head"
     with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(InputError, match=told):
-        cluster.find_cluster(f"127.0.0.1:{server.getsockname()[1]}")
+        ray_workers.find_cluster(f"127.0.0.1:{server.getsockname()[1]}")
 
 
 def below(pid: int) -> Iterator[int]:
@@ -94,11 +94,11 @@ def test_two_nodes_a_worker_is_killed_then_a_node(ray, tmp_path, monkeypatch):
         assert told == "all 60 trials are done" and len(killed) == 1 and not alive(killed[0])
         assert table(store.folder) == want
         assert not ray.is_initialized()
-        monkeypatch.setattr(cluster, "version", lambda name: "1.2.3")
+        monkeypatch.setattr(ray_workers, "version", lambda name: "1.2.3")
         with pytest.raises(
             InputError, match=r"runs Ray 2\..* here it is Ray 1\.2\.3.*pip install ray==1\.2\.3"
         ):
-            cluster.find_cluster(nodes.address)
+            ray_workers.find_cluster(nodes.address)
     finally:
         nodes.shutdown()
 

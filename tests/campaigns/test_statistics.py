@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armcell.campaigns.plots import parameter_plots
-from armcell.campaigns.statistics import Share, causes, compare, drawn, effects, success, summary
+from armcell.campaigns.statistics import Proportion, causes, compare, drawn, effects, success, summary
 from armcell.core import InputError
 
 
@@ -41,13 +41,13 @@ def rows(outcomes, **columns):
     ],
 )
 def test_intervals_are_newcombe_s(count, total, wilson, exact):
-    share = Share(count, total)
+    share = Proportion(count, total)
     assert share.wilson == pytest.approx(wilson, abs=6e-5)
     assert share.clopper_pearson == pytest.approx(exact, abs=6e-5)
 
 
 def test_nothing_is_known_of_nothing():
-    assert Share(0, 0).wilson == (0.0, 1.0) and success([]).total == 0
+    assert Proportion(0, 0).wilson == (0.0, 1.0) and success([]).total == 0
     assert summary([None, None]) is None and effects([]) == [] and causes([]) == []
 
 
@@ -55,7 +55,7 @@ def test_trials_put_near_failures_do_not_count():
     some = rows([1, 1, 0, 0])
     for row in some[2:]:
         row["near_failure"] = True
-    assert success(some) == Share(2, 2)
+    assert success(some) == Proportion(2, 2)
 
 
 def test_failures_with_one_cause_are_one_line():

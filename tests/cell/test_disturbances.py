@@ -9,7 +9,7 @@ import pytest
 from tests.cli.helpers import cell_file
 from tests.model.helpers import PinRobot, pin_library
 
-from armcell.cell import load, parsed, run_task, with_values
+from armcell.cell import load, parse_value, run_task, with_values
 from armcell.core import InputError, UnknownNameError
 from armcell.kinematics import kinematic_tree
 
@@ -281,7 +281,7 @@ def test_what_is_wrong_is_named(cell):
     ):  # fmt: skip
         with pytest.raises(InputError, match=told):
             with_values(cell, {path: value})
-    path, value = parsed("disturbances.pushes.bump={on: block, at: 0, duration: 1, force: [0, 0, 1]}")
+    path, value = parse_value("disturbances.pushes.bump={on: block, at: 0, duration: 1, force: [0, 0, 1]}")
     assert with_values(cell, {path: value}).disturbances.pushes[0].on == "block"  # `on` is no boolean here
     with pytest.raises(UnknownNameError, match="did you mean 'disturbances.pushes.bump.force'"):
         push = {"on": "block", "at": 0, "duration": 1, "force": [0, 0, 1]}

@@ -52,7 +52,7 @@ def test_where_things_stand(cell):
 
 def test_home_is_folded_and_apart(cell):
     checker = ExactChecker(cell.scene())
-    checker.place(cell.scene().positions)
+    checker.set_configuration(cell.scene().positions)
     gaps = [
         checker.pair_distance(int(a), int(b))
         for a, b in checker.pairs

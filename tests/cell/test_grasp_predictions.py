@@ -9,12 +9,12 @@ import pytest
 import trimesh
 
 from armcell.cell import grasp_predictions
-from armcell.cell.grasp_predictions import Held, held_in_truth, predictions
+from armcell.cell.grasp_predictions import HoldResult, predictions, simulate_pick
 from armcell.core import SE3, Box
 from armcell.grasping import grasp_candidates, hand_of
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, Material, PlanningScene, mesh_object
-from armcell.tasks import TaskSettings, as_it_may_be, prove, varied
+from armcell.tasks import TaskSettings, distinct_grasps, prove_grasps, sample_object_variants
 
 MODEL = load_robot("panda")
 GRIPPER = MODEL.gripper()
@@ -53,17 +53,17 @@ def pebble(tmp_path_factory):
 @pytest.mark.slow
 def test_the_robot_goes_where_the_object_is_believed_to_be(cube):
     item, scene, grasps = cube
-    as_believed = held_in_truth(scene, item, GRIPPER, grasps[0], SETTINGS, 0.5)
+    as_believed = simulate_pick(scene, item, GRIPPER, grasps[0], SETTINGS, 0.5)
     assert as_believed is not None and as_believed.firmly and as_believed.slip_m < 1e-3
     elsewhere = item.at(item.T_world_object.shifted(-0.15, 0.0, 0.0))
-    missed = held_in_truth(scene, elsewhere, GRIPPER, grasps[0], SETTINGS, 0.5)
+    missed = simulate_pick(scene, elsewhere, GRIPPER, grasps[0], SETTINGS, 0.5)
     assert missed is not None and not missed.to_the_end and not missed.firmly
     assert "nothing is between the fingers" in missed.reason
 
 
 def test_what_is_planned_with_is_what_is_believed(cube, monkeypatch):
     item, scene, grasps = cube
-    truth = as_it_may_be(item, 2, np.random.default_rng(3))[1]
+    truth = sample_object_variants(item, 2, np.random.default_rng(3))[1]
     known = []
 
     def spied(ctx, stages, what):
@@ -72,7 +72,7 @@ def test_what_is_planned_with_is_what_is_believed(cube, monkeypatch):
 
     grasp_predictions_planned = grasp_predictions.plan_stages
     monkeypatch.setattr(grasp_predictions, "plan_stages", spied)
-    held = held_in_truth(scene, truth, GRIPPER, grasps[0], SETTINGS, 0.5)
+    held = simulate_pick(scene, truth, GRIPPER, grasps[0], SETTINGS, 0.5)
     assert held is not None and held.firmly
     assert known[0].T_world_object.distance_to(item.T_world_object) == (0.0, 0.0)
     assert (known[0].material, known[0].mass) == (item.material, item.mass)
@@ -82,21 +82,21 @@ def test_what_is_planned_with_is_what_is_believed(cube, monkeypatch):
 def test_physics_has_the_true_friction_and_mass(cube):
     item, scene, grasps = cube
     for truth in (replace(item, material=Material(0.05)), replace(item, mass=5.0)):
-        held = held_in_truth(scene, truth, GRIPPER, grasps[0], SETTINGS, 0.5)
+        held = simulate_pick(scene, truth, GRIPPER, grasps[0], SETTINGS, 0.5)
         assert held is not None and not held.firmly
 
 
 @pytest.mark.slow
 def test_a_poor_grasp_gets_a_low_p_and_fails_where_a_good_one_holds(pebble):
     item, scene, grasps = pebble
-    proofs = prove(MODEL, GRIPPER, item, varied(grasps, 40), SETTINGS.proof_trials)
+    proofs = prove_grasps(MODEL, GRIPPER, item, distinct_grasps(grasps, 40), SETTINGS.proof_trials)
     poor = min(proofs, key=lambda p: p.probability)
     good = next(p for p in proofs if p.successes == p.trials)
     assert poor.probability < 0.3 and good.probability > 0.95
-    truths = as_it_may_be(item, 5, np.random.default_rng(5))[1:]
+    truths = sample_object_variants(item, 5, np.random.default_rng(5))[1:]
 
     def successes(grasp):
-        found = [held_in_truth(scene, truth, GRIPPER, grasp, SETTINGS, 1.0) for truth in truths]
+        found = [simulate_pick(scene, truth, GRIPPER, grasp, SETTINGS, 1.0) for truth in truths]
         return sum(held is not None and held.firmly for held in found)
 
     assert successes(poor.grasp) <= 1 and successes(good.grasp) == len(truths)
@@ -110,18 +110,18 @@ def test_grasps_are_drawn_anew_with_another_seed_and_keep_their_proofs(cube):
     assert [p.held for p in first] != [p.held for p in other]
     by_name = {g.name: g for g in grasps}
     for found in first:
-        (proof,) = prove(MODEL, GRIPPER, item, [by_name[found.grasp]], SETTINGS.proof_trials)
+        (proof,) = prove_grasps(MODEL, GRIPPER, item, [by_name[found.grasp]], SETTINGS.proof_trials)
         assert found.probability == proof.probability and found.success == found.held.firmly
 
 
 @pytest.mark.parametrize(
     ("held", "firmly"),
     [
-        (Held(True, 0.0079, 0.29), True),
-        (Held(True, 0.0081, 0.0), False),
-        (Held(True, 0.0, 0.31), False),
-        (Held(False, 0.0, 0.0), False),
-        (Held(True), False),
+        (HoldResult(True, 0.0079, 0.29), True),
+        (HoldResult(True, 0.0081, 0.0), False),
+        (HoldResult(True, 0.0, 0.31), False),
+        (HoldResult(False, 0.0, 0.0), False),
+        (HoldResult(True), False),
     ],
 )
 def test_held_firmly_is_what_a_proof_counts(held, firmly):

@@ -282,7 +282,7 @@ class ComesBeforeTheHand(Meanwhile):
     def come(self) -> None:
         then = self.cell.scene().with_state(self.trajectory.end)
         hand = then.frame_pose("panda_hand")
-        wrist = (hand.inv() @ then.frame_pose("panda_link6")).translation
+        wrist = (hand.inverse() @ then.frame_pose("panda_link6")).translation
         side = np.array([0.0, -np.copysign(0.09, wrist[1]), 0.04])  # where the wrist is not
         self.box = CollisionObject.single("box", Box(0.03, 0.03, 0.03), SE3.from_xyz(*hand.apply(side)))
         self.cell.change_scene(put(self.box))

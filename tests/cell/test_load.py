@@ -151,7 +151,7 @@ def test_the_drawn_scene_has_the_drawn_values(cube_cell):
         was, item = nominal.object("cube"), scene.object("cube")
         moved = item.T_world_object.translation - was.T_world_object.translation
         np.testing.assert_allclose(moved, (draw["dx"], draw["dy"], 0.0), atol=1e-9)
-        turned = (was.T_world_object.rotation.inv() @ item.T_world_object.rotation).log()
+        turned = (was.T_world_object.rotation.inverse() @ item.T_world_object.rotation).log()
         np.testing.assert_allclose(turned, (0, 0, np.deg2rad(draw["yaw_deg"])), atol=1e-9)
         assert (item.mass, item.material.friction) == (draw["mass"], draw["friction"])
         unchanged = set(nominal.objects) - {"cube"}

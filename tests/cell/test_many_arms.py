@@ -24,7 +24,7 @@ def nearest(cell, states) -> float:
     """Smallest distance [m] between two arms in the executed states; at most 0.1."""
     judge, best = Judge(cell.scene(), "all_arms"), 0.1
     for state in states:
-        judge.checker.place(state.reindexed(judge.names).positions)
+        judge.checker.set_configuration(state.reindexed(judge.names).positions)
         for a, b in judge.pairs[judge.checker.pair_gaps(judge.pairs) < best]:
             best = min(best, judge.checker.pair_distance(int(a), int(b)))
     return best

@@ -23,11 +23,11 @@ from tests.ros.ros2.conftest import reach  # noqa: F401  (a fixture)
 from armcell.cell import LiveCell, load, with_values
 from armcell.core import SE3, ArmcellError, Box, JointTrajectory, PlanRequest, PoseGoal
 from armcell.moveit import Session
-from armcell.moveit.install import installed
+from armcell.moveit.install_shims import shims_installed
 from armcell.planning import plan, warm_up
 from armcell.ros import ActionClient, Bus, Ros1Graph, Ros1Settings
 from armcell.ros.moveit_convert.states import trajectory_message
-from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
+from armcell.ros.tcp import ForwardedNames, RosTcpClient, RosTcpServer, ServerSettings
 from armcell.scene import CollisionObject
 from armcell.viewer import PlanningSession
 
@@ -168,7 +168,7 @@ class Served(World):
     def __init__(self, mode: str, stack: ExitStack, domain: Any):
         live = connected(mode, stack)
         self.session = stack.enter_context(Session(live, quiet=True))
-        stack.enter_context(installed(self.session.messages))
+        stack.enter_context(shims_installed(self.session.messages))
         super().__init__(live, self.session.served.call)
         self.bus = self.session.bus
         self.clients = {"bus": self.bus}
@@ -176,7 +176,7 @@ class Served(World):
         stack.callback(lambda: [client.close() for client in self.actions.values()])
         server = stack.enter_context(RosTcpServer(self.bus, ServerSettings(port=0)))
         tcp = Bus()
-        bridge = Bridge(
+        bridge = ForwardedNames(
             publish={"/planned_trajectory": "trajectory_msgs/JointTrajectory"},
             subscribe={"/trajectory_status": "std_msgs/String"}, implement={}, use={},
         )  # fmt: skip
@@ -233,7 +233,7 @@ class Served(World):
     def _begun(self, thread: threading.Thread) -> None:
         end = time.monotonic() + 5
         while time.monotonic() < end and thread.is_alive():
-            if any(w.began is not None for w in self.session.served.cell.works()):
+            if any(w.began is not None for w in self.session.served.cell.motions()):
                 return
             time.sleep(0.005)
 
@@ -273,11 +273,11 @@ class Served(World):
 
     def _action(self, bus: Bus, name: str, kind: str, goal: Any) -> Callable[[], Answer]:
         client = self._client(bus, name, kind)
-        running = len(self.session.served.cell.works())
-        sent = client.send(goal)
+        running = len(self.session.served.cell.motions())
+        sent = client.send_goal(goal)
         end = time.monotonic() + 5
         while time.monotonic() < end and not sent.wait(0.0):
-            if len(self.session.served.cell.works()) > running:
+            if len(self.session.served.cell.motions()) > running:
                 break
             time.sleep(0.005)
 

@@ -23,7 +23,7 @@ from armcell.core import (
     PointCloud,
     Sphere,
 )
-from armcell.scene import CollisionObject, Material, ObjectType, Thread
+from armcell.scene import CollisionObject, Material, ObjectType, ScrewThread
 
 
 def test_round_trip(tmp_path):
@@ -71,7 +71,7 @@ def test_round_trip(tmp_path):
 def test_what_is_screwed_in_and_names_that_are_alike(tmp_path):
     bolt = box("bolt", (0.02, 0.02, 0.1), (0.5, 0.1, 0.2), (0.3, 0, 1.0), movable=True)
     at = bolt.T_world_object @ SE3.from_xyz(0, 0, 0.04)
-    nut = box("nut", (0.03, 0.03, 0.01), movable=True, thread=Thread("bolt", 0.001, 0.02, 0.3)).at(at)
+    nut = box("nut", (0.03, 0.03, 0.01), movable=True, thread=ScrewThread("bolt", 0.001, 0.02, 0.3)).at(at)
     meshes = [CollisionObject.single(name, mesh_of(open_bin(size)), SE3.identity())
               for name, size in (("a b", 0.1), ("a_b", 0.2))]  # fmt: skip
     save_objects([nut, bolt, *meshes], tmp_path / "things.yaml")

@@ -52,7 +52,7 @@ def test_picked_and_placed_where_the_camera_says(cell, seed):
         true, seen = live.driver.world.object_pose("cube"), live.driver.object_poses()["cube"]
         assert np.linalg.norm(true.translation - seen.translation) < 0.003  # looked at again at the end
         mat = cell.scene().object("mat").T_world_object
-        assert np.abs(mat.inv().apply(true.translation))[:2].max() < 0.08
+        assert np.abs(mat.inverse().apply(true.translation))[:2].max() < 0.08
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import pytest
 
 from armcell.cell.prediction_scores import (
     area_under_curve,
-    left_out_curve,
-    left_out_mean,
+    leave_one_out_curve,
+    leave_one_out_mean,
     reliability,
     scores,
 )
@@ -28,7 +28,7 @@ def test_what_is_fitted_has_not_seen_the_object_it_is_asked_about(trials, name):
     epsilon, happened = trials
     own = name == NAMES
     other = np.where(own, 1 - happened, happened)
-    for fitted in (lambda y: left_out_curve(NAMES, epsilon, y), lambda y: left_out_mean(NAMES, y)):
+    for fitted in (lambda y: leave_one_out_curve(NAMES, epsilon, y), lambda y: leave_one_out_mean(NAMES, y)):
         before, after = fitted(happened), fitted(other)
         np.testing.assert_allclose(before[own], after[own])
         assert np.abs(before - after)[~own].min() > 1e-3
@@ -36,7 +36,7 @@ def test_what_is_fitted_has_not_seen_the_object_it_is_asked_about(trials, name):
 
 def test_the_curve_rises_with_epsilon_where_successes_do(trials):
     epsilon, happened = trials
-    curve = left_out_curve(NAMES, epsilon, happened)
+    curve = leave_one_out_curve(NAMES, epsilon, happened)
     own = NAMES == "a"
     assert np.all(np.diff(curve[own][np.argsort(epsilon[own])]) > 0)
 

@@ -18,7 +18,7 @@ from armcell.ros import Bus
 from armcell.ros.nodes import CameraPublisher
 from armcell.scene import OCTOMAP
 from armcell.sim import render, render_process, take_image
-from armcell.sim.render_process import MeasuredState, Order, PhysicsState, RenderProcess, Setup
+from armcell.sim.render_process import MeasuredState, PhysicsState, RenderProcess, RenderRequest, RenderSetup
 
 CELL = """
 robot: panda
@@ -92,7 +92,7 @@ def renderer_of(live):
 def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
     with cell.connect(seed=3) as live:
         world = live.driver.world
-        setup = Setup.of(world)
+        setup = RenderSetup.of(world)
         for move in range(3):
             live.driver.command(live.model.group("arm").joint_names, np.full(7, -0.3 * move), np.zeros(7))
             live.driver.advance(0.2)
@@ -100,12 +100,12 @@ def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
                 world.set_object_pose("post", SE3.from_xyz(0.5, -0.3, 0.15))
                 world.set_object_pose("cube", SE3.from_xyz(0.45, 0.1, 0.2))
             for camera in world.cameras.values():
-                process.begin(Order(setup, PhysicsState.of(world), camera))
+                process.begin(RenderRequest(setup, PhysicsState.of(world), camera))
                 image = process.finish()
                 expected = take_image(world, camera)
                 same(image, expected)
                 assert image.time == expected.time == world.time
-        only = Order(setup, PhysicsState.of(world), world.cameras["top"], rgb=False)
+        only = RenderRequest(setup, PhysicsState.of(world), world.cameras["top"], rgb=False)
         process.begin(only)
         image = process.finish()
         assert image.rgb is None and image.depth is not None
@@ -114,12 +114,12 @@ def test_pictures_of_physics_are_those_of_take_image_bit_for_bit(cell, process):
 @pytest.mark.slow
 def test_pictures_of_a_robot_without_physics_too(cell, process):
     with cell.connect("fake") as live:
-        setup = Setup(live.scene_at_start)
+        setup = RenderSetup(live.scene_at_start)
         for target in ("home", "extended"):
             assert live.arm.move_to(target)
             q, poses = live.driver.joint_state().positions, live.driver.object_poses()
             for camera in live.cameras.values():
-                process.begin(Order(setup, MeasuredState(q, poses), camera.camera))
+                process.begin(RenderRequest(setup, MeasuredState(q, poses), camera.camera))
                 same(process.finish(), camera.draw())
 
 

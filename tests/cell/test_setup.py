@@ -14,7 +14,7 @@ from tests.once import once
 
 import armcell
 from armcell.cell import run_task
-from armcell.cell.setup import Proposal, cell_files, propose, propose_from_package, write_cell
+from armcell.cell.setup import SetupProposal, cell_files, propose, propose_from_package, write_cell
 from armcell.cli.new import write_starter
 from armcell.collision import ExactChecker
 from armcell.collision.self_collision import link_pairs
@@ -39,9 +39,9 @@ BOX = collision('<box size="0.05 0.05 0.05"/>')
 
 
 @pytest.fixture(scope="module")
-def proposed(tmp_path_factory) -> Callable[[str], Proposal]:
+def proposed(tmp_path_factory) -> Callable[[str], SetupProposal]:
     @lru_cache
-    def of(name: str) -> Proposal:
+    def of(name: str) -> SetupProposal:
         if not ROBOTS[name].exists():
             pytest.skip(f"{ROBOTS[name]} is not there")
         return once(tmp_path_factory, f"proposal-{name}", lambda: propose([UrdfPart(ROBOTS[name])], SAMPLES))

@@ -33,7 +33,7 @@ from armcell.core import (
 )
 from armcell.model.urdf import parse_urdf
 from armcell.model.urdf_writer import urdf_of
-from armcell.records.shapes import object_data, object_of
+from armcell.records.object_data import object_data, object_of
 from armcell.ros.moveit_convert.shapes import ShapeMessages, primitive_shape, primitive_type
 from armcell.ros.schema import schema
 from armcell.ros.unity.scene import _shapes as unity_shapes

@@ -7,7 +7,7 @@ import pytest
 
 import armcell
 from armcell.cell import run_task
-from armcell.cell.gripper_proof import prove
+from armcell.cell.gripper_proof import prove_gripper
 
 PLACES = {"carton": (-0.08, 0.09), "plate": (0.09, 0.09), "box": (-0.1, -0.1), "can": (0.09, -0.1)}
 
@@ -49,6 +49,6 @@ def test_nearly_every_seed_succeeds():
 
 def test_the_gripper_is_proven_on_a_plate():
     model = armcell.load_robot("ur10_suction")
-    proof = prove(model, model.gripper())
+    proof = prove_gripper(model, model.gripper())
     assert proof.held and proof.slip < 1e-3
     assert "holds a plate of 116 mm" in proof.text

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armcell.cell import load
-from armcell.cell.values import parsed, with_values
+from armcell.cell.value_overrides import parse_value, with_values
 from armcell.core import InputError, UnknownNameError
 from armcell.sim import DepthNoise
 from armcell.tasks import TaskSettings
@@ -117,11 +117,11 @@ def test_a_value_that_is_given_stays_as_it_is(cell):
 
 
 def test_as_text():
-    assert parsed("objects.cube.mass=0.3") == ("objects.cube.mass", 0.3)
-    assert parsed("a.b=[1, 2]") == ("a.b", [1, 2])
+    assert parse_value("objects.cube.mass=0.3") == ("objects.cube.mass", 0.3)
+    assert parse_value("a.b=[1, 2]") == ("a.b", [1, 2])
     for wrong in ("a", "=3", "a=[1"):
         with pytest.raises(InputError):
-            parsed(wrong)
+            parse_value(wrong)
     assert issubclass(UnknownNameError, InputError)
 
 

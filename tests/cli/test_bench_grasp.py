@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from tests.cli.helpers import call, read_json
 
-from armcell.cell.grasp_predictions import Held, Prediction
-from armcell.cell.grasp_trials import Row, objects_of, summary
+from armcell.cell.grasp_benchmark import ObjectResult, objects_of, summary
+from armcell.cell.grasp_predictions import HoldResult, Prediction
 from armcell.core import InputError
 from armcell.model import load_robot
 from armcell.scene import PlanningScene
@@ -44,16 +44,18 @@ def test_a_mesh_of_a_folder_is_picked_and_placed(capsys, tmp_path):
 
 
 def _predicted(probability: float, epsilon: float, success: bool) -> Prediction:
-    return Prediction("a grasp", probability, epsilon, success, Held(success, 0.0, 0.0))
+    return Prediction("a grasp", probability, epsilon, success, HoldResult(success, 0.0, 0.0))
 
 
 def test_the_summary_counts_what_cannot_be_gripped_apart():
     rows = [
-        Row(
+        ObjectResult(
             "a", 1.0, True, success=True, predictions=[_predicted(0.9, 0.1, True), _predicted(0.7, 0.1, True)]
         ),
-        Row("b", 1.0, True, success=False, recovered=True, predictions=[_predicted(0.2, 0.05, False)]),
-        Row("c", 1.0, False, "too wide"),
+        ObjectResult(
+            "b", 1.0, True, success=False, recovered=True, predictions=[_predicted(0.2, 0.05, False)]
+        ),
+        ObjectResult("c", 1.0, False, "too wide"),
     ]
     found = summary(rows)
     assert (found["objects"], found["graspable"]) == (3, 2)

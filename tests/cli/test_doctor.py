@@ -78,13 +78,13 @@ def test_an_endpoint_that_is_up_and_one_that_is_down():
         up.bind(("127.0.0.1", 0))
         up.listen()
         port = up.getsockname()[1]
-        assert doctor.endpoint(f"127.0.0.1:{port}").verdict == "ok"
-    line = doctor.endpoint(f"127.0.0.1:{port}")
+        assert doctor.check_endpoint(f"127.0.0.1:{port}").verdict == "ok"
+    line = doctor.check_endpoint(f"127.0.0.1:{port}")
     assert line.verdict == "no" and "nothing listens there" in line.found
 
 
 def test_a_wrong_address_and_a_silent_one(monkeypatch):
-    line = doctor.endpoint("no-such-host.invalid:10000")
+    line = doctor.check_endpoint("no-such-host.invalid:10000")
     assert line.verdict == "no" and ("wrong address" in line.found or "cannot be reached" in line.found)
     monkeypatch.setattr(doctor, "PATIENCE", 0.3)
     with socket.socket() as silent, ExitStack() as waiting:  # its queue is full: no further one is answered
@@ -94,7 +94,7 @@ def test_a_wrong_address_and_a_silent_one(monkeypatch):
             client = waiting.enter_context(socket.socket())
             client.setblocking(False)
             client.connect_ex(silent.getsockname())
-        line = doctor.endpoint(f"127.0.0.1:{silent.getsockname()[1]}")
+        line = doctor.check_endpoint(f"127.0.0.1:{silent.getsockname()[1]}")
     assert line.verdict == "no" and "firewall" in line.found
 
 

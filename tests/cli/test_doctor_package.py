@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armcell.cli.doctor import of_cell
+from armcell.cli.doctor import check_cell
 
 JOINT = """<joint name="j{i}" type="revolute"><parent link="l{p}"/><child link="l{i}"/><axis xyz="0 0 1"/>
   <limit lower="-1" upper="1" velocity="1" effort="1"/></joint><link name="l{i}"/>"""
@@ -44,11 +44,11 @@ def wrong(package: Path, file: str, old: str, new: str) -> list[str]:
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
-    return [f"{line.check}: {line.found}" for line in of_cell(str(package)) if line.verdict == "no"]
+    return [f"{line.check}: {line.found}" for line in check_cell(str(package)) if line.verdict == "no"]
 
 
 def test_a_sound_one(package):
-    lines = list(of_cell(str(package)))
+    lines = list(check_cell(str(package)))
     assert {line.verdict for line in lines} == {"ok"}
     assert {"MoveIt package", "controller arm_controller", "ros2_controllers.yaml"} <= {
         x.check for x in lines

@@ -19,9 +19,9 @@ from tests.drivers.franka.emulated import free_host
 from tests.drivers.ur.emulated import free_hosts
 
 from armcell.cli.main import main
-from armcell.core.endpoints import open_sockets
-from armcell.emulators.ur import ControllerSettings, Rack
-from armcell.ros.ros1.rpc import ask
+from armcell.core.network_endpoints import open_sockets
+from armcell.emulators.ur import ControllerSettings, UrRack
+from armcell.ros.ros1.xmlrpc import call_method
 
 pytestmark = pytest.mark.slow
 LINE = re.compile(r"^listening on (.*)$", re.MULTILINE)
@@ -145,7 +145,7 @@ def test_serve_opens_all_its_wires_when_the_cell_is_ready_and_prints_them(master
             assert f"domain {os.environ['ROS_DOMAIN_ID']}, LOCALHOST" in text
         if any(protocol == "udp" and not host.startswith("127.") for protocol, host, _ in told):
             assert "it listens on the network, too" in text
-        assert ask(master, "lookupService", "/test", "/compute_fk").startswith("rosrpc://")
+        assert call_method(master, "lookupService", "/test", "/compute_fk").startswith("rosrpc://")
     late = told_of - opened  # the first wire opens when the cell is ready, and is printed at once
     assert late < 0.25 * told_of, f"printed after {told_of:.1f} s, open {late:.1f} s before"
 
@@ -182,7 +182,7 @@ def test_unity_is_answered_as_soon_as_the_port_is_open(capsys):
 def test_a_controller_that_does_not_run_yet_refuses():
     """A driver that connects early waits for a controller that answers, not in a queue that nobody reads."""
     (host,) = free_hosts(1)
-    rack = Rack([ControllerSettings("UR10", host)])
+    rack = UrRack([ControllerSettings("UR10", host)])
     ports = [e.port for e in rack.controllers[0].network.endpoints]
     assert sorted(ports) == [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013, 63352]
     for port in ports:

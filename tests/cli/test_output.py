@@ -75,10 +75,10 @@ def test_a_served_cell_ends_in_order_when_nobody_reads_any_more(tmp_path):
     server.stdout.close()
     # What it prints next finds no reader: a client that comes is told of on a line.
     from armcell.ros import Bus
-    from armcell.ros.tcp import Bridge, RosTcpClient
+    from armcell.ros.tcp import ForwardedNames, RosTcpClient
 
     port = int(_port_of(server.pid))
-    with RosTcpClient(Bus(), "127.0.0.1", port, Bridge()):
+    with RosTcpClient(Bus(), "127.0.0.1", port, ForwardedNames()):
         assert server.wait(30) == 141
     assert "Traceback" not in server.stderr.read()
     assert list(tmp_path.glob("*/run.mcap"))

@@ -91,14 +91,14 @@ def test_a_script_and_its_cell_in_a_graph(master, tmp_path):
         rospy.sleep(1.0)
         """)
     )
-    from armcell.ros import ActionServer, Done, State
+    from armcell.ros import ActionOutcome, ActionServer, GoalState
 
     bus = Bus()
     bus.advertise("/word", "std_msgs/String", latch=True).publish(S.new("std_msgs/String", "from outside"))
     bus.serve("/theirs", "std_srvs/SetBool", lambda r: S.new("std_srvs/SetBoolResponse", r.data, "served"))
     bus.parameters.set("/speed", 0.5)
     kind = "control_msgs/GripperCommand"
-    done = Done(State.SUCCEEDED, S.new(f"{kind}Result"))
+    done = ActionOutcome(GoalState.SUCCEEDED, S.new(f"{kind}Result"))
     said = bus.subscribe("/said", "std_msgs/String")
     lines = bus.subscribe("/rosout", "rosgraph_msgs/Log", queue_size=200)
     with (

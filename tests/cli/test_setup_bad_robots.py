@@ -6,7 +6,7 @@ import pytest
 from tests.cli.helpers import call
 from tests.model.helpers import collision, joint, link, robot
 
-from armcell.model.options import PACKAGES, XACRO_ARGS
+from armcell.model.command_line_options import PACKAGES, XACRO_ARGS
 
 BOX = collision('<box size="0.04 0.04 0.1"/>')
 LIMIT = '<limit lower="{}" upper="{}" velocity="1" effort="50"/>'

@@ -22,7 +22,7 @@ from tests.programs import Program
 
 from armcell.cell.built_in import LIBRARY
 from armcell.records import read_record
-from armcell.ros.ros1.rpc import ask
+from armcell.ros.ros1.xmlrpc import call_method
 
 TERM, INT = signal.SIGTERM, signal.SIGINT
 AT_ONCE = 20.0  # [s] limit on a busy machine; an idle one takes below 2 s
@@ -303,7 +303,7 @@ def graph(master, monkeypatch):
 
 
 def nodes_of(uri: str) -> set[str]:
-    state = ask(uri, "getSystemState", "/test", timeout=5.0)
+    state = call_method(uri, "getSystemState", "/test", timeout=5.0)
     return {node for kind in state for _, nodes in kind for node in nodes}
 
 

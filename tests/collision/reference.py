@@ -185,4 +185,4 @@ def signed_distance(shape: Shape, points: np.ndarray) -> np.ndarray:
 
 def distance_to_points(shape: Shape, T_world_shape: SE3, points: np.ndarray) -> float:
     """Smallest signed distance of world points (m, 3) to a shape."""
-    return float(signed_distance(shape, T_world_shape.inv().apply(points)).min())
+    return float(signed_distance(shape, T_world_shape.inverse().apply(points)).min())

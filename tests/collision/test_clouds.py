@@ -16,10 +16,10 @@ from tests.model.helpers import PinRobot, random_positions
 from tests.scene.helpers import box, floating, mesh_of, open_bin, panda, ur10
 
 from armcell.collision import ExactChecker
-from armcell.collision.exact import neighbors
+from armcell.collision.exact_checker import neighbors
 from armcell.collision.kernel.box_tree import box_tree
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.kernel.cloud_part import cloud_of
+from armcell.collision.kernel.cloud_arrays import cloud_of
 from armcell.core import SE3, SO3, Box, InputError, Mesh, Octree, PointCloud, finite_points
 from armcell.kinematics import kinematic_tree
 from armcell.scene import CollisionObject, PlanningScene

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from armcell.collision import concave, decompose
+from armcell.collision import concave_decomposition, object_decomposition
 from armcell.collision.winding import winding_numbers
 from armcell.core import Mesh
 
@@ -74,14 +74,14 @@ def covered(pieces, points: np.ndarray) -> np.ndarray:
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("ARMCELL_CACHE_DIR", str(tmp_path))
-    decompose.object_pieces.cache_clear()
+    object_decomposition.object_pieces.cache_clear()
 
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_pieces_hold_the_mesh_and_little_more(name):
     solid = SOLIDS[name]
     assert solid.is_watertight
-    pieces = decompose.object_pieces(mesh_of(solid))
+    pieces = object_decomposition.object_pieces(mesh_of(solid))
     assert abs(solid.volume) * 0.9999 < volume(pieces) < abs(solid.volume) * 1.1
     points = np.random.default_rng(1).uniform(solid.bounds[0], solid.bounds[1], (3000, 3))
     inside = np.abs(winding_numbers(points, np.array(solid.vertices), np.array(solid.faces))) > 0.5
@@ -90,7 +90,7 @@ def test_pieces_hold_the_mesh_and_little_more(name):
 
 
 def test_a_bin_of_plane_walls_is_exact():
-    pieces = decompose.object_pieces(mesh_of(bin_of()))
+    pieces = object_decomposition.object_pieces(mesh_of(bin_of()))
     assert len(pieces) <= 6
     assert volume(pieces) == pytest.approx(bin_of().volume, rel=1e-6)
 
@@ -104,12 +104,12 @@ def test_cavities_stay_free():
             for z in (0.005, 0.05, 0.099)
         ]
     )
-    assert not covered(decompose.object_pieces(mesh_of(cup())), grid).any()
+    assert not covered(object_decomposition.object_pieces(mesh_of(cup())), grid).any()
 
 
 def test_a_convex_mesh_stays_one():
     box = trimesh.creation.box((0.1, 0.1, 0.1))
-    assert len(decompose.object_pieces(mesh_of(box))) == 1
+    assert len(object_decomposition.object_pieces(mesh_of(box))) == 1
 
 
 def test_a_mesh_with_repeated_vertices_is_closed():
@@ -118,29 +118,29 @@ def test_a_mesh_with_repeated_vertices_is_closed():
     soup = Mesh(
         solid.triangles.reshape(-1, 3), np.arange(3 * len(solid.faces), dtype=np.int32).reshape(-1, 3)
     )
-    assert volume(decompose.object_pieces(soup)) == pytest.approx(solid.volume, rel=1e-6)
+    assert volume(object_decomposition.object_pieces(soup)) == pytest.approx(solid.volume, rel=1e-6)
 
 
 def test_an_open_mesh_is_divided_by_axis_aligned_cuts():
     solid = cup()
     open_mesh = Mesh(np.array(solid.vertices), np.array(solid.faces[:-4], np.int32))
-    assert 1 <= len(decompose.object_pieces(open_mesh)) <= 12
+    assert 1 <= len(object_decomposition.object_pieces(open_mesh)) <= 12
 
 
 def test_the_pieces_come_from_the_disk_the_second_time(monkeypatch):
-    first = decompose.object_pieces(mesh_of(cup()))
-    decompose.object_pieces.cache_clear()
-    monkeypatch.setattr(concave, "cut", lambda *_: pytest.fail("cut again"))
-    again = decompose.object_pieces(mesh_of(cup()))
+    first = object_decomposition.object_pieces(mesh_of(cup()))
+    object_decomposition.object_pieces.cache_clear()
+    monkeypatch.setattr(concave_decomposition, "cut", lambda *_: pytest.fail("cut again"))
+    again = object_decomposition.object_pieces(mesh_of(cup()))
     assert [p.vertices.tolist() for p in again] == [p.vertices.tolist() for p in first]
 
 
 def test_the_budget_counts_work_and_its_end_is_reported(monkeypatch, caplog):
     solid = cup()
     vertices, faces = np.array(solid.vertices, float), np.array(solid.faces, np.int32)
-    few = [concave.cut(vertices, faces, budget=60_000) for _ in range(2)]
-    assert 1 < len(few[0]) < len(concave.cut(vertices, faces))
+    few = [concave_decomposition.cut(vertices, faces, budget=60_000) for _ in range(2)]
+    assert 1 < len(few[0]) < len(concave_decomposition.cut(vertices, faces))
     assert all((a == b).all() for a, b in zip(*few, strict=True))
-    monkeypatch.setattr(concave.cut, "__defaults__", (60_000,))
-    decompose.object_pieces(mesh_of(solid))
+    monkeypatch.setattr(concave_decomposition.cut, "__defaults__", (60_000,))
+    object_decomposition.object_pieces(mesh_of(solid))
     assert "the mesh" in caplog.text and "cm3" in caplog.text

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armcell.collision.displaced import displacement
+from armcell.collision.displacement_bound import displacement
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.motion_proof import DISPLACED, Moving, first_conflict
+from armcell.collision.motion_proof import DISPLACED, ActiveMotion, first_conflict
 from armcell.core import SE3, SO3, Box, JointTrajectory
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
@@ -93,7 +93,7 @@ def test_what_came_nearer_than_planned_is_found(nearer):
     """An object beside the path in the plan's scene, and in the measured one just in the path or not."""
     tip = PLANNED.frame_pose("panda_hand_tcp").translation
     q = PLANNED.positions[ROBOT.columns(NAMES)]
-    way = Moving(JointTrajectory(NAMES, np.array([0.0, 1.0]), np.array([q, q + 0.05 * np.eye(7)[5]])))
+    way = ActiveMotion(JointTrajectory(NAMES, np.array([0.0, 1.0]), np.array([q, q + 0.05 * np.eye(7)[5]])))
     bare = replace(PLANNED, attached={}, objects={})
 
     def beside(gap: float) -> PlanningScene:

@@ -10,9 +10,9 @@ from tests.scene.helpers import box
 from tests.scene.helpers import panda as new_panda
 
 from armcell.cell import load
-from armcell.collision.kernel import robot_part as module
+from armcell.collision.kernel import robot_arrays as module
 from armcell.collision.kernel.lru_cache import LruCache
-from armcell.collision.kernel.robot_part import RobotPart, robot_part
+from armcell.collision.kernel.robot_arrays import RobotPart, robot_part
 from armcell.scene import CollisionObject, PlanningScene
 
 ARM = tuple(f"panda_joint{i}" for i in range(1, 8))
@@ -77,7 +77,7 @@ def test_what_can_meet_is_not_looked_for_beside_an_arm_that_rests_elsewhere(monk
     left, right = (scene.model.group(g).joint_names for g in ("left_arm", "right_arm"))
     robot_part(scene, left)
     sought = []
-    monkeypatch.setattr(module.near, "which_meet", lambda *a: sought.append(a))
+    monkeypatch.setattr(module.near_groups, "cached_near_groups", lambda *a: sought.append(a))
     q = scene.positions.copy()
     q[scene.model.columns(right)] += 0.1
     robot_part(replace(scene, positions=q), left)

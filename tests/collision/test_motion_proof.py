@@ -7,7 +7,7 @@ import pytest
 
 from armcell.cell import load
 from armcell.collision import ExactChecker
-from armcell.collision.motion_proof import Moving, conflict_at_any_pace, first_conflict, passed_at
+from armcell.collision.motion_proof import ActiveMotion, conflict_at_any_pace, elapsed_at, first_conflict
 from armcell.core import SE3, Box, JointState, JointTrajectory
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
@@ -37,22 +37,22 @@ def test_the_first_contact_is_where_sampling_finds_it(kind):
     way, exact = motion(kind), ExactChecker(SCENE, NAMES)
     times = np.linspace(0.0, 3.0, 3001)
     touching = times[[not exact.is_free(way.sample(t)[0]) for t in times]]
-    found = first_conflict(SCENE, Moving(way))
+    found = first_conflict(SCENE, ActiveMotion(way))
     assert found is not None and found.contact is not None and not found.at_start
     assert found.time == pytest.approx(touching[0], abs=0.02)
     assert "rod" in (found.contact.body_a, found.contact.body_b)
     past = float(touching[-1]) + 0.02
-    assert first_conflict(at(way, past), Moving(way, past)) is None
-    assert first_conflict(at(way, 3.0), Moving(way, 3.0)) is None
+    assert first_conflict(at(way, past), ActiveMotion(way, past)) is None
+    assert first_conflict(at(way, 3.0), ActiveMotion(way, 3.0)) is None
     allowed = SCENE.with_allowed("rod", list(ROBOT.links))
-    assert first_conflict(allowed, Moving(way)) is None
+    assert first_conflict(allowed, ActiveMotion(way)) is None
 
 
 def test_a_start_deep_in_contact_is_reported_as_such():
     way, exact = motion("quintic"), ExactChecker(SCENE, NAMES)
     inside = next(t for t in np.linspace(0.0, 3.0, 301) if exact.contacts(way.sample(t)[0]) and
                   exact.contacts(way.sample(t)[0])[0].distance < -0.01)  # fmt: skip
-    found = first_conflict(at(way, inside), Moving(way, inside))
+    found = first_conflict(at(way, inside), ActiveMotion(way, inside))
     assert found is not None and found.at_start and found.time == pytest.approx(inside, abs=1e-6)
 
 
@@ -68,16 +68,16 @@ def test_the_gap_between_the_measured_and_the_commanded_start_is_proven_too():
     scene = SCENE.without_object("rod").with_object(speck)
     exact = ExactChecker(scene, NAMES)
     if exact.is_free(LEFT) and exact.is_free(start):
-        assert first_conflict(scene, Moving(way)) is not None
+        assert first_conflict(scene, ActiveMotion(way)) is not None
 
 
 def test_what_fades_out_of_an_earlier_motion_is_proven_too():
     way = motion("quintic", RIGHT, RIGHT + 0.05)
     scene = SCENE.with_state(JointState(NAMES, RIGHT))
-    assert first_conflict(scene, Moving(way)) is None
+    assert first_conflict(scene, ActiveMotion(way)) is None
     gap, still = LEFT - RIGHT, np.zeros((2, 7))
     blend = JointTrajectory(NAMES, np.array([0.0, 1.0]), np.array([gap, 0 * gap]), still, still)
-    found = first_conflict(SCENE, Moving(way, 0.0, blend))  # from the other side, past the rod
+    found = first_conflict(SCENE, ActiveMotion(way, 0.0, blend))  # from the other side, past the rod
     assert found is not None and found.contact is not None and found.time < 1.0
 
 
@@ -85,9 +85,9 @@ def test_a_slowed_robot_is_found_on_its_way():
     way = motion("quintic")
     for passed in (0.4, 1.0, 2.2):
         q = way.sample(passed)[0] + 0.001
-        assert passed - 0.06 <= passed_at(way, q, most=2.9) <= passed + 0.02
-    assert passed_at(way, way.sample(2.0)[0], most=1.0) == pytest.approx(1.0)  # no farther than it can be
-    assert passed_at(way, LEFT, most=3.0) == 0.0
+        assert passed - 0.06 <= elapsed_at(way, q, most=2.9) <= passed + 0.02
+    assert elapsed_at(way, way.sample(2.0)[0], most=1.0) == pytest.approx(1.0)  # no farther than it can be
+    assert elapsed_at(way, LEFT, most=3.0) == 0.0
 
 
 # --- two arms ---
@@ -134,7 +134,7 @@ def test_motions_beside_each_other_agree_with_coal(pair):
                     way.joint_names, np.array([0.0, 1.0]), np.array([way.positions[0], goal]), rest, rest
                 )
             )
-        found = first_conflict(scene, Moving(motions[0]), [Moving(motions[1])])
+        found = first_conflict(scene, ActiveMotion(motions[0]), [ActiveMotion(motions[1])])
         seen.add(found is None)
         if found is None:
             assert not touching(scene, *motions)
@@ -154,8 +154,8 @@ def test_an_arm_that_rests_is_in_the_way(pair):
         rest = JointState(right.joint_names, q)
         standing = scene.with_state(rest)
         stays = JointTrajectory(right.joint_names, np.array([0.0, 1.0]), np.array([q, q]))
-        own = first_conflict(scene, Moving(left)) is None
-        found = first_conflict(standing, Moving(left))
+        own = first_conflict(scene, ActiveMotion(left)) is None
+        found = first_conflict(standing, ActiveMotion(left))
         if not own:
             continue
         pairs = found is not None and found.contact is not None
@@ -175,19 +175,21 @@ def _meet(scene: PlanningScene, left: JointTrajectory, stays: JointTrajectory) -
 def test_a_shift_in_time_counts(pair):
     """What is free whatever the shift is free in step; not the other way round."""
     scene, left, right = pair
-    shifted = first_conflict(scene, Moving(left), [Moving(right)], shift=0.2)
+    shifted = first_conflict(scene, ActiveMotion(left), [ActiveMotion(right)], shift=0.2)
     if shifted is None:
-        assert first_conflict(scene, Moving(left), [Moving(right)]) is None
+        assert first_conflict(scene, ActiveMotion(left), [ActiveMotion(right)]) is None
         assert not any(touching(scene, left, right, s) for s in (0.0, 0.2, -0.2))
 
 
 def test_at_any_pace_every_pair_of_positions_counts(pair):
     scene, left, right = pair
-    if not conflict_at_any_pace(scene, Moving(left), Moving(right)):
-        assert first_conflict(scene, Moving(left), [Moving(right)], shift=0.5) is None
+    if not conflict_at_any_pace(scene, ActiveMotion(left), ActiveMotion(right)):
+        assert first_conflict(scene, ActiveMotion(left), [ActiveMotion(right)], shift=0.5) is None
     partial = JointTrajectory(left.joint_names[:2], left.times, left.positions[:, :2])
-    conflict_at_any_pace(scene, Moving(partial), Moving(right))  # joints that are not named stay
+    conflict_at_any_pace(scene, ActiveMotion(partial), ActiveMotion(right))  # joints that are not named stay
     both = JointTrajectory(
         (*left.joint_names, *right.joint_names), left.times, np.hstack([left.positions, right.positions])
     )
-    assert conflict_at_any_pace(scene, Moving(both), Moving(right))  # they are not two arms: no proof
+    assert conflict_at_any_pace(
+        scene, ActiveMotion(both), ActiveMotion(right)
+    )  # they are not two arms: no proof

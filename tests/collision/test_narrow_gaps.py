@@ -32,7 +32,7 @@ def test_the_upper_arm_of_a_ur5_passes_its_base():
     base, arm = (_surface(model.links[name]) for name in ("base_link", "upper_arm_link"))
     for _ in range(40):
         T_base, T_arm = tree.link_poses(rng.uniform(-3.0, 3.0, model.dof), ("base_link", "upper_arm_link"))
-        near += cKDTree(base).query((T_base.inv() @ T_arm).apply(arm))[0].min() < 2 * LINK_OVERSHOOT
+        near += cKDTree(base).query((T_base.inverse() @ T_arm).apply(arm))[0].min() < 2 * LINK_OVERSHOOT
     assert near > 20
 
 

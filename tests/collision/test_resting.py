@@ -10,16 +10,16 @@ from tests.scene.helpers import box, panda
 
 from armcell.collision import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import (
+from armcell.collision.resting_contact import (
     APART,
     DEEPER,
     DRAG,
     RESTING,
     certify_from_rest,
     clearance_from_rest,
+    resting_contacts,
     resting_pairs,
     separation,
-    touching,
 )
 from armcell.scene import CollisionObject, PlanningScene
 
@@ -166,9 +166,9 @@ def test_separation_says_where():
 def test_the_contact_at_the_start_is_named_even_where_coal_calls_it_none():
     checker = KernelChecker(gantry(sink=-1e-6))
     assert checker.touches(np.zeros(3)) and not checker.exact.contacts(np.zeros(3), padded=False)
-    (contact,) = touching(checker, np.zeros(3))
+    (contact,) = resting_contacts(checker, np.zeros(3))
     assert {contact.body_a, contact.body_b} == {"cube", "table"}
-    assert not touching(KernelChecker(gantry(sink=-1e-3)), np.zeros(3))
+    assert not resting_contacts(KernelChecker(gantry(sink=-1e-3)), np.zeros(3))
 
 
 def test_clearance_counts_the_pair_from_where_it_no_longer_moves_apart():
@@ -212,7 +212,7 @@ def keeps_rule(scene: PlanningScene, points: np.ndarray, names=None, step: float
     exact = ExactChecker(scene, names)
 
     def distances(q) -> np.ndarray:
-        exact.place(q)
+        exact.set_configuration(q)
         out = exact.pair_gaps(exact.pairs)
         for k in np.flatnonzero(out < 0.01):
             out[k] = exact.pair_distance(*map(int, exact.pairs[k]))
@@ -242,7 +242,7 @@ def test_a_finger_on_a_plate_comes_off_it():
     names = scene.model.group("arm").joint_names
     checker = KernelChecker(scene, names)
     start = scene.positions[checker.columns]
-    pairs = {frozenset((c.body_a, c.body_b)) for c in touching(checker, start)}
+    pairs = {frozenset((c.body_a, c.body_b)) for c in resting_contacts(checker, start)}
     assert pairs == {frozenset(("plate", f"panda_{side}finger")) for side in ("left", "right")}
     turned = start + 0.3 * np.eye(7)[0]
     lifted = start - 0.1 * np.eye(7)[1]

@@ -10,7 +10,7 @@ from tests.collision.reference import is_inside, signed_distance, triangles
 from tests.model.helpers import random_positions
 from tests.scene.helpers import box, mesh_of, panda, ur10
 
-from armcell.collision.self_filter import object_mask, robot_mask, without_robot
+from armcell.collision.self_filter import object_mask, remove_robot_points, robot_mask
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, InputError, Mesh, PointCloud, Sphere
 from armcell.kinematics import kinematic_tree
 from armcell.scene import CollisionObject, PlanningScene
@@ -86,7 +86,7 @@ def test_held_and_named_objects(shape):
     rng = np.random.default_rng(2)
     points = T.apply(rng.uniform(-0.25, 0.25, (3000, 3)))
     formula = Box(0.2, 0.1, 0.3) if isinstance(shape, Mesh) else shape
-    distance = signed_distance(formula, T.inv().apply(points))
+    distance = signed_distance(formula, T.inverse().apply(points))
     held = scene.with_attached("thing", "panda_hand")
     for here, objects in ((held, ()), (scene, ("thing",))):
         for padding in (0.0, 0.03):
@@ -94,7 +94,7 @@ def test_held_and_named_objects(shape):
             assert mask[distance < padding - 1e-9].all()
             assert not mask[distance > np.sqrt(3) * padding + 1e-9].any()
     assert not robot_mask(scene, points, 0.0).any()
-    kept = without_robot(held, points, 0.0)
+    kept = remove_robot_points(held, points, 0.0)
     assert len(kept) == np.sum(distance > 0)
 
 
@@ -107,8 +107,8 @@ def test_scaled_links_take_more():
 
 
 def test_empty_clouds_and_nan():
-    assert len(without_robot(panda(), np.zeros((0, 3)))) == 0
-    assert len(without_robot(panda(), np.full((3, 3), np.nan))) == 3  # left to finite_points
+    assert len(remove_robot_points(panda(), np.zeros((0, 3)))) == 0
+    assert len(remove_robot_points(panda(), np.full((3, 3), np.nan))) == 3  # left to finite_points
 
 
 def test_bad_input():

@@ -9,7 +9,7 @@ from tests.scene.helpers import box, floating, panda
 
 from armcell.collision import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.scene import AllowByDefault, PlanningScene, SceneDiff, SetPadding
+from armcell.scene import AllowCollisionByDefault, PlanningScene, SceneDiff, SetPadding
 
 WALL = box("wall", (0.2, 1, 1), (1.0, 0, 0))  # its face at x = 0.9; the cube's at x + 0.1
 
@@ -56,11 +56,11 @@ def test_of_the_robot_with_itself():
 def test_default_entries_reach_the_kernel():
     scene = floating(WALL)
     assert free(scene, 0.9) == [False, False]
-    assert free(scene.apply(SceneDiff.of(AllowByDefault("wall"))), 0.9) == [True, True]
-    assert free(scene.apply(SceneDiff.of(AllowByDefault("cube"))), 0.9) == [True, True]
-    mixed = SceneDiff.of(AllowByDefault("cube"), AllowByDefault("wall", False))
+    assert free(scene.apply(SceneDiff.of(AllowCollisionByDefault("wall"))), 0.9) == [True, True]
+    assert free(scene.apply(SceneDiff.of(AllowCollisionByDefault("cube"))), 0.9) == [True, True]
+    mixed = SceneDiff.of(AllowCollisionByDefault("cube"), AllowCollisionByDefault("wall", False))
     assert free(scene.apply(mixed), 0.9) == [False, False]
-    again = scene.apply(SceneDiff.of(AllowByDefault("wall"), AllowByDefault("wall", None)))
+    again = scene.apply(SceneDiff.of(AllowCollisionByDefault("wall"), AllowCollisionByDefault("wall", None)))
     assert free(again, 0.9) == [False, False]
 
 

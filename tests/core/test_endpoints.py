@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from armcell.core.endpoints import Endpoint, descendants, listen, open_sockets, reserve
+from armcell.core.network_endpoints import Endpoint, descendants, listen, open_sockets, reserve
 
 
 def test_open_sockets_are_those_of_the_process():

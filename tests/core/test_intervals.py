@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scipy.stats import binomtest
 
-from armcell.core.intervals import wilson
+from armcell.core.confidence_interval import wilson
 
 
 @pytest.mark.parametrize("successes, trials", [(0, 8), (8, 8), (3, 10), (95, 100), (1, 1)])

@@ -28,9 +28,9 @@ def test_group_axioms(a, b, c):
     assert_same((a @ b) @ c, a @ (b @ c), 1e-8)
     assert_same(a @ SE3.identity(), a)
     assert_same(SE3.identity() @ a, a)
-    assert_same(a @ a.inv(), SE3.identity())
-    assert_same(a.inv() @ a, SE3.identity())
-    assert_same((a @ b).inv(), b.inv() @ a.inv(), 1e-8)
+    assert_same(a @ a.inverse(), SE3.identity())
+    assert_same(a.inverse() @ a, SE3.identity())
+    assert_same((a @ b).inverse(), b.inverse() @ a.inverse(), 1e-8)
 
 
 @given(poses, poses, vectors)

@@ -18,7 +18,7 @@ from armcell.model import load_robot
 from armcell.ros import Bus
 from armcell.ros.nodes import ServedCell
 from armcell.sim.gain_files import with_gains
-from armcell.sim.joint_gains import joint_drive
+from armcell.sim.joint_gains import effective_gains
 from armcell.sim.step_response import step_responses
 
 CELL = "dual_ur10"
@@ -143,9 +143,9 @@ def test_the_gains_of_the_controllers_move_the_left_arm(tmp_path):
     file.write_text(text)
     settings = with_gains(cell.physics, str(file), cell.model)
     for name, gains in controller["gains"].items():
-        drive = joint_drive(cell.model.joint(name), settings)
+        drive = effective_gains(cell.model.joint(name), settings)
         assert (drive.kp, drive.ki, drive.kv) == (gains["p"], gains["i"], gains["d"]), name
-    assert joint_drive(cell.model.joint("right_elbow_joint"), settings).kp != 60.0
+    assert effective_gains(cell.model.joint("right_elbow_joint"), settings).kp != 60.0
     response = step_responses(cell.scene(), (names[0],), settings, 0.05, 0.5)[0]
     assert np.all(np.isfinite(response.positions))
 

@@ -13,7 +13,7 @@ from tests.documents.test_pick_place import GRASPS, HEAD, PLACES, POSES, STAMPED
 from tests.documents.test_unity_moveit import CELL, MAIN, grasp_pose, launch, server
 
 from armcell.ros import Bus
-from armcell.ros.tcp import Bridge, RosTcpClient
+from armcell.ros.tcp import ForwardedNames, RosTcpClient
 
 pytestmark = pytest.mark.slow
 # The script guesses when a motion has ended, 0.5 s late in the simulator's time: a busy machine needs it all.
@@ -154,7 +154,7 @@ rospy.sleep(0.5)
     host, port = where.split(":")
     bus = Bus()
     here = bus.advertise(client_is_here, "std_msgs/String")
-    bridge = Bridge(
+    bridge = ForwardedNames(
         publish={client_is_here: "std_msgs/String"}, subscribe={joint_states: "sensor_msgs/JointState"}
     )
     try:

@@ -165,7 +165,7 @@ def test_a_held_object_comes_along(driver):
 
     def T_tcp_cube():
         now = scene().with_positions(driver.joint_state().positions)
-        return now.frame_pose(GRIPPER.tcp_link).inv() @ driver.object_poses()["cube"]
+        return now.frame_pose(GRIPPER.tcp_link).inverse() @ driver.object_poses()["cube"]
 
     before, start = T_tcp_cube(), home()
     for k in range(1, 101):  # up, then to the side

@@ -14,14 +14,14 @@ import armcell
 from armcell.core import InputError, Playback
 from armcell.drivers import Capability, Driver, DriverProxy, drivers
 from armcell.execution import ArmDriver, CooperativeScheduler
-from armcell.ros.nodes.conductor import Conductor
+from armcell.ros.nodes.motion_queue import MotionQueue
 
 MEMBERS = {n for n in {*vars(Driver), *inspect.get_annotations(Driver)} if not n.startswith("_")}
 OPTIONAL = {  # capability -> a call of each of its members
     Capability.PLAY_TRAJECTORY: [lambda d: d.follow(swing())],
     Capability.PLAY_PARTS: [lambda d: d.play(ARM, Playback(swing()), d.now, 0.02, 0.1)],
-    Capability.DRY_RUN: [lambda d: d.rehearse(swing()), lambda d: d.watch(swing(), False)],
-    Capability.ROBOT_CLOCK: [lambda d: d.latency, lambda d: d.tick, lambda d: d.speed_fraction],
+    Capability.DRY_RUN: [lambda d: d.dry_run(swing()), lambda d: d.monitor_execution(swing(), False)],
+    Capability.ROBOT_CLOCK: [lambda d: d.latency, lambda d: d.next_command_time, lambda d: d.speed_fraction],
     Capability.REPORT_MODES: [lambda d: d.arm_modes()],
 }
 
@@ -29,7 +29,7 @@ OPTIONAL = {  # capability -> a call of each of its members
 def wrappers(driver):
     return [
         DriverProxy(driver),
-        Conductor(driver),
+        MotionQueue(driver),
         ArmDriver(CooperativeScheduler(driver, ["arm"]), "arm", ARM),
         DriverProxy(DriverProxy(driver)),
     ]

@@ -15,7 +15,7 @@ from tests.execution.ungated import execute
 from armcell.core import ErrorCode, InputError, JointTrajectory, UnknownNameError
 from armcell.drivers import Capability, DriverOptions, DriverProxy, drivers
 from armcell.drivers.real import kind_of, real_settings, robot_kinds
-from armcell.model import Part, compose, load_robot
+from armcell.model import MountedRobot, compose, load_robot
 from armcell.scene import PlanningScene
 
 SLOW = {"max_state_age": 1.0, "watchdog": 0.5}  # for machines that other programs fill
@@ -74,7 +74,7 @@ def test_the_contract_of_a_real_arm(kind):
 
 
 def _states(driver, names):
-    before = driver.tick  # up to the computing time since the last advance before `now`
+    before = driver.next_command_time  # up to the computing time since the last advance before `now`
     driver.advance(0.1)
     assert driver.now - before >= 0.1 - driver.period
     state = driver.joint_state()
@@ -106,8 +106,8 @@ def _moves_and_arrives(driver, names):
 def _streams(driver, names):
     for _ in range(3):  # a busy machine may stop the arm
         motion = quintic(driver, names, 0.1, 1.0)
-        began = driver.tick
-        while (t := driver.tick - began) < motion.duration:
+        began = driver.next_command_time
+        while (t := driver.next_command_time - began) < motion.duration:
             q, v, _ = motion.sample(t)
             sent = driver.command(names, q, v)
             assert sent.joint_names == names
@@ -138,7 +138,7 @@ def _wrong_commands(driver, names):
 def _stops_and_resumes(driver, rig, names):
     motion = quintic(driver, names, 0.3, 3.0)
     handle = driver.follow(motion)
-    until(lambda: handle.clock() > 0.5)
+    until(lambda: handle.trajectory_time() > 0.5)
     rig.stop()
     until(lambda: driver.fault() is not None)
     with pytest.raises(InputError, match="no motion after a stop"):
@@ -196,7 +196,7 @@ def test_the_vendor_s_part_of_the_bring_up(kind):
 # --- the block `real` ---
 def pair():
     """Two Pandas as one model, their groups "left_arm" and "right_arm"."""
-    return compose("pair", [Part(load_robot("panda"), f"{side}_") for side in ("left", "right")])
+    return compose("pair", [MountedRobot(load_robot("panda"), f"{side}_") for side in ("left", "right")])
 
 
 def test_the_default_kind_is_ur_and_an_unknown_one_is_named():
@@ -250,7 +250,7 @@ def test_two_arms_keep_one_clock_and_stop_together(monkeypatch):
         assert execute(driver, quintic(driver, names, 0.1)).ok
         np.testing.assert_allclose(ROBOTS["a"].q, ROBOTS["b"].q, atol=1e-9)
         handle = driver.follow(quintic(driver, names, 0.3, 3.0))
-        until(lambda: handle.clock() > 0.3)
+        until(lambda: handle.trajectory_time() > 0.3)
         ROBOTS["b"].stopped = True
         until(lambda: driver.fault() is not None)
         until(lambda: handle.state() == "cancelled")

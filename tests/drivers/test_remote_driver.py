@@ -21,7 +21,7 @@ from tests.execution.helpers import ARM, GRIPPER, alone, make, motion, scene, sw
 from tests.execution.ungated import execute
 
 from armcell.cell import LiveCell
-from armcell.collision.motion_proof import Moving, first_conflict
+from armcell.collision.motion_proof import ActiveMotion, first_conflict
 from armcell.core import ErrorCode, InputError
 from armcell.drivers import Capability
 from armcell.ros import Bus
@@ -35,7 +35,7 @@ SCALE = 4.0  # cell time per wall time
 def loaded():
     """The first proof loads compiled code, which stops every thread of this process for seconds."""
     for world in (alone(), scene().with_attached("cube", GRIPPER.tcp_link, GRIPPER.hand_links)):
-        first_conflict(world, Moving(swing(0.1, 1.0)))
+        first_conflict(world, ActiveMotion(swing(0.1, 1.0)))
 
 
 @contextmanager
@@ -127,7 +127,7 @@ def test_a_held_object_comes_along(mode):
 
         def T_tcp_cube():
             now = scene().with_positions(driver.joint_state().positions)
-            return now.frame_pose(GRIPPER.tcp_link).inv() @ driver.object_poses()["cube"]
+            return now.frame_pose(GRIPPER.tcp_link).inverse() @ driver.object_poses()["cube"]
 
         before, goal = T_tcp_cube(), driver.joint_state().reindexed(ARM).as_dict()
         goal[ARM[1]] -= 0.1

@@ -13,7 +13,7 @@ import numpy as np
 
 from armcell.core import InputError
 from armcell.drivers import Fault
-from armcell.drivers.guarding import ArmSample
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real import ArmSettings, NetworkReport, RealArm, RobotKind, check_numbers
 from armcell.drivers.real.motion import Streamed
 

@@ -9,13 +9,13 @@ from tests.execution.ungated import execute_coupled
 import armcell
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.drivers import Capability, DriverOptions
-from armcell.drivers.following import SentClock
+from armcell.drivers.execution_handle import SetpointHistory
 from armcell.drivers.sim import SimDriver
 from armcell.execution import Admittance, AdmittanceSettings
 from armcell.execution.setpoints import SCALING_RATE
 from armcell.scene import CollisionObject
-from armcell.timing import merged, synchronized
-from armcell.twin import Stage
+from armcell.timing import merge_trajectories, synchronize_trajectories
+from armcell.twin import TwinSimulation
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,9 @@ def ramp(cell, group, angle=0.4, duration=1.0):
 
 @pytest.fixture(scope="module")
 def motion(cell):
-    return merged(*synchronized([ramp(cell, "left_arm", -0.4, 1.0), ramp(cell, "right_arm", -0.3, 0.8)]))
+    return merge_trajectories(
+        *synchronize_trajectories([ramp(cell, "left_arm", -0.4, 1.0), ramp(cell, "right_arm", -0.3, 0.8)])
+    )
 
 
 def arrivals(cell, pair):
@@ -54,13 +56,13 @@ def arrivals(cell, pair):
                 ):
                     arrived.setdefault(motion.joint_names, live.driver.now)
 
-        assert execute_coupled(live.driver, merged(*pair), watch=watch).ok
+        assert execute_coupled(live.driver, merge_trajectories(*pair), watch=watch).ok
     return list(arrived.values())
 
 
 def test_both_arrive_within_5_ms(cell):
     apart = [ramp(cell, "left_arm", -0.4, 1.0), ramp(cell, "right_arm", -0.3, 0.8)]
-    first, second = arrivals(cell, synchronized(apart))
+    first, second = arrivals(cell, synchronize_trajectories(apart))
     assert abs(first - second) <= 5e-3
     first, second = arrivals(cell, apart)  # so that the test could fail
     assert abs(first - second) > 0.05
@@ -123,20 +125,20 @@ class Rehearsed(SimDriver):
         scene = cell.scene()
         for thing in things:
             scene = scene.with_object(thing)
-        self.stage, self.told, self.ended = Stage(scene, cell.physics), [], []
+        self.stage, self.told, self.ended = TwinSimulation(scene, cell.physics), [], []
 
-    def rehearse(self, trajectory):
+    def dry_run(self, trajectory):
         outcome = self.stage.play(trajectory, self.joint_state(), {}, {}).outcome
         return None if outcome.ok else outcome
 
-    def watch(self, trajectory, forced):
+    def monitor_execution(self, trajectory, forced):
         self.forced = forced
         return self
 
-    def sent(self, clock, off):
+    def record_setpoint(self, clock, off):
         self.told.append((clock, off))
 
-    def look(self):
+    def check(self):
         pass
 
     def end(self, how):
@@ -165,10 +167,10 @@ def test_a_coupled_motion_is_rehearsed_and_told_of_point_by_point(cell, motion):
 
 
 def test_where_robots_are_that_get_points_ahead_of_time():
-    clock = SentClock()
+    clock = SetpointHistory()
     assert clock.at(5.0) == (0.0, None)
     for k in range(3):
-        clock.sent(10.0 + k, 0.5 * k, np.full(2, k))
+        clock.record(10.0 + k, 0.5 * k, np.full(2, k))
     assert clock.at(9.0)[0] == 0.0 and clock.at(99.0)[0] == 1.0
     between, off = clock.at(11.5)
     assert between == pytest.approx(0.75) and off is not None and off.tolist() == [2, 2]

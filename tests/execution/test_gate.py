@@ -21,7 +21,7 @@ MOVERS = {  # what may give a driver commands, and why
     "drivers": "drivers behind drivers",
     "emulators": "the emulated controllers' physics",
     "sim": "physics below the drivers",
-    "ros/nodes/conductor.py": "a stop of some joints: they hold where they are",
+    "ros/nodes/motion_queue.py": "a stop of some joints: they hold where they are",
 }
 COMMANDS = {"command", "follow", "play", "set_arm_target", "set_positions"}
 OTHERS = {"cli/", "ros/tcp", "moveit/shims", "viewer/", "records/"}  # `command` of typer, TCP, tables
@@ -118,7 +118,7 @@ def test_ungated_motions_are_for_simulations_of_their_own():
     users = [
         f.relative_to(SOURCE).as_posix() for f in SOURCE.rglob("*.py") if "UngatedMotion(" in f.read_text()
     ]
-    assert sorted(users) == ["execution/gate.py", "twin/rehearsal.py"]
+    assert sorted(users) == ["execution/motion_gate.py", "twin/dry_run.py"]
 
 
 def test_the_executor_refuses_a_bare_trajectory(driver):

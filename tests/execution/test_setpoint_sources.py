@@ -21,7 +21,7 @@ class Playing:
     def __init__(self, trajectory):
         self.trajectory, self.time, self.ended = trajectory, 0.0, "running"
 
-    def clock(self):
+    def trajectory_time(self):
         return self.time
 
     def state(self):
@@ -76,7 +76,7 @@ class Observed(DriverProxy):
     def fault(self):
         return self.found
 
-    def rehearse(self, trajectory):
+    def dry_run(self, trajectory):
         return self.refusal
 
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from tests.fuzz.corpus import Corpus
 from tests.fuzz.edges import Edges
 
-from armcell.ros import cdr, schema
-from armcell.ros.codec import WireError, ros1
+from armcell.ros import cdr_codec, schema
+from armcell.ros.codec import WireError, ros1_codec
 from armcell.ros.ros1 import header
 from armcell.ros.ros2.codec import ros2_codec
 from armcell.ros.ros2.dds import Sample
@@ -43,7 +43,7 @@ class Decoders:
     def __init__(self, seed: int, edges: Edges):
         self.corpus, self._edges, self.frames = Corpus(seed), edges, 0
         codecs = {
-            "ros1": ros1(), "cdr": cdr(),
+            "ros1": ros1_codec(), "cdr": cdr_codec(),
             **{d: ros2_codec(schema(), d) for d in ("humble", "jazzy")},
         }  # fmt: skip
         self._codecs = codecs
@@ -54,7 +54,9 @@ class Decoders:
         for distro in ("humble", "jazzy"):
             codec = codecs[distro]
             self._seeds += [(distro, name, bytes(codec.encode(codec.new(name)))) for name in ONLY_ROS2]
-        self._seeds += [("TCPROS header", "", header.encoded({"callerid": "/a", "md5sum": "*"})[4:])] * 5
+        self._seeds += [
+            ("TCPROS header", "", header.encode_header({"callerid": "/a", "md5sum": "*"})[4:])
+        ] * 5
         self._seeds += [("ROS 2 call", "", bytes([0, 1, 0, 0]) + bytes(range(40)))]
 
     @contextlib.contextmanager
@@ -79,8 +81,10 @@ class Decoders:
 
     def _take(self, codec: str, name: str, data: bytes) -> None:
         if codec == "TCPROS header":
-            fields = header.decoded(data)
-            assert header.decoded(header.encoded(fields)[4:]) == {k.strip(): v for k, v in fields.items()}
+            fields = header.decode_header(data)
+            assert header.decode_header(header.encode_header(fields)[4:]) == {
+                k.strip(): v for k, v in fields.items()
+            }
         elif codec == "ROS 2 call":
             _, body = split(Sample(data, 0, 0))
             assert len(body) == len(data) - 16

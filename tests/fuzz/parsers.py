@@ -168,7 +168,7 @@ def octomap(path: Path) -> None:
 
 
 def scene_file(path: Path) -> None:
-    from armcell.scene.geometry_file import load_scene_file
+    from armcell.scene.scene_file import load_scene_file
 
     load_scene_file(path)
 
@@ -280,7 +280,7 @@ def _bag() -> bytes:
 
 
 def camera(path: Path) -> None:
-    from armcell.perception.files import load_image
+    from armcell.perception.image_files import load_image
 
     np.save(path.parent / "depth.npy", np.ones((6, 8), np.float32))
     load_image(path, depth=path.parent / "depth.npy")
@@ -288,7 +288,7 @@ def camera(path: Path) -> None:
 
 def picture(path: Path) -> None:
     from armcell.core import ArmcellError
-    from armcell.perception.files import load_depth, load_rgb
+    from armcell.perception.image_files import load_depth, load_rgb
 
     try:
         load_depth(path)
@@ -312,9 +312,9 @@ def campaign(path: Path) -> None:
 
 
 def campaign_folder(path: Path) -> None:
-    from armcell.campaigns.store import asked
+    from armcell.campaigns.store import stored_spec
 
-    asked(path.parent)
+    stored_spec(path.parent)
 
 
 def trials(path: Path) -> None:
@@ -340,9 +340,9 @@ def _cell() -> Any:
 
 
 def bands(path: Path) -> None:
-    from armcell.twin.bands import TwinBands
+    from armcell.twin.residual_thresholds import ResidualThresholds
 
-    TwinBands.load(path)
+    ResidualThresholds.load(path)
 
 
 @cache
@@ -351,7 +351,7 @@ def _json(kind: str) -> bytes:
     from armcell.campaigns.spec import CampaignSpec
     from armcell.campaigns.store import FORMAT
     from armcell.campaigns.trial import Trial, failed
-    from armcell.twin import bands as twin
+    from armcell.twin import residual_thresholds as twin
 
     if kind == "campaign":
         data: Any = {"format": FORMAT, "spec": CampaignSpec("cell.yaml").as_dict(), "hashes": {"cell": "0"}}
@@ -377,7 +377,7 @@ def _controller(frozen: bool = False) -> Any:
     import selectors
 
     from armcell.drivers.ur.wire.models import ur_model
-    from armcell.emulators.network import Link, Network
+    from armcell.emulators.network import Network, TcpConnection
     from armcell.emulators.ur.dashboard_server import DashboardServer
     from armcell.emulators.ur.external_control import ExternalControl
     from armcell.emulators.ur.gripper_server import GripperServer
@@ -402,7 +402,7 @@ def _controller(frozen: bool = False) -> Any:
             with socket.create_server(("127.0.0.1", 0)) as listening:
                 ours = socket.create_connection(listening.getsockname())
                 theirs, _ = listening.accept()
-            link = Link(theirs, self.network)
+            link = TcpConnection(theirs, self.network)
             if hasattr(server, "_begin"):
                 server._begin(link, 30001, False) if server is self.script else server._begin(link)
             link.received += data
@@ -517,13 +517,13 @@ def definition(path: Path) -> None:
 
 def fields(path: Path) -> None:
     """As `armcell topic pub` takes them."""
-    from armcell.cli.topic import filled, yaml_values
+    from armcell.cli.topic import fill_message, yaml_values
     from armcell.ros import schema
-    from armcell.ros.codec import ros1
+    from armcell.ros.codec import ros1_codec
 
     message = schema().new("trajectory_msgs/JointTrajectory")
     text = path.read_text(errors="replace")
-    ros1().encode(filled(message, yaml_values(text)))
+    ros1_codec().encode(fill_message(message, yaml_values(text)))
 
 
 @cache

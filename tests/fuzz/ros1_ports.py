@@ -12,9 +12,9 @@ from tests.fuzz.corpus import Corpus
 from tests.fuzz.edges import Edges
 
 from armcell.ros import Bus, Ros1Graph, Ros1Settings, schema
-from armcell.ros.codec import ros1
+from armcell.ros.codec import ros1_codec
 from armcell.ros.ros1 import header
-from armcell.ros.ros1.rpc import ask
+from armcell.ros.ros1.xmlrpc import call_method
 
 STRING = "std_msgs/String"
 SERVICES = ("std_srvs/SetBool", "moveit_msgs/GetPositionIK", "moveit_msgs/ApplyPlanningScene")
@@ -97,11 +97,11 @@ class Tcpros(_Graph):
                 "callerid": "/x", "service": f"/{kind.partition('/')[2]}", "md5sum": corpus.pick("****0"),
                 "persistent": corpus.pick("11110"),
             }  # fmt: skip
-            bodies = [bytes(ros1().encode(corpus.message(f"{kind}Request"))) for _ in range(2)]
+            bodies = [bytes(ros1_codec().encode(corpus.message(f"{kind}Request"))) for _ in range(2)]
             bodies = [corpus.damage(corpus.pick(bodies)) for _ in range(REQUESTS)]
             requests = [struct.pack("<I", len(body)) + body for body in bodies]
         extra = {"probe": "1"} if corpus.chance(0.1) else {}
-        return [header.encoded(fields | extra), *requests]
+        return [header.encode_header(fields | extra), *requests]
 
 
 class XmlRpc(_Graph):
@@ -112,8 +112,8 @@ class XmlRpc(_Graph):
 
     def check(self) -> None:
         """Another client is answered."""
-        assert ask(self._node.node.master, "getUri", "/me", timeout=HANG)
-        assert ask(self._node.node.uri, "getMasterUri", "/me", timeout=HANG) == self._node.node.master
+        assert call_method(self._node.node.master, "getUri", "/me", timeout=HANG)
+        assert call_method(self._node.node.uri, "getMasterUri", "/me", timeout=HANG) == self._node.node.master
 
     def send(self) -> None:
         assert self._node.master is not None

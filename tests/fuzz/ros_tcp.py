@@ -13,8 +13,8 @@ from tests.fuzz.corpus import Corpus
 from tests.fuzz.edges import Edges
 from tests.ros.unity_like import UnityLike
 
-from armcell.ros import Bus, cdr, schema
-from armcell.ros.codec import ros1
+from armcell.ros import Bus, cdr_codec, schema
+from armcell.ros.codec import ros1_codec
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 from armcell.ros.tcp.peer import Peer
 
@@ -47,7 +47,7 @@ class RosTcp:
         messages = [t for t in TYPES if t in schema().definitions]
         self._bodies = [
             bytes(codec.encode(self.corpus.message(name)))
-            for codec in (ros1(), cdr())
+            for codec in (ros1_codec(), cdr_codec())
             for name in [*messages, "std_srvs/SetBoolRequest"]
             for _ in range(5)
         ]
@@ -86,7 +86,7 @@ class RosTcp:
     def check(self) -> None:
         """The bystander's message arrives, whatever the others send."""
         text = schema().new("std_msgs/String", data=str(self.frames))
-        self._bystander.message("/bystander", ros1().encode(text))
+        self._bystander.message("/bystander", ros1_codec().encode(text))
         assert self._got.get(10) == text, "the bystander's message did not arrive"
 
     def send(self) -> None:

@@ -8,7 +8,7 @@ from tests.fuzz.decoders import Decoders
 from tests.fuzz.edges import Edges
 from tests.fuzz.ros_tcp import RosTcp
 
-from armcell.ros.tcp.frames import FrameError, FrameReader
+from armcell.ros.tcp.framing import FrameError, FrameReader
 from armcell.ros.tcp.peer import Peer
 
 

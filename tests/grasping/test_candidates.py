@@ -12,7 +12,7 @@ from tests.grasping.solids import FINE, solid, surface, world_surface
 from armcell.core import SE3, SO3, Box, Cylinder, PointCloud, Sphere, UnknownNameError
 from armcell.grasping import generators, grasp_candidates, hand_of, nearest_miss, needed_force
 from armcell.model import load_robot
-from armcell.scene import CollisionObject, Material, Thread, library_object, mesh_object
+from armcell.scene import CollisionObject, Material, ScrewThread, library_object, mesh_object
 
 ROBOTS = ("panda", "ur10_gripper")
 STANDING = SE3.from_xyz_rpy((0.5, 0.1, 0.3), (0.0, 0.0, 0.7))
@@ -45,12 +45,12 @@ def item(request):
 
 
 def up_in(item) -> np.ndarray:
-    return item.T_world_object.rotation.inv().matrix @ np.array([0.0, 0.0, 1.0])
+    return item.T_world_object.rotation.inverse().matrix @ np.array([0.0, 0.0, 1.0])
 
 
 def straddles(grasp, item) -> bool:
     """Whether the object is between the pads of the open fingers, which are on the tcp's y axis."""
-    across = grasp.T_object_tcp.inv().apply(surface(item))[:, 1]
+    across = grasp.T_object_tcp.inverse().apply(surface(item))[:, 1]
     return across.max() < grasp.opening / 2 and across.min() > -grasp.opening / 2
 
 
@@ -60,7 +60,7 @@ def test_open_fingers_are_around_the_object(item, gripper, hand):
     for grasp in grasps:
         assert straddles(grasp, item), grasp.name
         assert grasp.width < grasp.opening <= gripper.max_width
-        across = grasp.T_object_tcp.inv().apply(surface(item))[:, 1]
+        across = grasp.T_object_tcp.inverse().apply(surface(item))[:, 1]
         assert grasp.width == pytest.approx(np.ptp(across), rel=0.01)
 
 
@@ -75,7 +75,9 @@ def test_frames_are_right_handed_with_the_tcp_inside_the_object(item, gripper, h
 
 def test_fingers_reach_no_deeper_than_they_are_long(item, gripper, hand):
     for grasp in grasp_candidates(item, hand)[0]:
-        depth = -grasp.T_object_tcp.inv().apply(surface(item))[:, 2].min()  # of the tcp below the near face
+        depth = (
+            -grasp.T_object_tcp.inverse().apply(surface(item))[:, 2].min()
+        )  # of the tcp below the near face
         assert depth <= gripper.finger_depth + 1e-9, grasp.name
 
 
@@ -201,7 +203,7 @@ def test_force_is_what_the_gripper_can_do_and_holds_the_weight_if_it_can(mass, f
 
 def test_a_screw_is_gripped_for_its_torque_too(hand):
     loose = held(0.05, 0.8)
-    screw = replace(loose, thread=Thread("plate", 0.0015, 0.005, 0.3))
+    screw = replace(loose, thread=ScrewThread("plate", 0.0015, 0.005, 0.3))
     by_weight, by_torque = (grasp_candidates(x, hand)[0][0].force for x in (loose, screw))
     assert by_torque > 2 * by_weight and 2 * by_torque * 0.8 * 0.025 + 2 * by_torque * 0.01 > 0.3
 
@@ -216,7 +218,7 @@ def test_too_heavy_is_rejected_with_both_forces(hand):
 # --- meshes and clouds ---
 def closing_points(grasp, points: np.ndarray, hand) -> np.ndarray:
     """Points of a surface between the pads, in the tcp frame."""
-    at = grasp.T_object_tcp.inv().apply(points)
+    at = grasp.T_object_tcp.inverse().apply(points)
     low, high = hand.pad
     return at[np.all((at[:, [0, 2]] > low) & (at[:, [0, 2]] < high), axis=1) & (np.abs(at[:, 1]) < 0.06)]
 
@@ -234,7 +236,7 @@ def test_antipodal_grasps_are_around_what_they_hold_and_clear_of_the_support(kin
         boxes = hand.boxes.copy()
         boxes[len(hand.palm) : len(hand.palm) + len(hand.left), [1, 4]] += grasp.opening / 2
         boxes[len(hand.palm) + len(hand.left) :, [1, 4]] -= grasp.opening / 2
-        at = grasp.T_object_tcp.inv().apply(points)
+        at = grasp.T_object_tcp.inverse().apply(points)
         for low, high in zip(boxes[:, :3] + 1e-3, boxes[:, 3:] - 1e-3, strict=True):
             assert not np.any(np.all((at > low) & (at < high), axis=1)), grasp.name
             corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armcell.core import HeightMap, InputError
-from armcell.grasping import AboveSettings, grasps_from_above, hand_of
+from armcell.grasping import TopDownGraspSettings, hand_of, top_down_grasps
 from armcell.model import load_robot
 
 CELL = 0.003
@@ -36,7 +36,7 @@ def closing(grasp):
 def under_fingers(seen, grasp):
     """The highest cell under either open finger (independent of the kernel: cells in rotated rectangles)."""
     index = np.argwhere(np.isfinite(seen.heights))
-    local = grasp.T_object_tcp.inv().apply(seen.at(index))
+    local = grasp.T_object_tcp.inverse().apply(seen.at(index))
     beyond = np.abs(local[:, 1]) - grasp.opening / 2
     inside = (np.abs(local[:, 0]) <= FINGER[0]) & (beyond >= 0) & (beyond <= FINGER[1])
     return seen.at(index)[inside, 2].max()
@@ -46,7 +46,7 @@ def under_fingers(seen, grasp):
 def test_a_box_is_held_across_its_narrow_side(yaw_deg):
     yaw = np.deg2rad(yaw_deg)
     seen, labels = with_boxes((0.25, 0.25, 0.12, 0.04, yaw, 0.05))
-    best = grasps_from_above(seen, labels, 0.0, HAND, 20.0)[0]
+    best = top_down_grasps(seen, labels, 0.0, HAND, 20.0)[0]
     across = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     assert abs(closing(best) @ across) > 0.98
     assert best.width == pytest.approx(0.04, abs=2.5 * CELL)
@@ -66,7 +66,7 @@ def test_no_open_finger_goes_into_anything():
         for _ in range(12)
     ]
     seen, labels = with_boxes(*boxes)
-    found = grasps_from_above(seen, labels, 0.0, HAND, 20.0)
+    found = top_down_grasps(seen, labels, 0.0, HAND, 20.0)
     assert len(found) > 20
     for grasp in found:
         tips = grasp.T_object_tcp.translation[2] - TIPS
@@ -78,7 +78,7 @@ def test_no_open_finger_goes_into_anything():
 def test_beside_a_wall_it_is_held_along_the_wall():
     seen, labels = with_boxes((0.25, 0.25, 0.05, 0.05, 0.0, 0.05), (0.25, 0.2785, 0.4, 0.008, 0.0, 0.06))
     labels[labels == 1] = -1
-    found = grasps_from_above(seen, labels, 0.0, HAND, 20.0)
+    found = top_down_grasps(seen, labels, 0.0, HAND, 20.0)
     assert found and all(abs(closing(g)[0]) > 0.9 for g in found)
 
 
@@ -87,27 +87,27 @@ def test_beside_a_wall_it_is_held_along_the_wall():
 )
 def test_what_does_not_fit_gives_nothing(box):
     seen, labels = with_boxes(box)
-    assert grasps_from_above(seen, labels, 0.0, HAND, 20.0) == []
+    assert top_down_grasps(seen, labels, 0.0, HAND, 20.0) == []
 
 
 @pytest.mark.parametrize("yaw_deg", range(0, 90, 5))
 def test_a_plate_wider_than_the_hand_is_not_held_by_its_corners_either(yaw_deg):
     seen, labels = with_boxes((0.25, 0.25, 0.16, 0.15, np.deg2rad(yaw_deg), 0.03))
-    for settings in (AboveSettings(), AboveSettings(room=0.0045, turns=32, least_touch=0.15)):
-        assert grasps_from_above(seen, labels, 0.0, HAND, 20.0, settings) == []
+    for settings in (TopDownGraspSettings(), TopDownGraspSettings(room=0.0045, turns=32, least_touch=0.15)):
+        assert top_down_grasps(seen, labels, 0.0, HAND, 20.0, settings) == []
 
 
 def test_the_upper_of_two_comes_first():
     seen, labels = with_boxes((0.15, 0.25, 0.05, 0.04, 0.0, 0.04), (0.35, 0.25, 0.05, 0.04, 0.0, 0.10))
-    assert grasps_from_above(seen, labels, 0.0, HAND, 20.0)[0].piece == 1
+    assert top_down_grasps(seen, labels, 0.0, HAND, 20.0)[0].piece == 1
 
 
 def test_what_has_failed_is_tried_last():
     seen, labels = with_boxes((0.15, 0.25, 0.05, 0.04, 0.0, 0.05), (0.35, 0.25, 0.05, 0.04, 0.0, 0.05))
-    first = grasps_from_above(seen, labels, 0.0, HAND, 20.0)[0]
+    first = top_down_grasps(seen, labels, 0.0, HAND, 20.0)[0]
     x, y, _ = first.T_object_tcp.translation
     avoid = [(x, y, float(np.arctan2(*closing(first)[1::-1])))]
-    second = grasps_from_above(seen, labels, 0.0, HAND, 20.0, avoid=avoid)[0]
+    second = top_down_grasps(seen, labels, 0.0, HAND, 20.0, avoid=avoid)[0]
     elsewhere = np.linalg.norm(second.T_object_tcp.translation[:2] - (x, y)) > 0.015
     assert elsewhere or abs(closing(first) @ closing(second)) < 0.94
 
@@ -115,6 +115,6 @@ def test_what_has_failed_is_tried_last():
 def test_bad_input_is_said():
     seen, labels = with_boxes((0.25, 0.25, 0.05, 0.04, 0.0, 0.05))
     with pytest.raises(InputError, match="labels"):
-        grasps_from_above(seen, labels[1:], 0.0, HAND, 20.0)
+        top_down_grasps(seen, labels[1:], 0.0, HAND, 20.0)
     with pytest.raises(InputError, match="room"):
-        AboveSettings(room=0.0)
+        TopDownGraspSettings(room=0.0)

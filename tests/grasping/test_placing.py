@@ -7,7 +7,7 @@ import pytest
 from tests.grasping.solids import solid, world_surface
 
 from armcell.core import SE3, Box, Cylinder, InputError, Sphere
-from armcell.grasping import place_candidates, placement_axis, support_surface, turned
+from armcell.grasping import place_candidates, placement_axis, rotated_placement, support_surface
 from armcell.scene import CollisionObject
 
 TURNED = SE3.from_xyz_rpy((0.4, -0.2, 0.15), (0.0, 0.0, 0.5))
@@ -61,7 +61,7 @@ def test_the_bottom_lies_on_the_surface_inside_the_edges(item, on):
     for placement in placements:
         points = world_surface(item, placement.T_world_object)
         assert points[:, 2].min() == pytest.approx(surface_z, abs=1e-6), placement.name
-        assert inside(support.T_world_object.inv().apply(points)), placement.name
+        assert inside(support.T_world_object.inverse().apply(points)), placement.name
 
 
 def test_the_object_keeps_its_upright_axis(item, on):
@@ -76,7 +76,7 @@ def test_best_first_from_the_middle_on(item, on):
     placements = place_candidates(item, support)
     scores = [p.score for p in placements]
     assert scores == sorted(scores, reverse=True)
-    middle = support.T_world_object.inv().apply(placements[0].T_world_object.translation)
+    middle = support.T_world_object.inverse().apply(placements[0].T_world_object.translation)
     np.testing.assert_allclose(middle[:2], 0.0, atol=1e-9)
     assert len({p.name for p in placements}) == len(placements)
 
@@ -85,7 +85,7 @@ def test_best_first_from_the_middle_on(item, on):
 def test_three_by_three_around_the_point(at):
     step = 0.03
     placements = place_candidates(ITEMS["cube"], SUPPORTS["table"][0], at, step)
-    T_support_world = SUPPORTS["table"][0].T_world_object.inv()
+    T_support_world = SUPPORTS["table"][0].T_world_object.inverse()
     spots = {tuple(T_support_world.apply(p.T_world_object.translation)[:2].round(6)) for p in placements}
     x, y = at or (0.0, 0.0)
     grid = {(round(x + i * step, 6), round(y + k * step, 6)) for i in (-1, 0, 1) for k in (-1, 0, 1)}
@@ -95,9 +95,9 @@ def test_three_by_three_around_the_point(at):
 def test_the_first_turn_is_the_smallest_to_the_support_s_axes():
     cube, table = ITEMS["cube"], SUPPORTS["table"][0]
     best = place_candidates(cube, table)[0].T_world_object
-    relative = table.T_world_object.rotation.inv() @ best.rotation
+    relative = table.T_world_object.rotation.inverse() @ best.rotation
     assert np.abs(relative.matrix).round(9).tolist() == np.eye(3).tolist()  # in line with the table
-    turned = (cube.T_world_object.rotation.inv() @ best.rotation).log()
+    turned = (cube.T_world_object.rotation.inverse() @ best.rotation).log()
     assert np.linalg.norm(turned) <= np.pi / 4 + 1e-9
 
 
@@ -108,7 +108,7 @@ def test_the_surface_is_on_top_however_the_box_lies(flip):
     top = world_surface(box)
     assert frame.translation[2] == pytest.approx(top[:, 2].max())
     np.testing.assert_allclose(frame.rotation.matrix[:, 2], (0, 0, 1), atol=1e-9)
-    local = frame.inv().apply(top)
+    local = frame.inverse().apply(top)
     np.testing.assert_allclose((np.ptp(local[:, 0]), np.ptp(local[:, 1])), (size_x, size_y), atol=1e-9)
 
 
@@ -139,14 +139,14 @@ def test_a_point_beyond_the_edge_is_refused():
 
 def test_near_an_edge_only_what_stays_on_is_offered():
     placements = place_candidates(ITEMS["cube"], TRAY, at=(0.09, 0.0), step=0.02)
-    xs = {round(float(TURNED.inv().apply(p.T_world_object.translation)[0]), 3) for p in placements}
+    xs = {round(float(TURNED.inverse().apply(p.T_world_object.translation)[0]), 3) for p in placements}
     assert xs == {0.07, 0.09}
 
 
 def test_an_object_beside_its_origin_stays_inside_the_edges():
     beside = solid(Box(0.05, 0.05, 0.05), SE3.from_xyz(1, 1, 1), SE3.from_xyz(0.12, 0, 0))
     for placement in place_candidates(beside, TRAY):
-        points = TURNED.inv().apply(world_surface(beside, placement.T_world_object))
+        points = TURNED.inverse().apply(world_surface(beside, placement.T_world_object))
         assert np.abs(points[:, :2]).max() < INNER / 2, placement.name
 
 
@@ -156,22 +156,22 @@ def test_a_turned_placement_keeps_its_center_and_stays_inside_the_edges(item, on
     kept = 0
     for placement in place_candidates(item, support):
         for angle in (0.4, -2.0):
-            other = turned(item, support, placement, angle)
+            other = rotated_placement(item, support, placement, angle)
             if other is None:
                 continue
             kept += 1
             axis = placement_axis(item, placement)
-            in_axis = [axis.inv() @ p.T_world_object for p in (placement, other)]
-            turn = (in_axis[1] @ in_axis[0].inv()).rotation.log()
+            in_axis = [axis.inverse() @ p.T_world_object for p in (placement, other)]
+            turn = (in_axis[1] @ in_axis[0].inverse()).rotation.log()
             np.testing.assert_allclose(turn, [0, 0, angle], atol=1e-9)
             points = world_surface(item, other.T_world_object)
             assert points[:, 2].min() == pytest.approx(surface_z, abs=1e-6)
-            assert inside(support.T_world_object.inv().apply(points))
+            assert inside(support.T_world_object.inverse().apply(points))
     assert kept > 0
 
 
 def test_a_placement_whose_corners_would_leave_the_support_is_not_turned():
     cube, post = solid(Box(0.04, 0.04, 0.04)), CollisionObject.single("post", Box(0.06, 0.06, 0.1), TURNED)
     straight = place_candidates(cube, post)[0]
-    assert turned(cube, post, straight, np.pi / 4) is None
-    assert turned(cube, post, straight, np.pi / 2) is not None
+    assert rotated_placement(cube, post, straight, np.pi / 4) is None
+    assert rotated_placement(cube, post, straight, np.pi / 2) is not None

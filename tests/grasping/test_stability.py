@@ -9,7 +9,7 @@ import pytest
 from tests.grasping.solids import solid
 
 from armcell.core import SE3, SO3, Box, Cylinder, InputError, PointCloud, Sphere
-from armcell.grasping import place_candidates, resting_now, rests
+from armcell.grasping import place_candidates, resting_now, stable_poses
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene, library_object
 from armcell.sim import SimWorld
@@ -27,7 +27,7 @@ def settles(items: list[CollisionObject], seconds: float = 1.0) -> list[tuple[fl
 @pytest.mark.parametrize("kind", ["box", "can", "bottle", "mug", "l_bracket", "bolt"])
 def test_an_object_stays_on_each_side_it_is_said_to_stand_on(kind):
     item = library_object(kind)
-    firm = [r for r in rests(item) if r.margin > 0.004]
+    firm = [r for r in stable_poses(item) if r.margin > 0.004]
     assert firm and firm[0].margin == max(r.margin for r in firm)
     standing = [
         replace(item, name=f"{kind}{i}").at(
@@ -40,10 +40,10 @@ def test_an_object_stays_on_each_side_it_is_said_to_stand_on(kind):
 
 
 def test_a_box_has_six_sides_and_a_needle_does_not_stand_on_its_end():
-    assert len(rests(solid(Box(0.1, 0.06, 0.02)))) == 6
-    margins = sorted(r.margin for r in rests(solid(Box(0.1, 0.06, 0.02))))
+    assert len(stable_poses(solid(Box(0.1, 0.06, 0.02)))) == 6
+    margins = sorted(r.margin for r in stable_poses(solid(Box(0.1, 0.06, 0.02))))
     assert margins == pytest.approx([0.01] * 4 + [0.03] * 2)
-    ends = [r for r in rests(solid(Cylinder(0.002, 0.2))) if abs(r.up[2]) > 0.9]
+    ends = [r for r in stable_poses(solid(Cylinder(0.002, 0.2))) if abs(r.up[2]) > 0.9]
     assert all(r.margin < 0.0021 for r in ends)
 
 
@@ -110,4 +110,4 @@ def test_a_cloud_of_one_flat_side_stands_on_none_that_was_seen():
         np.stack(np.meshgrid(np.arange(20), np.arange(20), [0.0], indexing="ij"), -1).reshape(-1, 3) * 0.003
     )
     item = CollisionObject.single("seen", PointCloud(flat, 0.004))
-    assert rests(item) == () and resting_now(item) is None
+    assert stable_poses(item) == () and resting_now(item) is None

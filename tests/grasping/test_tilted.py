@@ -79,12 +79,12 @@ def test_it_stands_flat_on_the_surface_inside_its_edges():
     frame, size_x, size_y = support_surface(support, np.radians(25))
     assert np.degrees(tilt_of(frame)) == pytest.approx(20)
     corner = support.T_world_object.apply(np.array([0.25, 0.2, 0.01]))
-    np.testing.assert_allclose(np.abs(frame.inv().apply(corner)), (0.25, 0.2, 0.0), atol=1e-9)
+    np.testing.assert_allclose(np.abs(frame.inverse().apply(corner)), (0.25, 0.2, 0.0), atol=1e-9)
     assert (size_x, size_y) == pytest.approx((0.5, 0.4))
     placements = place_candidates(item(), support)
     assert len(placements) > 20
     for placement in placements:
-        points = support.T_world_object.inv().apply(world_surface(item(), placement.T_world_object))
+        points = support.T_world_object.inverse().apply(world_surface(item(), placement.T_world_object))
         assert points[:, 2].min() == pytest.approx(0.01, abs=1e-6)
         assert np.all(np.abs(points[:, :2]) < (0.25, 0.2)), placement.name
         np.testing.assert_allclose(placement.normal, support.T_world_object.rotation.matrix[:, 2], atol=1e-9)

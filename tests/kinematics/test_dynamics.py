@@ -90,7 +90,7 @@ def test_rows_are_the_torques_of_a_motion_along_the_path():
     names = model.group("arm").joint_names
     dynamics, rng = InverseDynamics(model, names), np.random.default_rng(3)
     q, first, second = (rng.normal(0, 1, (5, 7)) for _ in range(3))
-    a, b, c = np.moveaxis(dynamics.rows(q, first, second), 1, 0)
+    a, b, c = np.moveaxis(dynamics.torque_coefficients(q, first, second), 1, 0)
     u, x = -1.3, 0.7
     torques = dynamics.torques(q, first * np.sqrt(x), first * u + second * x)
     np.testing.assert_allclose(a * u + b * x + c, torques, atol=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from tests.model.helpers import MBM, dual, mbm_robot, random_positions
 
 from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
-from armcell.kinematics import IKSettings, IKSolver, NumericIK, ik_solver, ik_solvers, spin_angles
+from armcell.kinematics import IKSettings, IKSolver, NumericIK, free_axis_angles, ik_solver, ik_solvers
 from armcell.model import load_robot
 
 POSES = 300
@@ -249,9 +249,11 @@ def test_five_joints_reach_a_pose_that_may_turn_about_an_axis():
         q[ik.columns] = random_positions(model, rng)[ik.columns]
         T_world_tip = ik.tree.link_pose(q, "wrist_2_link")
         goal = T_world_tip @ T_tip_axis @ about_z(-turn)
-        angles = list(spin_angles(model, "five", "wrist_2_link", T_tip_axis, goal, model.default_positions()))
+        angles = list(
+            free_axis_angles(model, "five", "wrist_2_link", T_tip_axis, goal, model.default_positions())
+        )
         for angle in angles:
-            target = goal @ about_z(angle) @ T_tip_axis.inv()
+            target = goal @ about_z(angle) @ T_tip_axis.inverse()
             answer = ik.solve(target, model.default_positions())
             assert answer.ok, answer.message
             position, rotation = reached(ik, answer.positions, q).distance_to(target)

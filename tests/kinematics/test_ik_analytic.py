@@ -11,7 +11,7 @@ from tests.model.helpers import MBM, REFERENCES, PinRobot, dual, mbm_robot, rand
 
 from armcell.core import SE3, SO3, ErrorCode, InputError
 from armcell.kinematics import AnalyticIK, IKSolver, NumericIK, ik_solver, kinematic_tree
-from armcell.model import Group, Part, RobotModel, compose, load_robot
+from armcell.model import Group, MountedRobot, RobotModel, compose, load_robot
 
 TURN = 2 * np.pi
 
@@ -93,7 +93,7 @@ def test_every_ur_by_its_table(name):
     """The published DH table, multiplied out by hand, against the solver on the same arm as a URDF."""
     ik, rng = ik_solver(arm(dh_rows(name)), "arm"), np.random.default_rng(2)
     assert ik.method == "analytic"
-    mount = ik.tree.link_pose(np.zeros(6), "tool") @ SE3.from_matrix(dh_pose(name, np.zeros(6))).inv()
+    mount = ik.tree.link_pose(np.zeros(6), "tool") @ SE3.from_matrix(dh_pose(name, np.zeros(6))).inverse()
     for _ in range(50):
         q = rng.uniform(-np.pi, np.pi, 6)
         target = mount @ SE3.from_matrix(dh_pose(name, q))
@@ -115,7 +115,7 @@ def test_in_a_bigger_robot():
     rng = np.random.default_rng(4)
     ceiling = SE3.from_xyz_rpy((0.3, -1.5, 2.0), (np.pi, 0.3, 0.2))
     arm_ = load_robot("ur10_gripper")
-    hung = compose("two", [Part(arm_, "left_"), Part(arm_, "right_", "world", ceiling)])
+    hung = compose("two", [MountedRobot(arm_, "left_"), MountedRobot(arm_, "right_", "world", ceiling)])
     for model, group in (
         (dual(), "right_arm"),
         (hung, "right_arm"),

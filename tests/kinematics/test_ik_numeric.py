@@ -23,9 +23,9 @@ from tests.model.helpers import (
 from armcell.core import SE3, SO3, ErrorCode, InputError, UnknownNameError
 from armcell.kinematics import IKSettings, NumericIK, ik_solver
 from armcell.kinematics.ik.chain import goal_in_base
+from armcell.kinematics.ik.full_turns import full_turn_equivalents
 from armcell.kinematics.ik.search import any_solution
 from armcell.kinematics.ik.seeds import halton, pose_numbers
-from armcell.kinematics.ik.turns import whole_turns
 from armcell.model import Group, RobotModel, load_robot
 
 TURN = 2 * np.pi
@@ -65,15 +65,26 @@ def test_a_thousand_poses_against_pinocchio(robot):
 
 def test_the_compiled_function_finds_all_of_a_thousand():
     ik = NumericIK(load_robot("panda"), "arm")
-    chain, seeds, home = ik.prepared.chain, ik.prepared.seeds, ik.model.default_positions()
+    chain, seeds, home = ik.chain_data.chain, ik.chain_data.seeds, ik.model.default_positions()
     rng, goal, found = np.random.default_rng(1), np.empty(12), np.empty((1, 7))
     for _ in range(1000):
         target = ik.tree.link_pose(random_positions(ik.model, rng), ik.tip_link).matrix
         goal_in_base(chain.inverse_base, target, goal)
         assert any_solution(
-            chain.table, chain.bounds, chain.turning, goal, chain.scale, home[ik.columns], seeds.positions,
-            seeds.poses, 200, 30, 1e-6, 1e-6, found,
-        )  # fmt: skip
+            chain.table,
+            chain.bounds,
+            chain.turning,
+            goal,
+            chain.position_weight,
+            home[ik.columns],
+            seeds.positions,
+            seeds.poses,
+            200,
+            30,
+            1e-6,
+            1e-6,
+            found,
+        )
 
 
 def odd_chains() -> dict[str, RobotModel]:
@@ -193,10 +204,10 @@ def test_is_valid_is_asked_until_it_agrees():
 
 def test_whole_turns_of_a_bounded_and_an_endless_joint():
     model = grouped(chain_of("continuous 0 0 1", "prismatic 0 0 1", "revolute 0 1 0"), "l3")
-    chain = NumericIK(model, "g").prepared.chain
+    chain = NumericIK(model, "g").chain_data.chain
     bounds = np.array([[-np.inf, np.inf], [-20.0, 20.0], [-7.0, 9.0]])
     chain = replace(chain, bounds=bounds)
-    found = whole_turns(np.array([0.5, 1.5, 2.0]), np.array([20.0, 20.0, -1.0]), chain)
+    found = full_turn_equivalents(np.array([0.5, 1.5, 2.0]), np.array([20.0, 20.0, -1.0]), chain)
     near = 0.5 + 3 * TURN
     np.testing.assert_allclose(found, [[near, 1.5, 2.0], [near, 1.5, 2.0 - TURN], [near, 1.5, 2.0 + TURN]])
     assert chain.turning.tolist() == [True, False, True]
@@ -208,7 +219,7 @@ def test_a_mimic_with_a_gear_has_no_whole_turns():
         joint("j1", "a", "b", "continuous"),
         joint("j2", "b", "c", inside='<axis xyz="0 1 0"/><mimic joint="j1" multiplier="0.5"/>'),
     )  # fmt: skip
-    assert NumericIK(grouped(gear, "c"), "g").prepared.chain.turning.tolist() == [False]
+    assert NumericIK(grouped(gear, "c"), "g").chain_data.chain.turning.tolist() == [False]
 
 
 @pytest.mark.slow

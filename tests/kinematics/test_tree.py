@@ -68,7 +68,7 @@ def numeric_jacobian(tree: KinematicTree, q: np.ndarray, link: str, h: float = 1
         d = h * np.eye(len(q))[k]
         before, after = tree.link_pose(q - d, link), tree.link_pose(q + d, link)
         linear = (after.translation - before.translation) / (2 * h)
-        columns.append(np.r_[linear, (after.rotation @ before.rotation.inv()).log() / (2 * h)])
+        columns.append(np.r_[linear, (after.rotation @ before.rotation.inverse()).log() / (2 * h)])
     return np.array(columns).T
 
 
@@ -116,12 +116,12 @@ def test_a_planar_joint_moves_in_its_plane_and_a_floating_one_everywhere():
     still = planar.link_pose(np.zeros(4), "l1")
     for _ in range(10):
         x, y, theta = rng.uniform(-1, 1, 3)
-        moved = still.inv() @ planar.link_pose([x, y, theta, 0.0], "l1")
+        moved = still.inverse() @ planar.link_pose([x, y, theta, 0.0], "l1")
         assert moved.translation @ normal == pytest.approx(0.0, abs=1e-12)
         assert np.linalg.norm(moved.translation) == pytest.approx(np.hypot(x, y))
         assert SE3(moved.rotation, np.zeros(3)).isclose(SE3(SO3.exp(theta * normal), np.zeros(3)), 1e-9, 1e-7)
         xyz, rpy = rng.uniform(-1, 1, (2, 3))
-        moved = floating.link_pose(np.zeros(7), "l1").inv() @ floating.link_pose(
+        moved = floating.link_pose(np.zeros(7), "l1").inverse() @ floating.link_pose(
             [*xyz, *rpy[::-1], 0.0], "l1"
         )
         np.testing.assert_allclose(moved.matrix, SE3.from_xyz_rpy(xyz, rpy).matrix, atol=1e-12)

@@ -23,7 +23,7 @@ from tests import programs
 from tests.misuse.samples import HUGE, LONG, by_type, is_array, misuses, sample
 
 from armcell.core import ArmcellError
-from armcell.planning import prepare, solve_ik
+from armcell.planning import prepare_group, solve_ik
 from armcell.planning.warm_up import warm_up_ik
 from armcell.timing import BlendedPath
 
@@ -173,7 +173,7 @@ def _findings(shard: int, shards: int, folder: str) -> Iterator[dict[str, Any]]:
 def warm_up() -> None:
     """Compile what is compiled at its first call, and what a robot's first use takes: neither counts."""
     scene, q = by_type()["PlanningScene"], by_type()["JointState"].positions
-    prepare(scene, "arm")
+    prepare_group(scene, "arm")
     for link in (None, "panda_hand"):
         warm_up_ik(scene.model, "arm", link)
     solve_ik(scene, "arm", by_type()["SE3"])

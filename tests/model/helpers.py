@@ -11,7 +11,15 @@ import pinocchio as pin
 import yaml
 
 from armcell.core import SE3
-from armcell.model import Part, RobotModel, compose, installed_robots, load_robot, load_urdf, parse_urdf
+from armcell.model import (
+    MountedRobot,
+    RobotModel,
+    compose,
+    installed_robots,
+    load_robot,
+    load_urdf,
+    parse_urdf,
+)
 from armcell.model.assets import installed_share, resolve_uri
 from armcell.model.loader import LIBRARY, xacro_texts
 from armcell.model.urdf import urdf_text
@@ -74,7 +82,11 @@ def dual() -> RobotModel:
     """Two ur10_gripper side by side, 1.5 m apart."""
     arm = load_robot("ur10_gripper")
     return compose(
-        "dual", [Part(arm, "left_"), Part(arm, "right_", "world", SE3.from_xyz_rpy((0, -1.5, 0), (0, 0, 0)))]
+        "dual",
+        [
+            MountedRobot(arm, "left_"),
+            MountedRobot(arm, "right_", "world", SE3.from_xyz_rpy((0, -1.5, 0), (0, 0, 0))),
+        ],
     )
 
 

@@ -9,7 +9,7 @@ from tests.model.helpers import joint, link, robot
 
 from armcell.core import InputError, UnknownNameError
 from armcell.model import load_robot
-from armcell.model.files import MAX_TEXT_BYTES, read_text, read_yaml
+from armcell.model.untrusted_files import MAX_TEXT_BYTES, read_text, read_yaml
 
 LAUGHS = (
     '<!DOCTYPE r [<!ENTITY a "lol">'

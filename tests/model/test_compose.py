@@ -6,7 +6,7 @@ import pytest
 from tests.model.helpers import dual, joint, link, model_of
 
 from armcell.core import SE3, InputError, UnknownNameError
-from armcell.model import Part, compose, installed_robots, load_robot, prefixed
+from armcell.model import MountedRobot, compose, installed_robots, load_robot, prefixed
 
 
 def test_two_arms_have_prefixed_names_throughout():
@@ -47,7 +47,10 @@ def test_a_prefix_changes_nothing_but_names(name):
 def test_names_clash_without_prefixes():
     arm = load_robot("ur10")
     with pytest.raises(InputError, match=r"two parts have 'base'.*prefix"):
-        compose("two", [Part(arm), Part(arm, parent_link="world", T_parent_root=SE3.from_xyz(1, 0, 0))])
+        compose(
+            "two",
+            [MountedRobot(arm), MountedRobot(arm, parent_link="world", T_parent_root=SE3.from_xyz(1, 0, 0))],
+        )
 
 
 def test_groups_clash_too():
@@ -58,13 +61,13 @@ def test_groups_clash_too():
 
     a, b = (replace(m, groups={"arm": Group("arm", m.joint_names, ())}) for m in (a, b))
     with pytest.raises(InputError, match="two parts have group 'arm'"):
-        compose("two", [Part(a), Part(b)])
+        compose("two", [MountedRobot(a), MountedRobot(b)])
 
 
 def test_a_part_is_mounted_on_a_link():
     arm, hand = load_robot("ur10"), load_robot("parallel_gripper")
     T = SE3.from_xyz_rpy((0.0, 0.0, 0.1), (0.0, 0.0, 1.0))
-    whole = compose("whole", [Part(arm), Part(hand, "g_", "tool0", T)])
+    whole = compose("whole", [MountedRobot(arm), MountedRobot(hand, "g_", "tool0", T)])
     mount = whole.parent_joint["g_" + hand.root_link]
     assert (mount.type, mount.parent, whole.root_link) == ("fixed", "tool0", arm.root_link)
     assert mount.T_parent_joint.isclose(T)
@@ -72,14 +75,14 @@ def test_a_part_is_mounted_on_a_link():
 
 
 def test_a_single_part_away_from_the_origin_gets_a_world():
-    model = compose("one", [Part(load_robot("ur10"), T_parent_root=SE3.from_xyz(0, 0, 1))])
+    model = compose("one", [MountedRobot(load_robot("ur10"), T_parent_root=SE3.from_xyz(0, 0, 1))])
     assert model.root_link == "world"
-    assert compose("one", [Part(load_robot("ur10"))]).root_link == "base_link"
+    assert compose("one", [MountedRobot(load_robot("ur10"))]).root_link == "base_link"
 
 
 def test_mistakes_are_named():
     arm, hand = load_robot("ur10"), load_robot("parallel_gripper")
     with pytest.raises(UnknownNameError, match=r"unknown link 'tool'.*did you mean 'tool0'"):
-        compose("whole", [Part(arm), Part(hand, "", "tool")])
+        compose("whole", [MountedRobot(arm), MountedRobot(hand, "", "tool")])
     with pytest.raises(InputError, match="no parts"):
         compose("nothing", [])

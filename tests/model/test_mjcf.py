@@ -11,7 +11,7 @@ import pytest
 
 from armcell.core import InputError
 from armcell.kinematics import kinematic_tree
-from armcell.model import Part, compose, load_robot
+from armcell.model import MountedRobot, compose, load_robot
 from armcell.model.mjcf import load_mjcf
 
 ROBOTS = Path(__file__).parents[3].joinpath("shared", "data", "robots").resolve()
@@ -253,7 +253,7 @@ def test_excludes_and_adjacent_bodies_need_no_check(tmp_path):
 
 def test_prefixes_and_composition(tmp_path):
     model = load_robot(arm(tmp_path))
-    two = compose("two", [Part(model, "a_"), Part(model, "b_")])
+    two = compose("two", [MountedRobot(model, "a_"), MountedRobot(model, "b_")])
     assert {part.prefix for part in two.mjcf} == {"a_", "b_"}
     assert "b_tool" in two.links and two.dof == 6
 

@@ -7,7 +7,7 @@ from tests.model.helpers import EXAMPLES, collision, joint, link, mbm_file, mbm_
 
 from armcell.core import InputError
 from armcell.model import load_robot, load_urdf
-from armcell.model.setup import described, find_chains, parse_srdf, srdf_text, with_groups
+from armcell.model.setup import find_chains, parse_srdf, srdf_of, srdf_text, with_groups
 from armcell.model.srdf import with_srdf_text
 
 BOX = collision('<box size="0.1 0.1 0.1"/>')
@@ -58,7 +58,7 @@ def test_fingers_on_the_last_link():
     assert model.groups["arm"].joint_names == ("j1", "j2", "j3", "j4")
     assert model.groups["gripper"].joint_names == ("slide_a", "slide_b")
     assert model.end_effectors["gripper"].parent_link == "l4"
-    again = with_srdf_text(model_of(link("base"), *arm(4), *fingers), srdf_text(described(model)), "x.srdf")
+    again = with_srdf_text(model_of(link("base"), *arm(4), *fingers), srdf_text(srdf_of(model)), "x.srdf")
     assert again.groups["gripper"].joint_names == ("slide_a", "slide_b")
 
 
@@ -110,7 +110,7 @@ def test_a_gripper_alone():
 @pytest.mark.parametrize("name", ["panda", "ur10_gripper"])
 def test_srdf_of_a_model_says_the_same_again(name):
     model = load_robot(name)
-    text = srdf_text(described(model))
+    text = srdf_text(srdf_of(model))
     bare = with_srdf_text(model, "<robot name='r'/>", "bare.srdf")
     assert not bare.groups and not bare.disabled_collisions
     again = with_srdf_text(bare, text, "again.srdf")

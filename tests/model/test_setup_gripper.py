@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from tests.model.helpers import collision, joint, link, model_of
 
-from armcell.cell.gripper_proof import prove
+from armcell.cell.gripper_proof import prove_gripper
 from armcell.core import InputError, UnknownNameError
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel, load_robot
 from armcell.model.setup import with_groups
-from armcell.model.setup.gripper import StatedGripper, find_grippers, reasons
+from armcell.model.setup.gripper_detection import GripperSpec, find_grippers, reasons
 
 SHARED = Path(__file__).parents[3].joinpath("shared", "data", "robots").resolve()
 GEN3 = {"arm": "gen3", "dof": "7", "gripper": "robotiq_2f_85", "name": "gen3", "vision": "false"}
@@ -62,7 +62,7 @@ def test_the_jaws_close_along_y_around_the_grip_center(name, monkeypatch):
         q = model.default_positions()
         q[column] = gripper.joint_position(width)
         T = tree.link_pose(q, gripper.tcp_link) @ gripper.center(width)
-        return [T.inv().apply(tree.link_pose(q, n).translation) for n in gripper.finger_links]
+        return [T.inverse().apply(tree.link_pose(q, n).translation) for n in gripper.finger_links]
 
     small, wide = jaws(0.3 * gripper.max_width), jaws(0.6 * gripper.max_width)
     opened = [b[1] - a[1] for a, b in zip(small, wide, strict=True)]
@@ -78,7 +78,7 @@ def test_the_jaws_close_along_y_around_the_grip_center(name, monkeypatch):
 def test_the_hand_holds_a_cube(name, monkeypatch):
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))
     model = hand(name)
-    proof = prove(model, only(model))
+    proof = prove_gripper(model, only(model))
     assert proof.held, proof.text
     assert "holds a cube" in proof.text
 
@@ -170,7 +170,7 @@ def test_three_fingers_that_close_toward_a_center_are_not_two_jaws():
 
 def test_stated_sides_of_three_fingers_are_jaws_if_they_face_each_other():
     model = three_fingers(spread=180.0 - 15.0)
-    sides = StatedGripper.parse("fingers=finger_a,finger_b+finger_c")
+    sides = GripperSpec.parse("fingers=finger_a,finger_b+finger_c")
     gripper = only(find_grippers(model, stated=[sides]))
     assert set(gripper.finger_links) == set(FINGERS)
     assert gripper.max_width == pytest.approx(0.056, abs=0.003)  # pads at an angle of 15 degrees
@@ -185,7 +185,7 @@ def test_three_driven_fingers_state_what_to_add_to_the_description():
     with pytest.raises(
         InputError, match="moves finger finger_b by itself, but one joint must move both jaws"
     ):
-        find_grippers(model, stated=[StatedGripper.parse("drive=finger_a_joint fingers=finger_a,finger_b")])
+        find_grippers(model, stated=[GripperSpec.parse("drive=finger_a_joint fingers=finger_a,finger_b")])
 
 
 def test_a_ridge_inside_the_jaws_is_not_the_pad():
@@ -218,7 +218,7 @@ def test_stated_facts_that_are_true_change_nothing():
     model = made(0.0, 0.03, MIRRORED)
     found = only(find_grippers(model))
     text = f"end=gripper drive=left_finger fingers=left,right closes=lower tcp={found.tcp_link}"
-    stated = find_grippers(find_grippers(model), stated=[StatedGripper.parse(text)])
+    stated = find_grippers(find_grippers(model), stated=[GripperSpec.parse(text)])
     assert only(stated) == found
 
 
@@ -238,13 +238,13 @@ def test_stated_facts_that_are_true_change_nothing():
 )
 def test_stated_facts_that_the_meshes_contradict_are_errors(text, reason):
     with pytest.raises(InputError, match=re.escape(reason)):
-        find_grippers(made(0.0, 0.03, MIRRORED), stated=[StatedGripper.parse(text)])
+        find_grippers(made(0.0, 0.03, MIRRORED), stated=[GripperSpec.parse(text)])
 
 
 @pytest.mark.parametrize("text", ["closing=lower", "end=hand", "tcp=palm", "fingers=left,palm"])
 def test_unknown_names_in_stated_facts_list_the_known_names(text):
     with pytest.raises(UnknownNameError):
-        find_grippers(made(0.0, 0.03, MIRRORED), stated=[StatedGripper.parse(text)])
+        find_grippers(made(0.0, 0.03, MIRRORED), stated=[GripperSpec.parse(text)])
 
 
 def test_a_closed_end_that_is_not_clear_is_asked_for():
@@ -273,7 +273,7 @@ def test_a_jaw_with_an_untypical_name_is_found_if_its_joint_is_stated():
     ]  # fmt: skip
     model = model_of(*ARM, *jaw)
     assert not with_groups(model).end_effectors
-    gripper = only(find_grippers(with_groups(model, jaws=("j5",)), stated=[StatedGripper.parse("drive=j5")]))
+    gripper = only(find_grippers(with_groups(model, jaws=("j5",)), stated=[GripperSpec.parse("drive=j5")]))
     assert gripper.max_width == pytest.approx(0.04, abs=1e-3)
     assert gripper.finger_links == ("l5", "palm")
 

@@ -6,7 +6,7 @@ import pytest
 
 from armcell.core import InputError
 from armcell.model import load_robot
-from armcell.model.options import PACKAGES, XACRO_ARGS, assignments, set_packages, set_xacro_args
+from armcell.model.command_line_options import PACKAGES, XACRO_ARGS, assignments, set_packages, set_xacro_args
 
 XACRO = """<robot xmlns:xacro="http://ros.org/wiki/xacro" name="arm$(arg dof)">
   <xacro:arg name="dof" default="2"/>

@@ -6,13 +6,13 @@ import pytest
 
 from armcell.cell import load
 from armcell.moveit import Session
-from armcell.moveit.install import installed
+from armcell.moveit.install_shims import shims_installed
 
 
 @pytest.fixture(scope="module")
 def session():
     live = load("panda_table").connect("fake", None, time_scale=20.0)
-    with Session(live, quiet=True) as opened, installed(opened.messages):
+    with Session(live, quiet=True) as opened, shims_installed(opened.messages):
         yield opened
 
 

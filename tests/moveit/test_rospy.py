@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from armcell.ros.codec import ros1
+from armcell.ros.codec import ros1_codec
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_messages_are_lists_and_texts_as_scripts_use_them(session):
     assert PoseStamped() == PoseStamped() and pose != PoseStamped()
     state = JointState(name=["a"], position=[0.5])
     for message in (pose, state, trajectory):
-        decoded = ros1().decode(message._type, bytes(ros1().encode(message)))
+        decoded = ros1_codec().decode(message._type, bytes(ros1_codec().encode(message)))
         assert session.messages.local(decoded) == message
     assert session.messages.local(state).position == (0.5,)  # what comes from the wire are tuples
 
@@ -275,7 +275,7 @@ def test_transforms(rospy, session):
     from geometry_msgs.msg import PoseStamped
 
     scene = session.served.cell.scene()
-    expected = scene.frame_pose("panda_link0").inv() @ scene.frame_pose("panda_hand")
+    expected = scene.frame_pose("panda_link0").inverse() @ scene.frame_pose("panda_hand")
     buffer = tf2_ros.Buffer()
     tf2_ros.TransformListener(buffer)
     found = buffer.lookup_transform("panda_link0", "panda_hand", rospy.Time(0), rospy.Duration(5)).transform

@@ -220,7 +220,7 @@ def test_ctrl_c_while_the_last_motion_ends_keeps_the_run(tmp_path):
     status, kept = None, []
     live = load("panda_table").connect("fake", None)
     (tmp_path / "s.py").write_text(CTRL_C + MOVING.format(wait="wait=False"))
-    ended = lambda status, session: kept.append((status, session.served.cell.works()))  # noqa: E731
+    ended = lambda status, session: kept.append((status, session.served.cell.motions()))  # noqa: E731
     status, _ = run_script(tmp_path / "s.py", live, quiet=True, ended=ended)
     assert status == 130 and kept == [(130, [])]
 

@@ -16,15 +16,15 @@ from tests.perception.scenes import random_scene
 from armcell.core import SE3, InputError
 from armcell.perception import (
     cloud_image,
-    drawn,
+    draw_detections,
     load_image,
     load_record,
     look,
-    organized,
+    organized_cloud,
     pose_error,
     save_image,
 )
-from armcell.perception.files import load_depth
+from armcell.perception.image_files import load_depth
 from armcell.sim import DepthNoise
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -65,7 +65,9 @@ def test_png_and_yaml(seen, tmp_path):
 
 
 def test_a_cloud_without_rows_and_columns(seen):
-    points = seen.image.T_world_camera.apply(organized(seen.image.depth, seen.image.pinhole).reshape(-1, 3))
+    points = seen.image.T_world_camera.apply(
+        organized_cloud(seen.image.depth, seen.image.pinhole).reshape(-1, 3)
+    )
     points = points[np.isfinite(points[:, 0])]
     rng = np.random.default_rng(0)
     found_as(seen, look(cloud_image(rng.permutation(points), seen.image.T_world_camera)))
@@ -169,10 +171,10 @@ def test_a_damaged_chunk_length_reserves_no_memory(tmp_path):
 def test_what_is_seen_is_drawn_where_it_is(seen):
     """The outline is near the object's pixels, and only there."""
     sight = look(seen.image, seen.world.built.scene, tuple(seen.objects.values()))
-    changed = np.any(drawn(seen.image, sight) != seen.image.rgb, axis=2)
+    changed = np.any(draw_detections(seen.image, sight) != seen.image.rgb, axis=2)
     assert changed.sum() > 200
     for name in seen.objects:
         T = sight[name].T_world_object
         assert pose_error(sight[name].shapes, T, seen.truth(name))[0] < 0.002
-        ((u, v),) = seen.image.pinhole.project(seen.image.T_world_camera.inv().apply(T.translation))
+        ((u, v),) = seen.image.pinhole.project(seen.image.T_world_camera.inverse().apply(T.translation))
         assert changed[int(v) - 15 : int(v) + 15, int(u) - 15 : int(u) + 15].sum() > 20

@@ -23,10 +23,10 @@ def views(count: int, mount: str, noise: tuple[float, float] = (0.0, 0.0), seed:
     hands, markers = [], []
     for _ in range(count):
         hand = SE3(SO3.exp(rng.normal(size=3) * tilt), np.array([0.4, 0, 0.5]) + rng.uniform(-0.2, 0.2, 3))
-        A = hand if mount == "in_hand" else hand.inv()
+        A = hand if mount == "in_hand" else hand.inverse()
         shake = SE3(SO3.exp(rng.normal(size=3) * noise[1]), rng.normal(size=3) * noise[0])
         hands.append(hand)
-        markers.append((A @ X).inv() @ Y @ shake)
+        markers.append((A @ X).inverse() @ Y @ shake)
     return hands, markers
 
 
@@ -64,7 +64,9 @@ def test_hands_turned_by_half_a_turn():
         rng = np.random.default_rng(seed)
         hands = [SE3(R, np.array([0.4, 0, 0.5]) + rng.uniform(-0.2, 0.2, 3)) for R in turns]
         shakes = [SE3(SO3.exp(rng.normal(size=3) * 0.003), rng.normal(size=3) * 0.001) for _ in turns]
-        found = calibrate_hand_eye(hands, [(T @ X).inv() @ Y @ s for T, s in zip(hands, shakes, strict=True)])
+        found = calibrate_hand_eye(
+            hands, [(T @ X).inverse() @ Y @ s for T, s in zip(hands, shakes, strict=True)]
+        )
         assert found.ok, (seed, found.message)
         assert found.T_mount_camera.distance_to(X)[0] < 0.005
 
@@ -79,7 +81,7 @@ def test_hands_turned_by_half_a_turn():
 )
 def test_too_few_or_too_similar_views_are_refused(turns, text):
     hands = [SE3(SO3.exp(turn), np.array([0.4, 0.1 * i, 0.5])) for i, turn in enumerate(turns)]
-    markers = [(T @ X).inv() @ Y for T in hands]
+    markers = [(T @ X).inverse() @ Y for T in hands]
     found = calibrate_hand_eye(hands, markers)
     assert found.code is ErrorCode.FAILURE and found.T_mount_camera is None
     assert re.search(text, found.message)

@@ -7,7 +7,7 @@ import pytest
 
 from armcell.core import SE3, Box, CameraImage, Pinhole
 from armcell.model import load_robot
-from armcell.perception import height_map, pieces
+from armcell.perception import height_map, label_pieces
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import Camera, SimWorld, look_at, take_image
 
@@ -31,7 +31,7 @@ def test_two_boxes_are_two_pieces_of_their_size_and_height():
         table, box("a", 0.85, -0.1, (0.06, 0.04, 0.05)), box("b", 0.95, 0.1, (0.05, 0.05, 0.08))
     )
     seen = height_map(image, scene, (0.7, -0.25), (1.1, 0.25), 0.0)
-    labels = pieces(seen, np.ones_like(seen.seen), 0.007)
+    labels = label_pieces(seen, np.ones_like(seen.seen), 0.007)
     numbers = []
     for x, y, height, area in ((0.85, -0.1, 0.05, 0.0024), (0.95, 0.1, 0.08, 0.0025)):
         i, j = np.round((np.array([x, y]) - seen.origin) / seen.resolution).astype(int)

@@ -11,20 +11,20 @@ from tests.perception.scenes import TABLE, RandomScene, random_scene
 
 from armcell.core import SE3, SO3, Box, CameraImage, ErrorCode, InputError, Mesh, Pinhole
 from armcell.model import load_robot
-from armcell.perception import LookSettings, SeenObject, look, pose_error
+from armcell.perception import DetectedObject, LookSettings, look, pose_error
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import Camera, DepthNoise, SimWorld, look_at, take_image
 
 STEREO = DepthNoise.for_stereo()
 
 
-def box_sizes(item: SeenObject | CollisionObject) -> np.ndarray:
+def box_sizes(item: DetectedObject | CollisionObject) -> np.ndarray:
     shape = item.shapes[0][0]
     assert isinstance(shape, Box)
     return np.array([shape.x, shape.y, shape.z])
 
 
-def same_size_error(seen: SeenObject, true: CollisionObject, T: SE3) -> tuple[float, float, float]:
+def same_size_error(seen: DetectedObject, true: CollisionObject, T: SE3) -> tuple[float, float, float]:
     """Position [m] and rotation [rad] of a primitive and its worst size [m], however its axes are called."""
     if isinstance(true.shapes[0][0], Box):
         Ts = seen.T_world_object

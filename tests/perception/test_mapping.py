@@ -35,7 +35,7 @@ def test_the_unknown_block_is_in_the_map_and_nothing_else(cell):
     seen = CameraMap()
     done = seen.update(take_image(world, CAMERA), known)
     assert done.ok and done.hits > 100 and done.robot_points > 500 and done.object_points > 2000
-    local = BLOCK.T_world_object.inv().apply(seen.octree.centers)
+    local = BLOCK.T_world_object.inverse().apply(seen.octree.centers)
     off = np.abs(local) - BLOCK.shapes[0][0].half_extents
     assert np.mean(np.max(off, axis=1) < 0.03) > 0.97  # [m] a voxel and three sigma of noise
     checker = ExactChecker(seen.applied_to(known))
@@ -54,7 +54,7 @@ def test_it_goes_when_the_block_goes_and_comes_where_it_comes(cell):
     for _ in range(6):
         assert seen.update(take_image(world, CAMERA), known).ok
         world.step()
-    local = moved.inv().apply(seen.octree.centers)
+    local = moved.inverse().apply(seen.octree.centers)
     assert len(local) > 50 and np.mean(np.abs(local).max(axis=1) < 0.2) > 0.95
 
 

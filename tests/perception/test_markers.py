@@ -29,7 +29,7 @@ SIZE = 0.06
 
 def world(family: str, poses: dict[int, SE3]) -> SimWorld:
     """Markers on the table, given in the world's frame."""
-    under = TABLE.T_world_object.inv()
+    under = TABLE.T_world_object.inverse()
     decals = [
         Decal(f"m{n}", "table", under @ T, picture_size(family, SIZE), marker_picture(family, n))
         for n, T in poses.items()

@@ -91,7 +91,7 @@ EYE = SE3.from_xyz(1.5, 0.0, 0.8)
 
 def seen(scene, *world, sensor=SENSOR, onto=None):
     found = onto or SensorMap(0.02)
-    found.update(EYE.inv().apply(np.array(world, float)), EYE, scene, sensor)
+    found.update(EYE.inverse().apply(np.array(world, float)), EYE, scene, sensor)
     return found
 
 

@@ -9,7 +9,7 @@ from tests.scene.helpers import box, panda
 
 from armcell.collision import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import APART, DEEPER, certify_from_rest
+from armcell.collision.resting_contact import APART, DEEPER, certify_from_rest
 from armcell.core import SE3, SO3, JointTrajectory
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.timing.chords import chords
@@ -58,7 +58,7 @@ def brought_to(
 
     def gap(distance: float) -> float:
         exact = ExactChecker(at(distance), names)
-        exact.place(q)
+        exact.set_configuration(q)
         pairs = [(a, b) for a, b in exact.pairs if exact.geometries[b].body == item.name]
         return min(exact.pair_distance(int(a), int(b)) for a, b in pairs)
 
@@ -105,7 +105,7 @@ def judge_from_rest(scene: PlanningScene, trajectory: JointTrajectory) -> None:
 
 
 def _distances(exact: ExactChecker, q: np.ndarray) -> np.ndarray:
-    exact.place(q)
+    exact.set_configuration(q)
     out = exact.pair_gaps(exact.pairs)
     for p in np.flatnonzero(out < 0.005):
         out[p] = exact.pair_distance(*map(int, exact.pairs[p]))

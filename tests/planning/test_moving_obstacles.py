@@ -19,9 +19,9 @@ from armcell.core import (
     Plane,
     PointCloud,
 )
-from armcell.planning.moving_obstacles import plan_among_moving
+from armcell.planning.moving_obstacles import plan_around_moving_obstacles
 from armcell.scene import CollisionObject, MovingObject, PlanningScene
-from armcell.timing import BlendedPath, delayed, parameterize
+from armcell.timing import BlendedPath, delay_trajectory, parameterize
 
 ARM = tuple(f"panda_joint{i}" for i in range(1, 8))
 
@@ -116,18 +116,18 @@ def across() -> tuple[PlanningScene, JointGoal]:
 
 def test_nothing_in_the_way():
     scene, goal = across()
-    result = plan_among_moving(scene, request(goal), [passing(100.0)])
+    result = plan_around_moving_obstacles(scene, request(goal), [passing(100.0)])
     assert result.ok and result.evidence["moving"] == "as planned" and result.evidence["wait"] == 0
-    assert plan_among_moving(scene, request(goal), []).evidence["moving"] == "as planned"
+    assert plan_around_moving_obstacles(scene, request(goal), []).evidence["moving"] == "as planned"
 
 
 @pytest.mark.parametrize("begin", [-1.0, -2.0])
 def test_a_post_that_comes_by(begin):
     scene, goal = across()
     post = passing(begin, speed=1.0)
-    plain = plan_among_moving(scene, request(goal), [])
+    plain = plan_around_moving_obstacles(scene, request(goal), [])
     assert not certify_timed(scene, plain.trajectory, [post]).free  # it does matter
-    result = plan_among_moving(scene, request(goal), [post])
+    result = plan_around_moving_obstacles(scene, request(goal), [post])
     assert result.ok and result.evidence["moving"] in ("waits", "around")
     assert first_contact(scene, result.trajectory, post, 0.0, result.trajectory.duration, 0.01) is None
     judge(scene, result.trajectory)
@@ -142,7 +142,7 @@ def test_waiting_is_sooner_than_a_long_way_round():
     scene, goal = across()
     ways = (SE3.from_xyz(0.5, 0.25, 0.8), SE3.from_xyz(0.5, 0.25, 0.8), SE3.from_xyz(0.5, 0.25, 4.0))
     wall = MovingObject(box("wall", (2.5, 0.02, 2.5)), np.array([0.0, 2.0, 3.0]), ways)
-    result = plan_among_moving(scene, request(goal), [wall])
+    result = plan_around_moving_obstacles(scene, request(goal), [wall])
     assert result.ok and result.evidence["moving"] == "waits" and 1.0 < result.evidence["wait"] < 3.0
     assert first_contact(scene, result.trajectory, wall, 0.0, result.trajectory.duration, 0.01) is None
     still = result.trajectory.sample(result.evidence["wait"] - 1e-6)[0]
@@ -153,14 +153,14 @@ def test_one_that_never_goes():
     scene, goal = across()
     there = scene.with_state(goal.state).frame_pose("panda_hand")
     block = MovingObject(box("block", (0.2, 0.2, 0.2)), np.array([0.0]), (there,))
-    result = plan_among_moving(scene, request(goal, planning_time=2.0), [block])
+    result = plan_around_moving_obstacles(scene, request(goal, planning_time=2.0), [block])
     assert result.code is ErrorCode.PLANNING_FAILED and "block" in result.message
     assert result.evidence["contact"] is not None and result.evidence["time"] > 0
 
 
 def test_waiting_first():
     motion = slide(0.0, 1.0, 1.0)
-    later = delayed(motion, 0.5)
+    later = delay_trajectory(motion, 0.5)
     for t in (0.0, 0.3, 0.5, 1.0, 1.5):
         np.testing.assert_allclose(later.sample(t)[0], motion.sample(t - 0.5)[0], atol=1e-12)
 
@@ -207,4 +207,4 @@ def test_misuse():
     with pytest.raises(InputError, match="empty"):
         certify_timed(scene, empty, [crossing(0, 1)])
     with pytest.raises(InputError, match="start_time"):
-        plan_among_moving(*across()[:1], request(across()[1]), [], start_time=np.nan)
+        plan_around_moving_obstacles(*across()[:1], request(across()[1]), [], start_time=np.nan)

@@ -14,7 +14,7 @@ from tests.scene.helpers import box, panda
 
 from armcell.collision import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import certify_from_rest
+from armcell.collision.resting_contact import certify_from_rest
 from armcell.core import ADAPTERS, ErrorCode, InputError, JointGoal, JointState, PoseGoal, UnknownNameError
 from armcell.kinematics import ik_solver
 from armcell.planning import adapter_names, plan

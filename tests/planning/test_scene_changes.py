@@ -8,7 +8,15 @@ from tests.scene.helpers import box, panda
 
 from armcell.core import SE3, ErrorCode, Octree, PoseGoal
 from armcell.planning import plan
-from armcell.scene import OCTOMAP, AddObject, Allow, AllowByDefault, MoveObject, SceneDiff, SetOctomap
+from armcell.scene import (
+    OCTOMAP,
+    AddObject,
+    AllowCollision,
+    AllowCollisionByDefault,
+    MoveObject,
+    SceneDiff,
+    SetOctomap,
+)
 
 TABLE = box("table", (0.5, 0.8, 0.02), (0.55, 0.0, 0.2))
 OBSTACLE = box("obstacle", (0.1, 0.1, 0.3), (0.5, 0.0, 0.361))
@@ -34,7 +42,7 @@ def test_way_b_a_diff_with_the_request():
     diff = SceneDiff.of(AddObject(OBSTACLE), AddObject(target))
     assert plan(scene.apply(diff), request(goal)).code is ErrorCode.GOAL_IN_COLLISION
     hand = ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
-    allowed = diff + SceneDiff(tuple(Allow("target", link) for link in hand))
+    allowed = diff + SceneDiff(tuple(AllowCollision("target", link) for link in hand))
     result = plan(scene.apply(allowed), request(goal))
     assert result.ok
     judge(scene.apply(allowed), result.trajectory)
@@ -48,5 +56,9 @@ def test_an_octomap_in_the_way():
     there = scene.apply(SceneDiff.of(SetOctomap(cells)))
     failed = plan(there, request(goal))
     assert failed.code is ErrorCode.GOAL_IN_COLLISION and OCTOMAP in failed.message
-    for change in (SetOctomap(None), AllowByDefault(OCTOMAP), MoveObject(OCTOMAP, SE3.from_xyz(0, 0, 5))):
+    for change in (
+        SetOctomap(None),
+        AllowCollisionByDefault(OCTOMAP),
+        MoveObject(OCTOMAP, SE3.from_xyz(0, 0, 5)),
+    ):
         assert plan(there.apply(SceneDiff.of(change)), request(goal)).ok

@@ -24,7 +24,7 @@ from tests.planning.test_plan import beyond_panda
 from tests.scene.helpers import box, panda, ur10
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import resting_pairs
+from armcell.collision.resting_contact import resting_pairs
 from armcell.core import (
     ADAPTERS,
     SE3,
@@ -40,7 +40,7 @@ from armcell.core import (
     PoseGoal,
     SequenceRequest,
 )
-from armcell.planning import plan, plan_among_moving, plan_cartesian, plan_sequence
+from armcell.planning import plan, plan_around_moving_obstacles, plan_cartesian, plan_sequence
 from armcell.planning.plan_library import PlanLibrary
 from armcell.planning.planners.registry import pipelines
 from armcell.scene import MovingObject
@@ -178,7 +178,7 @@ def test_obstacles_that_move_are_kept_off_from_a_resting_start_too():
     item = MovingObject(
         ball, np.array([0.0, 3.0]), (SE3.from_xyz(0.3, 0.9, 0.4), SE3.from_xyz(0.6, 0.1, 0.4))
     )
-    result = plan_among_moving(scene, request(ASIDE), [item])
+    result = plan_around_moving_obstacles(scene, request(ASIDE), [item])
     assert result.ok, result.message
     judge_from_rest(scene, result.trajectory)
 
@@ -305,7 +305,7 @@ def test_free_starts_are_not_looked_at(monkeypatch):
     from armcell.planning.cartesian import plan as cartesian
 
     monkeypatch.setattr(pipeline, "leave_start_contact", None)
-    monkeypatch.setattr(cartesian, "RestingStart", None)
+    monkeypatch.setattr(cartesian, "RestingStartRule", None)
     assert plan(panda_wall(), request(beyond_panda())).ok
     assert line(panda(), tip(panda()).shifted(z=-0.05)).ok
 

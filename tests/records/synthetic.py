@@ -71,7 +71,7 @@ def play(scene: PlanningScene, observer, rate: float = 500.0) -> float:
         time += seconds
         if name == "close gripper":
             T_tcp = SE3.from_matrix(tree.link_transforms(q)[tree.link_index["panda_hand_tcp"]])
-            held = T_tcp.inv() @ T_cube
+            held = T_tcp.inverse() @ T_cube
             observer.on_event(
                 Event(time, "grasp", "cube held by friction, 32.0 N per finger", {"object": "cube"})
             )

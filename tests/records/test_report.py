@@ -152,12 +152,15 @@ def test_series_with_gaps_one_sample_and_odd_stage_names_are_drawn(scene, tmp_pa
 
 def test_two_arms_get_a_figure_each(tmp_path):
     from armcell.core import SE3
-    from armcell.model import Part, compose, load_robot
+    from armcell.model import MountedRobot, compose, load_robot
     from armcell.records.plots import joint_plots
     from armcell.scene import PlanningScene
 
     panda = load_robot("panda")
-    parts = [Part(panda, "left_", "world"), Part(panda, "right_", "world", SE3.from_xyz(0, 1, 0))]
+    parts = [
+        MountedRobot(panda, "left_", "world"),
+        MountedRobot(panda, "right_", "world", SE3.from_xyz(0, 1, 0)),
+    ]
     scene = PlanningScene.of(compose("dual", parts))
     with RunRecorder(tmp_path, scene) as recorder:
         for k in range(3):

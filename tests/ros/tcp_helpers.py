@@ -3,8 +3,8 @@
 import struct
 import time
 
-from armcell.ros import cdr, schema
-from armcell.ros.codec import ros1
+from armcell.ros import cdr_codec, schema
+from armcell.ros.codec import ros1_codec
 from armcell.ros.tcp import ServerSettings
 
 ANY_PORT = ServerSettings(port=0)
@@ -13,7 +13,7 @@ IDS = ["ROS1", "ROS2"]
 
 
 def codec(ros2):
-    return cdr() if ros2 else ros1()
+    return cdr_codec() if ros2 else ros1_codec()
 
 
 def text(value):

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from armcell.core import InputError, UnknownNameError
-from armcell.ros import ActionClient, ActionServer, Bus, Done, State, schema
+from armcell.ros import ActionClient, ActionOutcome, ActionServer, Bus, GoalState, schema
 
 S = schema()
 TYPE = "control_msgs/GripperCommand"
@@ -22,8 +22,8 @@ def goal(position=0.0):
 
 def until_cancelled(g):
     if g.cancel.wait(5):
-        return Done(State.PREEMPTED, RESULT(position=g.message.command.position))
-    return Done(State.ABORTED, RESULT())
+        return ActionOutcome(GoalState.PREEMPTED, RESULT(position=g.message.command.position))
+    return ActionOutcome(GoalState.ABORTED, RESULT())
 
 
 def wait_for(condition, timeout=5.0):
@@ -39,12 +39,14 @@ def test_goal_feedback_result():
     def execute(g):
         for _ in range(20):
             g.feedback(schema().new(f"{TYPE}Feedback", position=0.5))
-        return Done(State.SUCCEEDED, RESULT(position=g.message.command.position, reached_goal=True), "there")
+        return ActionOutcome(
+            GoalState.SUCCEEDED, RESULT(position=g.message.command.position, reached_goal=True), "there"
+        )
 
     with ActionServer(bus, "gripper_cmd", TYPE, execute), ActionClient(bus, "/gripper_cmd", TYPE) as client:
-        sent = client.send(goal(0.25), seen.append)
+        sent = client.send_goal(goal(0.25), seen.append)
         assert sent.wait(5)
-        assert (sent.state, sent.text, sent.result.position) == (State.SUCCEEDED, "there", 0.25)
+        assert (sent.state, sent.text, sent.result.position) == (GoalState.SUCCEEDED, "there", 0.25)
         assert [f.position for f in seen] == [0.5] * 20  # all before the result
 
 
@@ -52,8 +54,8 @@ def test_status_is_told_at_five_hertz_and_names_the_goal():
     bus = Bus()
     with ActionServer(bus, "a", TYPE, until_cancelled), ActionClient(bus, "a", TYPE) as client:
         status = bus.subscribe("a/status", "actionlib_msgs/GoalStatusArray", queue_size=100)
-        sent = client.send(goal())
-        wait_for(lambda: sent.state is State.ACTIVE)
+        sent = client.send_goal(goal())
+        wait_for(lambda: sent.state is GoalState.ACTIVE)
         while status.get(timeout=0):
             pass
         start = time.monotonic()
@@ -65,21 +67,21 @@ def test_status_is_told_at_five_hertz_and_names_the_goal():
 
 # What may follow in the status of one goal: wiki.ros.org/actionlib/DetailedDescription, server states.
 FOLLOWS = {
-    None: {State.PENDING, State.ACTIVE},
-    State.PENDING: {State.ACTIVE, State.REJECTED, State.RECALLING, State.RECALLED},
-    State.RECALLING: {State.PREEMPTING, State.REJECTED, State.RECALLED},
-    State.ACTIVE: {State.PREEMPTING, State.SUCCEEDED, State.ABORTED, State.PREEMPTED},
-    State.PREEMPTING: {State.PREEMPTED, State.SUCCEEDED, State.ABORTED},
+    None: {GoalState.PENDING, GoalState.ACTIVE},
+    GoalState.PENDING: {GoalState.ACTIVE, GoalState.REJECTED, GoalState.RECALLING, GoalState.RECALLED},
+    GoalState.RECALLING: {GoalState.PREEMPTING, GoalState.REJECTED, GoalState.RECALLED},
+    GoalState.ACTIVE: {GoalState.PREEMPTING, GoalState.SUCCEEDED, GoalState.ABORTED, GoalState.PREEMPTED},
+    GoalState.PREEMPTING: {GoalState.PREEMPTED, GoalState.SUCCEEDED, GoalState.ABORTED},
 }
 
 
 def states_of(status, sent):
     """The different states of a goal on its status topic, in order, until it is over."""
     states = [None]
-    while states[-1] is None or not states[-1].is_over:
+    while states[-1] is None or not states[-1].is_terminal:
         message = status.get(timeout=5)
         assert message is not None, states
-        now = [State(s.status) for s in message.status_list if s.goal_id.id == sent.id.id]
+        now = [GoalState(s.status) for s in message.status_list if s.goal_id.id == sent.id.id]
         states += [s for s in now if s is not states[-1]]
     assert all(after in FOLLOWS[before] for before, after in pairwise(states)), states
     return states[1:]
@@ -89,7 +91,8 @@ def states_of(status, sent):
 @pytest.mark.parametrize("cancelled", [True, False])
 @pytest.mark.parametrize("explicit", [True, False])
 @pytest.mark.parametrize(
-    "end", [State.SUCCEEDED, State.ABORTED, State.REJECTED, State.PREEMPTED, State.RECALLED]
+    "end",
+    [GoalState.SUCCEEDED, GoalState.ABORTED, GoalState.REJECTED, GoalState.PREEMPTED, GoalState.RECALLED],
 )
 def test_every_end_of_a_goal_is_a_transition_of_actionlib(accepts, cancelled, explicit, end):
     bus, begun = Bus(), threading.Event()
@@ -100,30 +103,30 @@ def test_every_end_of_a_goal_is_a_transition_of_actionlib(accepts, cancelled, ex
             g.accept()
         if cancelled:
             assert g.cancel.wait(5)
-        return Done(end, RESULT(), "why")
+        return ActionOutcome(end, RESULT(), "why")
 
     server = ActionServer(bus, "a", TYPE, execute, accepts=accepts)
     status = bus.subscribe("a/status", "actionlib_msgs/GoalStatusArray", queue_size=100)
     with server, ActionClient(bus, "a", TYPE) as client:
-        sent = client.send(goal())
+        sent = client.send_goal(goal())
         if cancelled:
             assert begun.wait(5)
             sent.cancel()
         assert sent.wait(5) and sent.text.endswith("why")
         states = states_of(status, sent)
         assert sent.state is states[-1]
-        if end is State.REJECTED and not (accepts or explicit):
-            assert State.ACTIVE not in states and states[-1] is State.REJECTED
-        if end is State.REJECTED and (accepts or explicit):
-            assert states[-1] is State.ABORTED
+        if end is GoalState.REJECTED and not (accepts or explicit):
+            assert GoalState.ACTIVE not in states and states[-1] is GoalState.REJECTED
+        if end is GoalState.REJECTED and (accepts or explicit):
+            assert states[-1] is GoalState.ABORTED
 
 
 @pytest.mark.parametrize("how", ["id", "all", "time", "other time"])
 def test_cancelling(how):
     bus = Bus()
     with ActionServer(bus, "a", TYPE, until_cancelled), ActionClient(bus, "a", TYPE) as client:
-        sent = client.send(goal(0.1))
-        wait_for(lambda: sent.state is State.ACTIVE)
+        sent = client.send_goal(goal(0.1))
+        wait_for(lambda: sent.state is GoalState.ACTIVE)
         cancel = bus.advertise("a/cancel", "actionlib_msgs/GoalID")
         stamps = {"time": sent.id.stamp.to_sec() + 0.001, "other time": sent.id.stamp.to_sec() - 1.0}
         stamp = type(sent.id.stamp).from_sec(stamps.get(how, 0.0))
@@ -133,7 +136,7 @@ def test_cancelling(how):
         if how == "other time":
             assert not sent.wait(0.1)
             sent.cancel()
-        assert sent.wait(5) and sent.state is State.PREEMPTED and sent.result.position == 0.1
+        assert sent.wait(5) and sent.state is GoalState.PREEMPTED and sent.result.position == 0.1
 
 
 def test_a_newer_goal_takes_over_and_the_older_ends_first():
@@ -144,11 +147,11 @@ def test_a_newer_goal_takes_over_and_the_older_ends_first():
         return until_cancelled(g)
 
     with ActionServer(bus, "a", TYPE, execute), ActionClient(bus, "a", TYPE) as client:
-        sent = [client.send(goal(float(i))) for i in (1,)]
-        wait_for(lambda: sent[0].state is State.ACTIVE)
-        sent.append(client.send(goal(2.0)))
-        assert sent[0].wait(5) and sent[0].state is State.PREEMPTED
-        wait_for(lambda: sent[1].state is State.ACTIVE)
+        sent = [client.send_goal(goal(float(i))) for i in (1,)]
+        wait_for(lambda: sent[0].state is GoalState.ACTIVE)
+        sent.append(client.send_goal(goal(2.0)))
+        assert sent[0].wait(5) and sent[0].state is GoalState.PREEMPTED
+        wait_for(lambda: sent[1].state is GoalState.ACTIVE)
         assert order == [1.0, 2.0]
 
 
@@ -157,11 +160,11 @@ def test_concurrent_goals_run_side_by_side():
 
     def execute(g):
         both.wait(5)
-        return Done(State.SUCCEEDED, RESULT())
+        return ActionOutcome(GoalState.SUCCEEDED, RESULT())
 
     with ActionServer(bus, "a", TYPE, execute, concurrent=True), ActionClient(bus, "a", TYPE) as client:
-        sent = [client.send(goal()) for _ in range(2)]
-        assert all(s.wait(5) and s.state is State.SUCCEEDED for s in sent)
+        sent = [client.send_goal(goal()) for _ in range(2)]
+        assert all(s.wait(5) and s.state is GoalState.SUCCEEDED for s in sent)
 
 
 def test_a_failing_execute_is_aborted_with_the_reason():
@@ -171,9 +174,9 @@ def test_a_failing_execute_is_aborted_with_the_reason():
         raise ValueError("no such joint")
 
     with ActionServer(bus, "a", TYPE, execute), ActionClient(bus, "a", TYPE) as client:
-        sent = client.send(goal())
+        sent = client.send_goal(goal())
         assert sent.wait(5)
-        assert sent.state is State.ABORTED and sent.text == "ValueError: no such joint"
+        assert sent.state is GoalState.ABORTED and sent.text == "ValueError: no such joint"
 
 
 def test_what_cannot_be_done_is_aborted_with_the_plain_reason(caplog):
@@ -183,8 +186,8 @@ def test_what_cannot_be_done_is_aborted_with_the_plain_reason(caplog):
         raise InputError("no joint states yet", hint="start the simulator")
 
     with ActionServer(bus, "a", TYPE, execute), ActionClient(bus, "a", TYPE) as client:
-        sent = client.send(goal())
-        assert sent.wait(5) and sent.state is State.ABORTED
+        sent = client.send_goal(goal())
+        assert sent.wait(5) and sent.state is GoalState.ABORTED
         assert sent.text == "no joint states yet (start the simulator)"
     assert [r.levelname for r in caplog.records] == ["WARNING"]
 
@@ -194,7 +197,7 @@ def test_goals_without_ids_are_all_taken():
 
     def execute(g):
         count.append(g.id.id)
-        return Done(State.SUCCEEDED, RESULT())
+        return ActionOutcome(GoalState.SUCCEEDED, RESULT())
 
     bus.clock.set(1.0)  # both come at the same time
     with ActionServer(bus, "a", TYPE, execute, concurrent=True):
@@ -210,7 +213,7 @@ def test_the_same_goal_twice_is_taken_once():
 
     def execute(g):
         count.append(g)
-        return Done(State.SUCCEEDED, RESULT())
+        return ActionOutcome(GoalState.SUCCEEDED, RESULT())
 
     with ActionServer(bus, "a", TYPE, execute):
         publisher = bus.advertise("a/goal", f"{TYPE}ActionGoal")
@@ -236,9 +239,9 @@ def test_a_flood_of_goals_is_rejected_beyond_a_bound():
     ):
         sent = []
         for _ in range(40):
-            sent.append(client.send(goal()))
+            sent.append(client.send_goal(goal()))
             time.sleep(0.005)  # the goal queue itself is bounded too
-        wait_for(lambda: sum(s.state is State.REJECTED for s in sent) == 8)
+        wait_for(lambda: sum(s.state is GoalState.REJECTED for s in sent) == 8)
         assert threading.active_count() < 60
         client.cancel_all()
         assert all(s.wait(5) for s in sent)
@@ -251,21 +254,21 @@ def test_a_goal_that_fails_has_no_result_that_reads_as_a_success(bus):
     def end(action, execute):
         with ActionServer(bus, "/ends", action, execute), ActionClient(bus, "/ends", action) as client:
             assert client.wait_for_server(5)
-            sent = client.send(S.new(f"{action}Goal"))
+            sent = client.send_goal(S.new(f"{action}Goal"))
             assert sent.wait(5)
             return sent.result
 
     def raise_(goal):
         raise InputError("no such arm")
 
-    result = end(follow, lambda goal: Done(State.ABORTED, S.new(f"{follow}Result"), "it fell"))
+    result = end(follow, lambda goal: ActionOutcome(GoalState.ABORTED, S.new(f"{follow}Result"), "it fell"))
     assert (result.error_code, result.error_string) == (-1, "it fell")
     result = end(follow, raise_)
     assert (result.error_code, result.error_string) == (-1, "no such arm")
     code = end(place, raise_).error_code
     assert (code.val, code.message, code.source) == (99999, "no such arm", "armcell")
-    code = end(place, lambda goal: Done(State.PREEMPTED, S.new(f"{place}Result"), "")).error_code
+    code = end(place, lambda goal: ActionOutcome(GoalState.PREEMPTED, S.new(f"{place}Result"), "")).error_code
     assert code.val == -7
     own = S.new(f"{place}Result", S.new("moveit_msgs/MoveItErrorCodes", -19, "no cup", "shelf"))
-    code = end(place, lambda goal: Done(State.ABORTED, own, "")).error_code
+    code = end(place, lambda goal: ActionOutcome(GoalState.ABORTED, own, "")).error_code
     assert (code.val, code.message, code.source) == (-19, "no cup", "shelf")

@@ -12,8 +12,8 @@ from tests.ros.tcp_helpers import wait_for
 from armcell.cell import load
 from armcell.core import InputError
 from armcell.ros import ActionClient, Bus, schema
-from armcell.ros.actions import State
-from armcell.ros.complaints import Complaints
+from armcell.ros.actions import GoalState
+from armcell.ros.fault_counter import FaultCounter
 from armcell.ros.nodes import RemoteDriver
 from armcell.ros.units import unit_fault
 
@@ -124,21 +124,21 @@ def test_a_result_in_no_known_state_ends_the_goal_all_the_same(caplog):
     result = bus.advertise("/arm/result", f"{FOLLOW}ActionResult")
     status = bus.advertise("/arm/status", "actionlib_msgs/GoalStatusArray")
     with ActionClient(bus, "/arm", FOLLOW) as client, caplog.at_level(logging.ERROR):
-        sent = client.send(S.new(f"{FOLLOW}Goal"))
+        sent = client.send_goal(S.new(f"{FOLLOW}Goal"))
         odd = S.new("actionlib_msgs/GoalStatus", goals.get(5).goal_id, 77)
         status.publish(S.new("actionlib_msgs/GoalStatusArray", status_list=[odd]))
-        assert not sent.wait(0.05) and sent.state is State.PENDING
+        assert not sent.wait(0.05) and sent.state is GoalState.PENDING
         result.publish(S.new(f"{FOLLOW}ActionResult", status=odd))
-        assert sent.wait(5) and sent.state is State.LOST and sent.state.is_over
+        assert sent.wait(5) and sent.state is GoalState.LOST and sent.state.is_terminal
     assert not caplog.records
 
 
 def test_complaints_are_counted_by_many_and_said_by_kind():
-    complaints, said = Complaints(most=10), []
+    complaints, said = FaultCounter(most=10), []
 
     def complain(who):
         for i in range(200):
-            if complaints.is_new(f"kind {i % 20}"):
+            if complaints.count(f"kind {i % 20}"):
                 said.append(who)
 
     threads = [threading.Thread(target=complain, args=(i,)) for i in range(4)]

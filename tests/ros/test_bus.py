@@ -251,13 +251,13 @@ def test_services_behind_a_wire_are_asked_last():
             else None
         )
 
-    bus.find_elsewhere(find)
+    bus.add_service_finder(find)
     with bus.serve(
         "/near", "std_srvs/Trigger", lambda _: schema().new("std_srvs/TriggerResponse", True, "near")
     ):
         assert bus.call("near", schema().new("std_srvs/TriggerRequest")).message == "near" and not asked
     assert bus.wait_for_service("/far", 0.5) and not bus.wait_for_service("/none", 0.15)
     assert bus.call("/far", schema().new("std_srvs/TriggerRequest")).message == "far"
-    bus.forget_elsewhere(find)
+    bus.remove_service_finder(find)
     with pytest.raises(ServiceError, match="unknown service '/far'"):
         bus.call("/far", schema().new("std_srvs/TriggerRequest"))

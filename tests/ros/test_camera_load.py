@@ -18,8 +18,8 @@ import pytest
 from tests.cli.helpers import start
 
 from armcell.ros import Bus
-from armcell.ros.tcp import Bridge, RosTcpClient
-from armcell.ros.tcp.frames import command
+from armcell.ros.tcp import ForwardedNames, RosTcpClient
+from armcell.ros.tcp.framing import command
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 TOPIC = "/overview/color/image_raw"  # 640 x 480, 30 Hz
@@ -51,7 +51,7 @@ class Served:
                 break
         self.times: list[tuple[float, float]] = []
         self.bus = Bus()
-        bridge = Bridge({}, {"/clock": "rosgraph_msgs/Clock"})
+        bridge = ForwardedNames({}, {"/clock": "rosgraph_msgs/Clock"})
         self._client = RosTcpClient(self.bus, "127.0.0.1", self.port, bridge, "ROS1")
         self.bus.subscribe("/clock", "rosgraph_msgs/Clock", self._ticked, queue_size=1000)
         self._client.start()

@@ -7,7 +7,7 @@ import pytest
 
 from armcell.cell import load
 from armcell.core import SE3
-from armcell.perception import cloud_points, organized
+from armcell.perception import cloud_points, organized_cloud
 from armcell.ros import Bus
 from armcell.ros.nodes import CameraPublisher
 
@@ -64,7 +64,7 @@ def test_pictures_clouds_and_info_at_their_rate(cell):
         assert depth.encoding == "32FC1" and np.array_equal(np.nan_to_num(z), image.depth)
         assert np.isnan(z).any() == (image.depth == 0).any()
         np.testing.assert_allclose(np.reshape(info.K, (3, 3)), image.pinhole.matrix)
-        points = organized(image.depth, image.pinhole).reshape(-1, 3)
+        points = organized_cloud(image.depth, image.pinhole).reshape(-1, 3)
         np.testing.assert_allclose(cloud_points(cloud), points, atol=1e-6)
         table = np.frombuffer(bytes(cloud.data), "<u4").reshape(48, 64, 4)
         assert np.array_equal((table[..., 3] >> 16) & 255, image.rgb[..., 0])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.ros.helpers import random_message
 
-from armcell.ros.codec import cdr
+from armcell.ros.codec import cdr_codec
 from armcell.ros.definitions import PLACEHOLDER, field_parts
 from armcell.ros.messages import python_name
 from armcell.ros.schema import schema
@@ -67,6 +67,6 @@ def test_every_type_has_cyclones_bytes():
     for name in schema().messages:
         for message in [schema().new(name), *(random_message(schema(), name, rng) for _ in range(2))]:
             theirs = translated(message).serialize(use_version_2=False)
-            ours = bytes(cdr().encode(message))
+            ours = bytes(cdr_codec().encode(message))
             assert ours[4:] == theirs[4 : len(ours)], name
             assert len(theirs) - len(ours) < 4, name  # Cyclone pads the end to four bytes

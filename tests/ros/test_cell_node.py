@@ -10,8 +10,8 @@ from tests.ros.unity_like import UnityLike
 from armcell.cell import load
 from armcell.core import SE3, InputError
 from armcell.kinematics import kinematic_tree
-from armcell.ros import ActionClient, Bus, State, schema
-from armcell.ros.codec import ros1
+from armcell.ros import ActionClient, Bus, GoalState, schema
+from armcell.ros.codec import ros1_codec
 from armcell.ros.nodes import CellNode
 from armcell.ros.nodes.arm_status import ArmStatusPublisher
 from armcell.ros.tcp import RosTcpServer, ServerSettings
@@ -192,18 +192,18 @@ def test_follow_joint_trajectory(served):
     ) as client:
         goal = schema().new("control_msgs/FollowJointTrajectoryGoal")
         goal.trajectory, target = trajectory(node, 0.2, 1.0)
-        sent = client.send(goal)
-        assert sent.wait(10) and sent.state is State.SUCCEEDED and sent.result.error_code == 0
+        sent = client.send_goal(goal)
+        assert sent.wait(10) and sent.state is GoalState.SUCCEEDED and sent.result.error_code == 0
         assert abs(first_joint(node) - target) < 1e-3
         goal.trajectory, _ = trajectory(node, 1.0, 30.0)
-        sent = client.send(goal)
+        sent = client.send_goal(goal)
         time.sleep(0.2)
         sent.cancel()
-        assert sent.wait(10) and sent.state is State.PREEMPTED
+        assert sent.wait(10) and sent.state is GoalState.PREEMPTED
         goal.trajectory, _ = trajectory(node, 0.1, 1.0)
         goal.trajectory.joint_names[0] = "elbow"
-        sent = client.send(goal)
-        assert sent.wait(10) and sent.state is State.REJECTED and sent.result.error_code == -2
+        sent = client.send_goal(goal)
+        assert sent.wait(10) and sent.state is GoalState.REJECTED and sent.result.error_code == -2
 
 
 @pytest.mark.parametrize("fault", ["joint", "start", "numbers", "gripper"])
@@ -225,16 +225,16 @@ def test_a_refused_goal_goes_from_pending_to_rejected(served, fault):
             point.positions = point.positions + 0.2
     status = bus.subscribe(f"{name}/status", "actionlib_msgs/GoalStatusArray", queue_size=50)
     with ActionClient(bus, name, f"control_msgs/{kind}") as client:
-        sent = client.send(goal)
-        assert sent.wait(10) and sent.state is State.REJECTED and sent.text
+        sent = client.send_goal(goal)
+        assert sent.wait(10) and sent.state is GoalState.REJECTED and sent.text
         if fault != "gripper":
             code = -2 if fault == "joint" else -1
             assert (sent.result.error_code, sent.result.error_string) == (code, sent.text)
         states = []
-        while State.REJECTED not in states:
+        while GoalState.REJECTED not in states:
             for one in status.get(timeout=5).status_list:
-                states += [State(one.status)] if one.goal_id.id == sent.id.id else []
-        assert set(states) == {State.PENDING, State.REJECTED}
+                states += [GoalState(one.status)] if one.goal_id.id == sent.id.id else []
+        assert set(states) == {GoalState.PENDING, GoalState.REJECTED}
 
 
 def test_gripper_commands(served):
@@ -286,19 +286,19 @@ def test_a_motion_that_was_put_during_the_proof_of_another_is_proven_beside_it()
             ],
         )
 
-    proofs, proven, left = [], node._in_passing, []
+    proofs, proven, left = [], node._temporary_conflict, []
 
     def contact(others, new):
         proofs.append((new.joint_names[0].split("_")[0], len(others)))
         found = proven(others, new)
         if not left:
             left.append(None)
-            left[0] = node.play(swing("left"))  # from another thread, just now
+            left[0] = node.queue_trajectory(swing("left"))  # from another thread, just now
         return found
 
-    node._in_passing = contact
+    node._temporary_conflict = contact
     try:
-        right = node.play(swing("right"))
+        right = node.queue_trajectory(swing("right"))
         assert proofs == [("right", 0), ("left", 0), ("right", 1)]
         assert left[0].wait(20) and right.wait(20) and left[0].outcome().ok and right.outcome().ok
     finally:
@@ -318,14 +318,14 @@ def test_unity_moves_the_arm_in_physics_over_tcp():
             unity.register("__subscribe", "/trajectory_status", "std_msgs/String")
             unity.register("__publish", "/planned_trajectory", TRAJECTORY)
             message, goal = trajectory(node, 0.2, 1.5)
-            unity.message("/planned_trajectory", ros1().encode(message))
+            unity.message("/planned_trajectory", ros1_codec().encode(message))
             last, said = None, []
             while not (said and said[-1].startswith(("done", "failed"))):
                 name, body = unity.read(timeout=20)
                 if name == "joint_states":
-                    last = ros1().decode("sensor_msgs/JointState", body)
+                    last = ros1_codec().decode("sensor_msgs/JointState", body)
                 elif name == "/trajectory_status":
-                    said.append(ros1().decode("std_msgs/String", body).data)
+                    said.append(ros1_codec().decode("std_msgs/String", body).data)
             assert said[-1].startswith("done"), said
             joint = node.live.model.groups["arm"].joint_names[0]
             assert abs(last.position[last.name.index(joint)] - goal) < 0.05

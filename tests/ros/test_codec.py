@@ -11,10 +11,10 @@ import pytest
 from tests.ros.helpers import random_message
 
 from armcell.core import InputError, UnknownNameError
-from armcell.ros.codec import Codec, WireError, cdr, ros1
+from armcell.ros.codec import Codec, WireError, cdr_codec, ros1_codec
 from armcell.ros.schema import Schema, schema
 
-CODECS = [ros1(), cdr()]
+CODECS = [ros1_codec(), cdr_codec()]
 IDS = ["ros1", "cdr"]
 SHORT = schema().new("geometry_msgs/PoseWithCovariance", covariance=[1.0])  # needs 36
 
@@ -78,7 +78,7 @@ def test_ros1_bytes_by_hand():
     by_hand = struct.pack("<III", 7, 3, 500) + struct.pack("<I", 1) + b"b"
     by_hand += struct.pack("<II2sI1s", 2, 2, b"ab", 1, b"c")
     by_hand += struct.pack("<I2d", 2, 0.5, -1.0) + struct.pack("<II", 0, 0)
-    assert bytes(ros1().encode(joint_state())) == by_hand
+    assert bytes(ros1_codec().encode(joint_state())) == by_hand
 
 
 def test_cdr_bytes_by_hand():
@@ -88,18 +88,18 @@ def test_cdr_bytes_by_hand():
     body += struct.pack("<I", 2)
     body += b"\0" * (-len(body) % 8)
     body += struct.pack("<2d", 0.5, -1.0) + struct.pack("<II", 0, 0)
-    assert bytes(cdr().encode(joint_state())) == b"\0\1\0\0" + body
+    assert bytes(cdr_codec().encode(joint_state())) == b"\0\1\0\0" + body
 
 
 def test_unitys_empty_messages_have_no_byte():
-    assert cdr().decode("std_srvs/EmptyRequest", b"\0\1\0\0")._type == "std_srvs/EmptyRequest"
-    assert bytes(cdr().encode(schema().new("std_srvs/EmptyRequest"))) == b"\0\1\0\0\0"
+    assert cdr_codec().decode("std_srvs/EmptyRequest", b"\0\1\0\0")._type == "std_srvs/EmptyRequest"
+    assert bytes(cdr_codec().encode(schema().new("std_srvs/EmptyRequest"))) == b"\0\1\0\0\0"
 
 
 def test_arrays_are_views_of_what_was_received():
     image = schema().new("sensor_msgs/Image", height=2, width=2, data=np.arange(4, dtype=np.uint8))
-    data = bytes(ros1().encode(image))
-    back = ros1().decode("sensor_msgs/Image", data)
+    data = bytes(ros1_codec().encode(image))
+    back = ros1_codec().decode("sensor_msgs/Image", data)
     assert not back.data.flags.owndata and not back.data.flags.writeable
 
 
@@ -112,10 +112,13 @@ def test_lists_bytes_and_other_numbers_are_turned_into_the_wires_arrays():
         np.array([1, 9, 2, 9.0])[::2],
     ):
         message = schema().new("sensor_msgs/JointState", position=position)
-        assert ros1().decode(message._type, ros1().encode(message)).position.tolist() == [1.0, 2.0]
+        assert ros1_codec().decode(message._type, ros1_codec().encode(message)).position.tolist() == [
+            1.0,
+            2.0,
+        ]
         assert message.position is position  # what the user holds stays as it is
     image = schema().new("sensor_msgs/Image", data=b"\1\2")
-    assert ros1().decode(image._type, ros1().encode(image)).data.tolist() == [1, 2]
+    assert ros1_codec().decode(image._type, ros1_codec().encode(image)).data.tolist() == [1, 2]
 
 
 @pytest.mark.parametrize(
@@ -167,24 +170,24 @@ def test_random_bytes_give_a_message_or_a_wire_error(codec):
 
 def test_a_length_of_four_billion_is_refused_at_once():
     huge = struct.pack("<III", 0, 0, 0) + struct.pack("<I", 0) + struct.pack("<I", 0xFFFFFFFF) + b"\0" * 40
-    ros1().prepare("sensor_msgs/JointState")
-    ros1().prepare("tf2_msgs/TFMessage")
+    ros1_codec().prepare("sensor_msgs/JointState")
+    ros1_codec().prepare("tf2_msgs/TFMessage")
     with most_memory() as peak:
         with pytest.raises(WireError):
-            ros1().decode("sensor_msgs/JointState", huge)
+            ros1_codec().decode("sensor_msgs/JointState", huge)
         with pytest.raises(WireError):
-            ros1().decode("tf2_msgs/TFMessage", struct.pack("<I", 0xFFFFFFFF))
+            ros1_codec().decode("tf2_msgs/TFMessage", struct.pack("<I", 0xFFFFFFFF))
     assert peak[0] < 1_000_000  # bytes
 
 
 def test_invalid_utf8_is_a_wire_error():
     with pytest.raises(WireError):
-        ros1().decode("std_msgs/String", b"\2\0\0\0\xff\xfe")
+        ros1_codec().decode("std_msgs/String", b"\2\0\0\0\xff\xfe")
 
 
 def test_unknown_type():
     with pytest.raises(UnknownNameError):
-        ros1().decode("os/system", b"")
+        ros1_codec().decode("os/system", b"")
 
 
 def test_empty_messages_in_a_list_cannot_take_for_ever(tmp_path):

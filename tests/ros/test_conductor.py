@@ -11,10 +11,10 @@ from tests.execution.helpers import make
 from tests.execution.ungated import execution_steps
 
 from armcell.cell import load
-from armcell.collision.motion_proof import Moving, first_conflict
+from armcell.collision.motion_proof import ActiveMotion, first_conflict
 from armcell.core import ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.ros.nodes.cell_motions import SHIFT
-from armcell.ros.nodes.conductor import MAX_WORKS, Conductor, Work
+from armcell.ros.nodes.motion_queue import MAX_WORKS, MotionHandle, MotionQueue
 from armcell.scene import PlanningScene
 
 
@@ -38,7 +38,7 @@ def swing(driver, side, shift=0.3, duration=1.0):
 
 def work(driver, side, **kwargs):
     motion = swing(driver, side, **kwargs)
-    return Work(
+    return MotionHandle(
         side, motion.joint_names, lambda d, c: execution_steps(d, motion, cancel=c), trajectory=motion
     )
 
@@ -46,12 +46,12 @@ def work(driver, side, **kwargs):
 def turn_until(conductor, condition, seconds=5.0):
     end = conductor.now + seconds
     while not condition() and conductor.now < end:
-        conductor.turn()
+        conductor.step()
     assert condition()
 
 
 def test_arms_move_at_once(driver):
-    conductor = Conductor(driver)
+    conductor = MotionQueue(driver)
     left, right = conductor.put(work(driver, "left")), conductor.put(work(driver, "right"))
     turn_until(conductor, lambda: left.is_over and right.is_over)
     assert left.outcome().ok and right.outcome().ok
@@ -59,12 +59,14 @@ def test_arms_move_at_once(driver):
 
 
 def test_a_newer_motion_of_the_same_joints_takes_over(driver):
-    conductor = Conductor(driver)
+    conductor = MotionQueue(driver)
     first, other = conductor.put(work(driver, "left")), conductor.put(work(driver, "right"))
     for _ in range(20):
-        conductor.turn()
+        conductor.step()
     second = conductor.put(
-        Work("left", first.joints, lambda d, c: execution_steps(d, swing(driver, "left", 0.1), cancel=c))
+        MotionHandle(
+            "left", first.joints, lambda d, c: execution_steps(d, swing(driver, "left", 0.1), cancel=c)
+        )
     )
     turn_until(conductor, lambda: second.is_over and other.is_over)
     assert first.outcome().code is ErrorCode.PREEMPTED and second.outcome().ok and other.outcome().ok
@@ -73,13 +75,13 @@ def test_a_newer_motion_of_the_same_joints_takes_over(driver):
 def test_an_arm_that_gets_a_newer_motion_does_not_stop_in_between(scene):
     """In physics, on the way to the same side: its speed never falls to that of an arm told to stop."""
     with make("sim", scene) as driver:
-        conductor = Conductor(driver)
+        conductor = MotionQueue(driver)
         names = scene.model.group("left_arm").joint_names
         q = driver.joint_state().reindexed(names).positions
         way = JointTrajectory(
             names, np.array([0.0, 1.0]), np.array([q, q + 0.6 * np.eye(len(q))[0]]), np.zeros((2, len(q)))
         )
-        first = conductor.put(Work("left", names, lambda d, c: execution_steps(d, way, cancel=c)))
+        first = conductor.put(MotionHandle("left", names, lambda d, c: execution_steps(d, way, cancel=c)))
         turn_until(conductor, lambda: driver.now > 0.4)
         joint = names[0]
 
@@ -92,10 +94,10 @@ def test_an_arm_that_gets_a_newer_motion_does_not_stop_in_between(scene):
             )
 
         before = driver.joint_state().reindexed([joint]).velocities[0]
-        second = conductor.put(Work("left", first.joints, steps))
+        second = conductor.put(MotionHandle("left", first.joints, steps))
         speeds = []
         for _ in range(20):
-            conductor.turn()
+            conductor.step()
             speeds.append(driver.joint_state().reindexed([joint]).velocities[0])
         assert first.outcome().code is ErrorCode.PREEMPTED
         assert before > 0.5 and min(speeds) > 0.8 * before
@@ -104,24 +106,26 @@ def test_an_arm_that_gets_a_newer_motion_does_not_stop_in_between(scene):
 
 
 def test_what_does_not_give_way_is_waited_for(driver):
-    conductor = Conductor(driver)
+    conductor = MotionQueue(driver)
     first = work(driver, "left")
     first.gives_way = False
     conductor.put(first)
-    conductor.turn()
+    conductor.step()
     second = conductor.put(
-        Work("left", first.joints, lambda d, c: execution_steps(d, swing(driver, "left", 0.1), cancel=c))
+        MotionHandle(
+            "left", first.joints, lambda d, c: execution_steps(d, swing(driver, "left", 0.1), cancel=c)
+        )
     )
     turn_until(conductor, lambda: second.is_over)
     assert first.outcome().ok and second.outcome().ok and second.began >= first.outcome().finished
 
 
 def test_a_stop_of_one_arm_leaves_the_other_moving(driver):
-    conductor = Conductor(driver)
+    conductor = MotionQueue(driver)
     left, right = conductor.put(work(driver, "left")), conductor.put(work(driver, "right"))
     goal = right.trajectory.end.positions
     for _ in range(20):
-        conductor.turn()
+        conductor.step()
     left.cancel.set()
     turn_until(conductor, lambda: left.is_over and right.is_over)
     assert left.outcome().code is ErrorCode.PREEMPTED and right.outcome().ok
@@ -130,7 +134,7 @@ def test_a_stop_of_one_arm_leaves_the_other_moving(driver):
 
 
 def test_a_job_has_the_driver_to_itself_and_others_of_other_joints_go_on(driver):
-    conductor = Conductor(driver)
+    conductor = MotionQueue(driver)
     left = conductor.put(work(driver, "left"))
     ran = []
 
@@ -139,13 +143,13 @@ def test_a_job_has_the_driver_to_itself_and_others_of_other_joints_go_on(driver)
         ran.append(conductor.now)
         return ExecutionResult(ErrorCode.SUCCESS)
 
-    right = conductor.put(Work("job", swing(driver, "right").joint_names, job=job))
+    right = conductor.put(MotionHandle("job", swing(driver, "right").joint_names, job=job))
     turn_until(conductor, lambda: left.is_over and right.is_over)
     assert ran and left.outcome().ok and right.outcome().ok and conductor.now < 1.3
 
 
 def test_calls_from_other_threads_are_answered_between_steps(driver):
-    conductor, answers = Conductor(driver), []
+    conductor, answers = MotionQueue(driver), []
 
     def ask():
         answers.append(conductor.call(lambda: threading.current_thread().name))
@@ -157,15 +161,15 @@ def test_calls_from_other_threads_are_answered_between_steps(driver):
     thread.start()
     end = time.monotonic() + 30  # by the wall's clock: the other thread has to get its turn
     while thread.is_alive() and time.monotonic() < end:
-        conductor.turn()
+        conductor.step()
     assert answers == [threading.current_thread().name, "raised"]
 
 
 def test_what_is_told_soon_cannot_end_the_cell(driver, caplog):
-    conductor, told = Conductor(driver), []
-    conductor.soon(lambda: 1 / 0)
-    conductor.soon(lambda: told.append(conductor.now))
-    conductor.turn()
+    conductor, told = MotionQueue(driver), []
+    conductor.call_soon(lambda: 1 / 0)
+    conductor.call_soon(lambda: told.append(conductor.now))
+    conductor.step()
     assert told and "could not be delivered" in caplog.text
 
 
@@ -178,23 +182,23 @@ def test_settling_ends_what_moves_and_nothing_can_be_put_any_more(driver):
             yield
         return ExecutionResult(ErrorCode.PREEMPTED, "rests")
 
-    conductor = Conductor(driver)
-    slow = conductor.put(Work("slow", ("left_shoulder_pan_joint",), steps))
-    conductor.turn()
-    conductor.settle()
-    assert slow.is_over and slow.outcome().message == "rests" and not conductor.works()
+    conductor = MotionQueue(driver)
+    slow = conductor.put(MotionHandle("slow", ("left_shoulder_pan_joint",), steps))
+    conductor.step()
+    conductor.stop_and_drain()
+    assert slow.is_over and slow.outcome().message == "rests" and not conductor.motions()
     with pytest.raises(InputError, match="closed"):
         conductor.put(work(driver, "right"))
 
 
 def test_a_work_that_fails_ends_with_its_error_and_the_others_go_on(driver):
-    conductor = Conductor(driver)
+    conductor = MotionQueue(driver)
 
     def bad(d, cancel):
         yield
         raise InputError("broken")
 
-    broken = conductor.put(Work("bad", ["right_elbow_joint"], bad))
+    broken = conductor.put(MotionHandle("bad", ["right_elbow_joint"], bad))
     left = conductor.put(work(driver, "left"))
     turn_until(conductor, lambda: left.is_over)
     with pytest.raises(InputError, match="broken"):
@@ -203,7 +207,7 @@ def test_a_work_that_fails_ends_with_its_error_and_the_others_go_on(driver):
 
 
 def test_too_many_are_refused_and_closing_answers_everybody(driver):
-    conductor = Conductor(driver)
+    conductor = MotionQueue(driver)
     works = []
     for _ in range(MAX_WORKS):
         each = work(driver, "left")
@@ -236,7 +240,7 @@ def test_motions_that_meet_are_told_from_those_that_do_not(driver, scene):
         )
     both = scene.with_state(motions[0].end).with_state(motions[1].end)
     assert ExactChecker(both).contacts(both.positions, padded=False)
-    beside = first_conflict(scene, Moving(motions[1]), [Moving(motions[0])], SHIFT)
+    beside = first_conflict(scene, ActiveMotion(motions[1]), [ActiveMotion(motions[0])], SHIFT)
     assert beside is not None and beside.contact is not None
-    apart = [Moving(swing(driver, side, 0.1)) for side in ("left", "right")]
+    apart = [ActiveMotion(swing(driver, side, 0.1)) for side in ("left", "right")]
     assert first_conflict(scene, apart[1], apart[:1], SHIFT) is None

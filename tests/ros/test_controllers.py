@@ -11,11 +11,11 @@ from tests.ros.helpers import remote_cell
 
 from armcell.cell import Controller, load
 from armcell.core import ErrorCode, InputError, JointState, JointTrajectory
-from armcell.ros import ActionClient, ActionServer, Bus, Done, State, schema
+from armcell.ros import ActionClient, ActionOutcome, ActionServer, Bus, GoalState, schema
 from armcell.ros.convert import joint_state_message
 from armcell.ros.moveit_convert import trajectory_message
 from armcell.ros.nodes import MoveGroupNode
-from armcell.ros.nodes.controllers import chosen
+from armcell.ros.nodes.external_controllers import select_controllers
 
 S = schema()
 FOLLOW, GRIP = "control_msgs/FollowJointTrajectory", "control_msgs/GripperCommand"
@@ -64,12 +64,12 @@ class Robot:
             self.goals.append((name, wanted))
             if name in self.refuse:
                 result = S.new(f"{FOLLOW}Result", *self.refuse[name])
-                return Done(State.ABORTED, result, "aborted")
+                return ActionOutcome(GoalState.ABORTED, result, "aborted")
             while self.hang.is_set():
                 if goal.cancel.wait(0.01):
-                    return Done(State.PREEMPTED, S.new(f"{FOLLOW}Result"), "canceled")
+                    return ActionOutcome(GoalState.PREEMPTED, S.new(f"{FOLLOW}Result"), "canceled")
             self.arrive(wanted)
-            return Done(State.SUCCEEDED, S.new(f"{FOLLOW}Result"))
+            return ActionOutcome(GoalState.SUCCEEDED, S.new(f"{FOLLOW}Result"))
 
         return follow
 
@@ -96,7 +96,7 @@ def test_a_motion_of_both_arms_is_divided_between_their_controllers():
     with Robot(controllers=arms()) as robot:
         robot.serve("left/jtc"), robot.serve("right/jtc")
         both = (*RIGHT, *LEFT)
-        work = robot.cell.play(robot.motion(both))
+        work = robot.cell.queue_trajectory(robot.motion(both))
         assert work.wait(20) and work.outcome().ok, work.outcome()
         goals = dict(robot.goals)
         assert [tuple(goals[n].joint_names) for n in ("left/jtc", "right/jtc")] == [LEFT, RIGHT]
@@ -114,7 +114,7 @@ def test_joints_that_a_motion_leaves_out_stay_where_they_are():
     """ros2_control's controllers refuse a goal that names a part of their joints."""
     with Robot(controllers=arms()) as robot:
         robot.serve("left/jtc"), robot.serve("right/jtc")
-        work = robot.cell.play(robot.motion(LEFT[:2]))
+        work = robot.cell.queue_trajectory(robot.motion(LEFT[:2]))
         assert work.wait(20) and work.outcome().ok
         ((name, goal),) = robot.goals
         assert name == "left/jtc" and tuple(goal.joint_names) == LEFT
@@ -127,7 +127,7 @@ def test_a_failure_says_the_controllers_reason_and_stops_the_other_one():
         robot.serve("left/jtc"), robot.serve("right/jtc")
         robot.hang.set()
         robot.refuse["right/jtc"] = (-4, "elbow off its path")
-        work = robot.cell.play(robot.motion((*LEFT, *RIGHT)))
+        work = robot.cell.queue_trajectory(robot.motion((*LEFT, *RIGHT)))
         assert work.wait(20)
         result = work.outcome()
         assert result.code is ErrorCode.CONTROL_FAILED
@@ -139,7 +139,7 @@ def test_a_cancel_reaches_the_controllers():
     with Robot(controllers=arms()) as robot:
         robot.serve("left/jtc")
         robot.hang.set()
-        work = robot.cell.play(robot.motion(LEFT))
+        work = robot.cell.queue_trajectory(robot.motion(LEFT))
         assert not work.wait(0.5)
         work.stop("stopped by a test")
         assert work.wait(5) and work.outcome().code is ErrorCode.PREEMPTED
@@ -149,10 +149,10 @@ def test_a_cancel_reaches_the_controllers():
 def test_a_controller_that_is_not_there_and_one_that_leaves():
     with Robot(controllers=arms()) as robot:
         with pytest.raises(InputError, match="left/jtc: no action server /left/jtc/follow_joint_trajectory"):
-            robot.cell.play(robot.motion(LEFT))
+            robot.cell.queue_trajectory(robot.motion(LEFT))
         robot.serve("left/jtc")
         robot.hang.set()
-        work = robot.cell.play(robot.motion(LEFT))
+        work = robot.cell.queue_trajectory(robot.motion(LEFT))
         assert not work.wait(0.5)
         server = robot.servers.pop()
         server._stop.set()
@@ -166,12 +166,12 @@ def test_a_controller_by_topic_is_followed_by_the_joints():
     topic = Controller("left", "JointTrajectory", "/left/joint_trajectory", LEFT)
     with Robot(controllers=(topic,)) as robot:
         with pytest.raises(InputError, match="no subscriber of /left/joint_trajectory"):
-            robot.cell.play(robot.motion(LEFT))
+            robot.cell.queue_trajectory(robot.motion(LEFT))
         got = robot.bus.subscribe("/left/joint_trajectory", "trajectory_msgs/JointTrajectory")
-        work = robot.cell.play(robot.motion(LEFT))
+        work = robot.cell.queue_trajectory(robot.motion(LEFT))
         robot.arrive(got.get(5))
         assert work.wait(5) and work.outcome().ok and work.outcome().final_error < 0.01
-        work = robot.cell.play(robot.motion(LEFT, 0.0))
+        work = robot.cell.queue_trajectory(robot.motion(LEFT, 0.0))
         assert work.wait(5) and work.outcome().code is ErrorCode.CONTROL_FAILED
         assert "plan again" in work.outcome().message  # it is elsewhere by now
 
@@ -180,7 +180,7 @@ def test_a_canceled_motion_by_topic_is_held_where_it_is():
     topic = Controller("left", "JointTrajectory", "/left/joint_trajectory", LEFT)
     with Robot(controllers=(topic,)) as robot:
         got = robot.bus.subscribe("/left/joint_trajectory", "trajectory_msgs/JointTrajectory", queue_size=10)
-        work = robot.cell.play(robot.motion(LEFT))
+        work = robot.cell.queue_trajectory(robot.motion(LEFT))
         assert len(got.get(5).points) == 2
         work.stop("enough")
         held = got.get(5)
@@ -203,7 +203,7 @@ def test_a_gripper_is_driven_by_its_action(kind, position):
     def grip(goal):
         asked.append((goal.message.command.position, goal.message.command.max_effort))
         robot.q[robot.names.index(hand.joint_name)] = 0.01
-        return Done(State.SUCCEEDED, S.new(f"{GRIP}Result", 0.01, 5.0, False, True))
+        return ActionOutcome(GoalState.SUCCEEDED, S.new(f"{GRIP}Result", 0.01, 5.0, False, True))
 
     with robot, ActionServer(robot.bus, "/hand/gripper_cmd", GRIP, grip):
         work = robot.cell.drive(hand, 0.02, 5.0)
@@ -214,7 +214,7 @@ def test_a_gripper_is_driven_by_its_action(kind, position):
 
 def test_a_gripper_that_fails_says_why():
     hand, robot = gripper_robot()
-    refuse = lambda goal: Done(State.ABORTED, S.new(f"{GRIP}Result"), "no air pressure")  # noqa: E731
+    refuse = lambda goal: ActionOutcome(GoalState.ABORTED, S.new(f"{GRIP}Result"), "no air pressure")  # noqa: E731
     with robot, ActionServer(robot.bus, "/hand/gripper_cmd", GRIP, refuse):
         work = robot.cell.drive(hand, 0.02, 5.0)
         assert work.wait(10) and work.outcome().code is ErrorCode.CONTROL_FAILED
@@ -240,7 +240,7 @@ def test_clients_choose_controllers_by_name():
             def execute(joints, *names):
                 goal = S.new("moveit_msgs/ExecuteTrajectoryGoal", controller_names=list(names))
                 goal.trajectory.joint_trajectory = robot.motion(joints)
-                sent = client.send(goal)
+                sent = client.send_goal(goal)
                 assert sent.wait(30)
                 return sent.result.error_code.val, sent.text
 
@@ -254,7 +254,7 @@ def test_clients_choose_controllers_by_name():
 
 def test_chosen():
     known = {"a": ("x", "y"), "b": ("z",)}
-    assert chosen(known, (), ("z", "x")) == ["a", "b"]
-    assert chosen(known, ("b",), ("z",)) == ["b"]
+    assert select_controllers(known, (), ("z", "x")) == ["a", "b"]
+    assert select_controllers(known, ("b",), ("z",)) == ["b"]
     with pytest.raises(InputError, match="no controller moves w"):
-        chosen(known, (), ("w", "x"))
+        select_controllers(known, (), ("w", "x"))

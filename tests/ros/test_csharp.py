@@ -9,9 +9,9 @@ import pytest
 from tests.ros.helpers import random_message
 
 from armcell.core import UnknownNameError
-from armcell.ros.codec import cdr, ros1
-from armcell.ros.csharp import NOT_SHIPPED, csharp, csharp_class, namespace, write
-from armcell.ros.definitions import nested
+from armcell.ros.codec import cdr_codec, ros1_codec
+from armcell.ros.csharp_generator import NOT_SHIPPED, csharp_class, generate_csharp, namespace, write
+from armcell.ros.definitions import nested_types
 from armcell.ros.schema import schema
 
 SHIPPED = (
@@ -32,18 +32,18 @@ def test_names_are_the_connectors():
 
 def test_unknown_package():
     with pytest.raises(UnknownNameError, match="moveit_msgs"):
-        csharp(schema(), ["moveit_msg"])
+        generate_csharp(schema(), ["moveit_msg"])
 
 
 def test_every_nested_type_is_generated_or_shipped():
-    generated = {f.path for f in csharp(schema())}
+    generated = {f.path for f in generate_csharp(schema())}
     assert (
         "Moveit/msg/PlanningSceneMsg.cs" in generated
         and "Control/action/GripperCommandActionGoal.cs" in generated
     )
     for name in set(schema().messages) - schema().ros2_only:
         if name.split("/")[0] in NOT_SHIPPED:
-            used = {n.split("/")[0] for n in nested(schema().definition(name))}
+            used = {n.split("/")[0] for n in nested_types(schema().definition(name))}
             assert used <= {*NOT_SHIPPED, *SHIPPED, "builtin_interfaces"}
 
 
@@ -53,7 +53,7 @@ def program(request, tmp_path_factory):
     if not (shutil.which("mcs") and shutil.which("mono")):
         pytest.skip("Mono is not installed (apt install mono-mcs mono-runtime)")
     folder = tmp_path_factory.mktemp(request.param)
-    files = write(csharp(schema(), [*NOT_SHIPPED, *SHIPPED]), folder)
+    files = write(generate_csharp(schema(), [*NOT_SHIPPED, *SHIPPED]), folder)
     sources = [str(f) for f in files if f.name not in HANDWRITTEN]
     (folder / "sources").write_text("\n".join(f'"{s}"' for s in [*sources, str(CONNECTOR)]))
     exe = folder / "echo.exe"
@@ -63,7 +63,7 @@ def program(request, tmp_path_factory):
         capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    return exe, (cdr() if request.param == "ROS2" else ros1())
+    return exe, (cdr_codec() if request.param == "ROS2" else ros1_codec())
 
 
 @pytest.mark.slow

@@ -10,13 +10,13 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import load_urdf
 from armcell.model.srdf import with_srdf_text
 from armcell.ros import Bus
-from armcell.ros.nodes.description import describe
+from armcell.ros.nodes.robot_description import publish_robot_description
 
 
 @pytest.mark.parametrize("cell", ["panda_table", "dual_ur10"])
 def test_a_robot_read_from_its_parameters_is_the_same(cell, tmp_path):
     model, bus = load(cell).scene().model, Bus()
-    describe(bus, model)
+    publish_robot_description(bus, model)
     file = tmp_path / "robot.urdf"
     file.write_text(bus.parameters.get("/robot_description"))
     again = with_srdf_text(load_urdf(file), bus.parameters.get("/robot_description_semantic"), file)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.ros.helpers import random_message
 
-from armcell.ros.codec import ros1
+from armcell.ros.codec import ros1_codec
 from armcell.ros.schema import schema
 
 pytestmark = pytest.mark.interop
@@ -49,7 +49,9 @@ def genpy():
 def test_real_classes_read_and_write_our_bytes(genpy):
     rng = np.random.default_rng(2)
     names = [n for n in schema().messages if n.split("/")[0] in PACKAGES]
-    sent = [(n, bytes(ros1().encode(random_message(schema(), n, rng)))) for n in names for _ in range(3)]
+    sent = [
+        (n, bytes(ros1_codec().encode(random_message(schema(), n, rng)))) for n in names for _ in range(3)
+    ]
     done = subprocess.run(
         [SYSTEM_PYTHON, "-c", ECHO],
         input="".join(f"{n} {data.hex()}\n" for n, data in sent),

@@ -16,10 +16,10 @@ from tests.ros.unity_sim import UnitySim
 
 from armcell.cell import load
 from armcell.core import InputError
-from armcell.ros import Bus, Ros1Graph, Ros1Settings, cdr, schema
-from armcell.ros.codec import ros1
+from armcell.ros import Bus, Ros1Graph, Ros1Settings, cdr_codec, schema
+from armcell.ros.codec import ros1_codec
 from armcell.ros.nodes import GraspServer, GraspServerSettings, ServedCell, ServedPlanner
-from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
+from armcell.ros.tcp import ForwardedNames, RosTcpClient, RosTcpServer, ServerSettings
 
 S = schema()
 TRIGGER = "std_srvs/Trigger"
@@ -41,7 +41,7 @@ def test_all_in_one_process(seed):
         answer = bus.call("/grasp", S.new("std_srvs/TriggerRequest"))
         assert answer.success, answer.message
         assert height(served.node.conductor.call(live.driver.object_poses)) - before > 0.15
-        assert served.cell.held(live.model.gripper("hand")) == "cube"
+        assert served.cell.held_object(live.model.gripper("hand")) == "cube"
         assert not served.node.conductor.call(live.driver.unwanted_contacts)
         said = []
         while (message := told.get(0.1)) is not None:
@@ -74,7 +74,9 @@ def test_simulator_and_planner_in_two_processes(protocol, tmp_path):
         where = f"127.0.0.1:{port[1]}"
         simulator = start("sim", CELL, "--connect", where, "--time-scale", "2")
         bus = Bus()
-        bridge = Bridge(subscribe={"/object_pose": "geometry_msgs/PoseStamped"}, use={"/grasp": TRIGGER})
+        bridge = ForwardedNames(
+            subscribe={"/object_pose": "geometry_msgs/PoseStamped"}, use={"/grasp": TRIGGER}
+        )
         with RosTcpClient(bus, "127.0.0.1", int(port[1]), bridge, service_timeout=120.0) as client:
             poses = bus.subscribe("/object_pose", "geometry_msgs/PoseStamped", queue_size=1)
             assert client.wait_connected(20)
@@ -112,7 +114,7 @@ def test_simulator_and_planner_joined_through_a_ros1_graph():
 @pytest.mark.parametrize("ros2", [False, True])
 def test_a_unity_like_client_asks_the_server_to_grasp(ros2):
     """armcell simulates and plans; the client presses the button and watches the cube."""
-    codec, bus = cdr() if ros2 else ros1(), Bus()
+    codec, bus = cdr_codec() if ros2 else ros1_codec(), Bus()
     live = load(CELL).connect("sim", None, time_scale=4.0)
     with (
         ServedCell(live, bus),
@@ -142,7 +144,12 @@ def test_unity_simulates_and_the_planner_grasps_with_it(ros2):
     cube = scene.objects["cube"].T_world_object
     with ServedPlanner(cell, bus), RosTcpServer(bus, ServerSettings(port=0)) as server:
         unity = UnitySim(
-            server.address, cell.model, cdr() if ros2 else ros1(), scene.positions, cube, ros2=ros2
+            server.address,
+            cell.model,
+            cdr_codec() if ros2 else ros1_codec(),
+            scene.positions,
+            cube,
+            ros2=ros2,
         )
         try:
             answer = bus.call("/grasp", S.new("std_srvs/TriggerRequest"))

@@ -6,7 +6,7 @@ import pytest
 
 from armcell.cell import load
 from armcell.core import ErrorCode
-from armcell.ros.nodes.gripping import gripping
+from armcell.ros.nodes.gripper_node import gripper_command_steps
 
 
 @pytest.mark.parametrize("mode", ["sim", "fake"])
@@ -14,7 +14,7 @@ def test_a_cancelled_gripper_stops_where_it_is(mode):
     with load("panda_pick").connect(mode) as live:
         driver, hand = live.driver, live.model.gripper()
         opened, cancel = driver.gripper(hand.name).width, threading.Event()
-        steps = gripping(driver, hand, 0.0, 20.0, cancel)
+        steps = gripper_command_steps(driver, hand, 0.0, 20.0, cancel)
         while driver.gripper(hand.name).width > 0.8 * opened:
             next(steps)
             live.ctx.advance(driver.period)
@@ -32,7 +32,7 @@ def test_a_command_turns_the_vacuum_on_and_off():
         driver, hand = live.driver, live.model.gripper()
 
         def command(width: float):
-            steps = gripping(driver, hand, width, hand.max_force, threading.Event())
+            steps = gripper_command_steps(driver, hand, width, hand.max_force, threading.Event())
             while True:
                 try:
                     next(steps)

@@ -7,8 +7,8 @@ import pytest
 from tests.ros.helpers import random_message
 
 from armcell.core import InputError
-from armcell.ros import Schema, cdr, schema
-from armcell.ros.codec import ros1
+from armcell.ros import Schema, cdr_codec, schema
+from armcell.ros.codec import ros1_codec
 from armcell.ros.distros import DISTROS
 from armcell.ros.ros2.codec import ros2_codec
 
@@ -31,8 +31,8 @@ def test_every_interface_is_known_in_both_layouts(head, items):
     rng = np.random.default_rng(5)
     for name in [name + part for name in names for part in PARTS[kind]]:
         message = random_message(S, name, rng)
-        data = bytes(ros1(S).encode(message))
-        assert bytes(ros1(S).encode(ros1(S).decode(name, data))) == data
+        data = bytes(ros1_codec(S).encode(message))
+        assert bytes(ros1_codec(S).encode(ros1_codec(S).decode(name, data))) == data
         data = bytes(codec.encode(message))
         assert bytes(codec.encode(codec.decode(name, data))) == data
 
@@ -45,9 +45,9 @@ def test_fields_that_only_ros2_has_survive_its_wire_and_are_no_part_of_ros1s():
     for message in (primitive, errors, goal):
         jazzy = ros2_codec(S, "jazzy")
         assert jazzy.decode(message._type, jazzy.encode(message)) == message
-        without = ros1(S).decode(message._type, ros1(S).encode(message))
-        assert without != message and ros1(S).encode(without) == ros1(S).encode(message)
-    assert bytes(ros1(S).encode(errors)) == (-15).to_bytes(4, "little", signed=True)
+        without = ros1_codec(S).decode(message._type, ros1_codec(S).encode(message))
+        assert without != message and ros1_codec(S).encode(without) == ros1_codec(S).encode(message)
+    assert bytes(ros1_codec(S).encode(errors)) == (-15).to_bytes(4, "little", signed=True)
     humble = ros2_codec(S, "humble")
     assert humble.decode(errors._type, humble.encode(errors)) == S.new(errors._type, -15)
 
@@ -60,7 +60,7 @@ def test_positional_arguments_keep_ros1s_order():
 
 def test_types_that_only_ros2_has_are_types_of_the_bus():
     state = S.new("control_msgs/DynamicJointState", joint_names=["a"])
-    assert cdr(S).decode(state._type, cdr(S).encode(state)) == state
+    assert cdr_codec(S).decode(state._type, cdr_codec(S).encode(state)) == state
     assert "control_msgs/ParallelGripperCommand" in S.actions
     assert "rcl_interfaces/GetParameters" in S.services
     assert not any(name.startswith("rmw_dds_common/") for name in S.messages)

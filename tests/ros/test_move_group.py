@@ -10,7 +10,7 @@ import pytest
 
 from armcell.cell import load
 from armcell.core import SE3, SO3
-from armcell.ros import ActionClient, Bus, State, schema
+from armcell.ros import ActionClient, Bus, GoalState, schema
 from armcell.ros.convert import pose_from_message, pose_message
 from armcell.ros.nodes import ServedCell
 
@@ -32,7 +32,7 @@ def bus(served):
     """The bus, with the arm at home and the world as it was."""
     move(served.bus, joint_goal(dict(served.live.model.named_states["arm"]["home"])))
     scene = served.live.scene_at_start
-    served.cell.change(lambda now: scene.with_positions(now.positions))
+    served.cell.edit_scene(lambda now: scene.with_positions(now.positions))
     return served.bus
 
 
@@ -57,7 +57,7 @@ def move(bus, *goals, plan_only=False, scene_diff=None, feedback=None, cancel_af
     goal.planning_options.plan_only = plan_only
     goal.planning_options.planning_scene_diff = scene_diff or new("PlanningScene", is_diff=True)
     with ActionClient(bus, "/move_group", "moveit_msgs/MoveGroup") as client:
-        sent = client.send(goal, feedback)
+        sent = client.send_goal(goal, feedback)
         if cancel_after is not None:
             time.sleep(cancel_after)
             sent.cancel()
@@ -179,7 +179,7 @@ def test_validity_names_the_pair(bus, served):
 def test_a_plan_is_timed_begins_at_zero_and_its_start_lists_all_joints(bus, served):
     before = arm(served)
     state, result, _ = move(bus, joint_goal({"panda_joint1": 0.4}), plan_only=True)
-    assert state is State.SUCCEEDED and result.error_code.val == 1
+    assert state is GoalState.SUCCEEDED and result.error_code.val == 1
     points = result.planned_trajectory.joint_trajectory.points
     assert points[0].time_from_start.to_nsec() == 0
     assert all(len(p.velocities) == len(p.accelerations) == 7 for p in points)
@@ -191,7 +191,7 @@ def test_a_plan_is_timed_begins_at_zero_and_its_start_lists_all_joints(bus, serv
 def test_plan_and_execute_with_feedback(bus, served):
     said = []
     state, result, _ = move(bus, joint_goal({"panda_joint1": 0.4}), feedback=lambda f: said.append(f.state))
-    assert state is State.SUCCEEDED and result.error_code.val == 1
+    assert state is GoalState.SUCCEEDED and result.error_code.val == 1
     assert said == ["PLANNING", "MONITOR", "IDLE"]
     assert arm(served)[0] == pytest.approx(0.4, abs=1e-3)
     assert result.executed_trajectory.joint_trajectory.points
@@ -210,7 +210,7 @@ def test_plan_and_execute_with_feedback(bus, served):
 )
 def test_codes_of_requests_that_cannot_be_planned(bus, goals, fields, code):
     state, result, text = move(bus, *goals, plan_only=True, **fields)
-    assert state is State.ABORTED and result.error_code.val == code and text
+    assert state is GoalState.ABORTED and result.error_code.val == code and text
 
 
 def test_a_refused_planner_is_named_with_those_that_exist(bus):
@@ -269,7 +269,7 @@ def test_a_cartesian_path_that_is_partly_reachable_succeeds_with_a_fraction(bus,
 # --- executing ---
 def execute(bus, trajectory, cancel_after=None, stop_after=None):
     with ActionClient(bus, "/execute_trajectory", "moveit_msgs/ExecuteTrajectory") as client:
-        sent = client.send(new("ExecuteTrajectoryGoal", trajectory))
+        sent = client.send_goal(new("ExecuteTrajectoryGoal", trajectory))
         if cancel_after is not None:
             time.sleep(cancel_after)
             sent.cancel()
@@ -290,11 +290,11 @@ def slow_plan(bus):
 
 def test_execution_its_start_its_end_and_its_stops(bus):
     planned = move(bus, joint_goal({"panda_joint1": 0.5}), plan_only=True)[1].planned_trajectory
-    assert execute(bus, planned) == (State.SUCCEEDED, 1)
-    assert execute(bus, planned) == (State.ABORTED, -4)  # CONTROL_FAILED: the arm is elsewhere by now
-    assert execute(bus, new("RobotTrajectory")) == (State.SUCCEEDED, 1)
-    assert execute(bus, slow_plan(bus), cancel_after=0.2) == (State.PREEMPTED, -7)
-    assert execute(bus, slow_plan(bus), stop_after=0.2) == (State.PREEMPTED, -7)
+    assert execute(bus, planned) == (GoalState.SUCCEEDED, 1)
+    assert execute(bus, planned) == (GoalState.ABORTED, -4)  # CONTROL_FAILED: the arm is elsewhere by now
+    assert execute(bus, new("RobotTrajectory")) == (GoalState.SUCCEEDED, 1)
+    assert execute(bus, slow_plan(bus), cancel_after=0.2) == (GoalState.PREEMPTED, -7)
+    assert execute(bus, slow_plan(bus), stop_after=0.2) == (GoalState.PREEMPTED, -7)
 
 
 def test_a_stop_ends_the_motion_where_it_is(bus, served):
@@ -306,7 +306,7 @@ def test_a_cancelled_goal_is_preempted(bus):
     state, result, _ = move(
         bus, joint_goal({"panda_joint1": 1.5}), max_velocity_scaling_factor=0.02, cancel_after=0.5
     )
-    assert state is State.PREEMPTED and result.error_code.val == -7
+    assert state is GoalState.PREEMPTED and result.error_code.val == -7
 
 
 def test_a_goal_that_a_newer_one_replaces_says_so(bus):
@@ -317,13 +317,15 @@ def test_a_goal_that_a_newer_one_replaces_says_so(bus):
         for goal in goals:
             goal.planning_options.planning_scene_diff.is_diff = True
         begun = threading.Event()
-        first = client.send(goals[0], lambda feedback: begun.set())
+        first = client.send_goal(goals[0], lambda feedback: begun.set())
         assert begun.wait(20)
         second_began = threading.Event()
-        second = client.send(goals[1], lambda feedback: second_began.set())
-        third = client.send(goals[2])
+        second = client.send_goal(goals[1], lambda feedback: second_began.set())
+        third = client.send_goal(goals[2])
         for sent, began in ((first, begun), (second, second_began)):  # a busy machine may begin the second
-            assert sent.wait(20) and sent.state is (State.PREEMPTED if began.is_set() else State.RECALLED)
+            assert sent.wait(20) and sent.state is (
+                GoalState.PREEMPTED if began.is_set() else GoalState.RECALLED
+            )
             assert sent.result.error_code.val == -7
             assert "preempted by a newer goal" in sent.result.error_code.message
             assert sent.text == sent.result.error_code.message
@@ -339,7 +341,7 @@ def test_reasons_are_in_the_error_code(bus):
         assert code.source == "armcell" and all(word in code.message for word in words), code
 
     state, result, _ = move(bus, joint_goal({"panda_joint1": 0.1}), group="leg")
-    assert state is State.ABORTED and result.error_code.val == -15
+    assert state is GoalState.ABORTED and result.error_code.val == -15
     reason(result.error_code, "planning group 'leg'", "arm")
     reason(move(bus, joint_goal({"panda_joint1": 9.0}))[1].error_code, "panda_joint1")
     planned = bus.call(
@@ -365,8 +367,8 @@ def test_reasons_are_in_the_error_code(bus):
     trajectory = slow_plan(bus)
     trajectory.joint_trajectory.points[0].positions = [1.0] * 7
     with ActionClient(bus, "/execute_trajectory", "moveit_msgs/ExecuteTrajectory") as client:
-        sent = client.send(new("ExecuteTrajectoryGoal", trajectory))
-        assert sent.wait(20) and sent.state is State.ABORTED
+        sent = client.send_goal(new("ExecuteTrajectoryGoal", trajectory))
+        assert sent.wait(20) and sent.state is GoalState.ABORTED
         reason(sent.result.error_code, "panda_joint4", "limits")
         assert sent.text == sent.result.error_code.message
     assert move(bus, joint_goal({"panda_joint1": 0.1}))[1].error_code == new("MoveItErrorCodes", 1)
@@ -419,7 +421,7 @@ def test_a_world_replaces_the_world(bus, served):
     from armcell.scene import OCTOMAP, with_octomap
 
     octree = Octree(np.array([[0.0, 0.6, 0.6]]), np.array([0.1]))
-    served.cell.change(lambda scene: with_octomap(scene, octree))
+    served.cell.edit_scene(lambda scene: with_octomap(scene, octree))
     ball = new("CollisionObject", id="ball", primitives=[S.new("shape_msgs/SolidPrimitive", 2, [0.1])])
     ball.pose = pose_message(S, SE3.from_xyz(0.0, 0.6, 0.3))
     world = new("PlanningSceneWorld", collision_objects=[ball])
@@ -437,7 +439,7 @@ def test_the_octomap_is_cleared(bus, served):
     from armcell.scene import OCTOMAP, with_octomap
 
     octree = Octree(np.array([[0.0, 0.6, 0.6]]), np.array([0.1]))
-    served.cell.change(lambda scene: with_octomap(scene, octree))
+    served.cell.edit_scene(lambda scene: with_octomap(scene, octree))
     assert OCTOMAP in served.cell.scene().objects
     bus.call("/clear_octomap", S.new("std_srvs/EmptyRequest"))
     assert OCTOMAP not in served.cell.scene().objects
@@ -465,7 +467,7 @@ def test_planners_and_their_parameters(bus):
         "/set_planner_params", new("SetPlannerParamsRequest", **key, group="arm", params=bad, replace=True)
     )
     state, _, text = move(bus, goal, **asked)
-    assert state is State.ABORTED and "rnge" in text
+    assert state is GoalState.ABORTED and "rnge" in text
     bus.call("/set_planner_params", new("SetPlannerParamsRequest", **key, group="arm", replace=True))
     assert not bus.call("/get_planner_params", new("GetPlannerParamsRequest", "magic", "x", "")).params.keys
 
@@ -486,11 +488,11 @@ def test_grasps_of_another_link_than_the_tip_are_reported(served, bus):
         goal = new("PickupGoal", target_name="cube", group_name="arm", possible_grasps=[grasp])
         goal.planning_options.plan_only = True
         with ActionClient(bus, "/pickup", "moveit_msgs/Pickup") as client:
-            sent = client.send(goal)
+            sent = client.send_goal(goal)
             assert sent.wait(60)
         ends[link] = sent
-    assert ends["panda_hand_tcp"].state is State.SUCCEEDED, ends["panda_hand_tcp"].text
+    assert ends["panda_hand_tcp"].state is GoalState.SUCCEEDED, ends["panda_hand_tcp"].text
     sent = ends["panda_link8"]
-    assert sent.state is State.ABORTED and sent.result.error_code.val != 1
+    assert sent.state is GoalState.ABORTED and sent.result.error_code.val != 1
     assert "poses of panda_link8, but the tip of group 'arm' is panda_hand_tcp, 103 mm away" in sent.text
     assert "give grasp_pose for panda_hand_tcp" in sent.text

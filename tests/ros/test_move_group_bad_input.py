@@ -11,9 +11,9 @@ from tests.ros.helpers import random_message
 from tests.ros.unity_like import UnityLike
 
 from armcell.cell import load
-from armcell.ros import ActionClient, Bus, cdr, schema
+from armcell.ros import ActionClient, Bus, cdr_codec, schema
 from armcell.ros.bus import ServiceError
-from armcell.ros.codec import ros1
+from armcell.ros.codec import ros1_codec
 from armcell.ros.nodes import ServedCell
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
@@ -82,8 +82,8 @@ def test_random_goals(served, action, kind, caplog):
     rng = np.random.default_rng(2)
     with ActionClient(served.bus, action, f"moveit_msgs/{kind}") as client, caplog.at_level(logging.ERROR):
         for _ in range(10):
-            sent = client.send(random_message(S, f"moveit_msgs/{kind}Goal", rng))
-            assert sent.wait(20) and sent.state.is_over
+            sent = client.send_goal(random_message(S, f"moveit_msgs/{kind}Goal", rng))
+            assert sent.wait(20) and sent.state.is_terminal
     assert not [r for r in caplog.records if r.levelno >= logging.ERROR]
     assert sane(served)
 
@@ -91,7 +91,7 @@ def test_random_goals(served, action, kind, caplog):
 @pytest.mark.parametrize("ros2", [False, True])
 def test_services_over_tcp(served, ros2):
     """As Unity asks them: the tutorial's planner services in both modes."""
-    codec = cdr() if ros2 else ros1()
+    codec = cdr_codec() if ros2 else ros1_codec()
     with RosTcpServer(served.bus, ServerSettings(port=0)) as server, UnityLike(server.address, ros2) as unity:
 
         def call(name, request):

@@ -30,8 +30,8 @@ from armcell.core import (
     UnknownNameError,
     VisibilityConstraint,
 )
-from armcell.ros import cdr, schema
-from armcell.ros.codec import ros1
+from armcell.ros import cdr_codec, schema
+from armcell.ros.codec import ros1_codec
 from armcell.ros.convert import pose_from_message, pose_message, trajectory_from_message
 from armcell.ros.moveit_convert import (
     Components,
@@ -79,7 +79,7 @@ def solid(kind, *sizes):
 
 def over_the_wires(message):
     """The message as both encodings bring it."""
-    for codec in (ros1(), cdr()):
+    for codec in (ros1_codec(), cdr_codec()):
         yield codec.decode(message._type, bytes(codec.encode(message)))
 
 

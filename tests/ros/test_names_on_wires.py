@@ -10,8 +10,8 @@ from tests.ros.unity_like import UnityLike
 
 from armcell.cell import load
 from armcell.core import InputError
-from armcell.ros import ActionClient, Bus, State, schema
-from armcell.ros.codec import cdr, ros1
+from armcell.ros import ActionClient, Bus, GoalState, schema
+from armcell.ros.codec import cdr_codec, ros1_codec
 from armcell.ros.convert import joint_state_message
 from armcell.ros.names import NameMap, name_map
 from armcell.ros.nodes import ServedCell, ServedPlanner
@@ -52,7 +52,7 @@ def test_what_is_no_remapping(remap):
 
 def test_a_renamed_bus_maps_topics_services_and_parameters():
     bus = Bus()
-    mine = bus.renamed(name_map("cell", "left", ["in:=/out"]))
+    mine = bus.with_remapping(name_map("cell", "left", ["in:=/out"]))
     got, text = bus.subscribe("/out", "std_msgs/String"), S.new("std_msgs/String", "a")
     mine.advertise("/in", "std_msgs/String").publish(text)
     assert got.get(1) is text and [t.name for t in mine.topics()] == ["/in"]
@@ -95,7 +95,7 @@ def a_planner(bus):
 def bus(request):
     """The bus as the wires have it; the cell is in a namespace."""
     found = Bus()
-    with request.param(found.renamed(name_map("armcell", "arm_left", REMAP))):
+    with request.param(found.with_remapping(name_map("armcell", "arm_left", REMAP))):
         monitored = found.subscribe(
             "/arm_left/move_group/monitored_planning_scene", "moveit_msgs/PlanningScene"
         )
@@ -106,7 +106,7 @@ def bus(request):
 
 @pytest.mark.parametrize("ros2", [False, True], ids=["ROS1", "ROS2"])
 def test_unity_gets_latched_topics_late_and_by_their_names(bus, ros2):
-    codec = cdr() if ros2 else ros1()
+    codec = cdr_codec() if ros2 else ros1_codec()
     with RosTcpServer(bus, ServerSettings(port=0)) as server, UnityLike(server.address, ros2) as unity:
         for name, kind in LATCHED.items():
             unity.register("__subscribe", f"/arm_left{name}", kind)
@@ -146,8 +146,8 @@ def test_a_remapped_action_moves_the_arm(bus):
     goal.trajectory = S.new("trajectory_msgs/JointTrajectory", joint_names=[n for n, _ in arm], points=points)
     words = bus.subscribe("/words", "std_msgs/String")
     with ActionClient(bus, "/follow", "control_msgs/FollowJointTrajectory") as client:
-        sent = client.send(goal)
-        assert sent.wait(20) and sent.state is State.SUCCEEDED, sent.text
+        sent = client.send_goal(goal)
+        assert sent.wait(20) and sent.state is GoalState.SUCCEEDED, sent.text
     end = time.monotonic() + 5
     while not words.get(0.5).data.startswith("done"):
         assert time.monotonic() < end

@@ -45,7 +45,7 @@ def test_clients_name_the_file_s_planners_and_get_its_default(tmp_path, wrapped)
         ServedCell(live, Bus(), plan=False) as served,
         MoveGroupNode(served.cell, Bus(), live.planner_configs) as node,
     ):
-        scene = served.cell.change(lambda now: now.with_object(rod))
+        scene = served.cell.edit_scene(lambda now: now.with_object(rod))
         for planner, used in {"": "PRM", "roadmap": "PRM", "EST": "EST", "RRTConnect": "RRTConnect"}.items():
             result = node.plan(asked(live.model, planner), scene)
             assert result.ok and result.planner_id == used, (planner, result)

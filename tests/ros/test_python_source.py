@@ -8,23 +8,23 @@ from tests import programs
 
 import armcell
 from armcell.core import UnknownNameError
-from armcell.ros.csharp import write
-from armcell.ros.python_source import python
+from armcell.ros.csharp_generator import write
+from armcell.ros.python_generator import generate_python
 from armcell.ros.schema import schema
 
 USE = """
 import moveit_msgs.msg as m, moveit_msgs.srv as s, geometry_msgs.msg as g
-from armcell.ros.codec import cdr, ros1
+from armcell.ros.codec import cdr_codec, ros1_codec
 from armcell.ros.schema import schema
 box = m.CollisionObject(id="box", operation=m.CollisionObject.MOVE)
 box.primitive_poses = [g.Pose(g.Point(1, 2, 3))]
-for codec in (ros1(), cdr()):
+for codec in (ros1_codec(), cdr_codec()):
     back = codec.decode("moveit_msgs/CollisionObject", codec.encode(box))
     assert back.id == "box" and back.primitive_poses[0].position.z == 3 and back.operation == 3
 for name in schema().messages:
     if name.startswith("moveit_msgs/"):
         cls = getattr(m, name.split("/")[1])
-        assert bytes(ros1().encode(cls())) == bytes(ros1().encode(schema().new(name))), name
+        assert bytes(ros1_codec().encode(cls())) == bytes(ros1_codec().encode(schema().new(name))), name
         assert cls._md5sum == schema().md5(name)
 assert s.GetPositionIK._request_class().ik_request.timeout.to_sec() == 0
 """
@@ -32,7 +32,7 @@ assert s.GetPositionIK._request_class().ik_request.timeout.to_sec() == 0
 
 @pytest.mark.slow
 def test_generated_package_is_used(tmp_path):
-    files = write(python(schema(), ["moveit_msgs"]), tmp_path)
+    files = write(generate_python(schema(), ["moveit_msgs"]), tmp_path)
     assert tmp_path / "geometry_msgs" / "msg.py" in files  # what it uses comes along
     source = Path(armcell.__file__).parents[1]
     done = programs.run(
@@ -46,4 +46,4 @@ def test_generated_package_is_used(tmp_path):
 
 def test_unknown_package():
     with pytest.raises(UnknownNameError, match="message package"):
-        python(schema(), ["nope_msgs"])
+        generate_python(schema(), ["nope_msgs"])

@@ -12,7 +12,7 @@ from tests.ros.tcp_helpers import wait_for
 
 from armcell.cell import load
 from armcell.core import SE3, ErrorCode, JointTrajectory
-from armcell.ros import ActionClient, Bus, State, schema
+from armcell.ros import ActionClient, Bus, GoalState, schema
 from armcell.ros.convert import joint_state_message, pose_message
 from armcell.ros.moveit_convert import trajectory_message
 from armcell.ros.nodes import MoveGroupNode, PickPlaceNode
@@ -59,10 +59,10 @@ class Simulator:
 
 def test_what_was_said_of_an_earlier_motion_ends_no_later_one():
     with Simulator("panda_table") as sim:
-        first = sim.cell.play(sim.motion("panda_arm"))
+        first = sim.cell.queue_trajectory(sim.motion("panda_arm"))
         assert sim.got.get(5).points
         sim.say("executing 2 points, 1.00 s")
-        second = sim.cell.play(sim.motion("panda_arm"))  # takes over
+        second = sim.cell.queue_trajectory(sim.motion("panda_arm"))  # takes over
         assert first.outcome().code is ErrorCode.PREEMPTED
         assert not sim.got.get(5).points and sim.got.get(5).points  # a stop, then the motion
         sim.say("stopped: cancelled at 0.10 of 1.00 s", "stop", "done: empty trajectory: stopped")
@@ -71,7 +71,7 @@ def test_what_was_said_of_an_earlier_motion_ends_no_later_one():
         assert not second.wait(0.1)
         sim.say("done: final error 0.0001")
         assert second.wait(5) and second.outcome().ok
-        third = sim.cell.play(sim.motion("panda_arm"))
+        third = sim.cell.queue_trajectory(sim.motion("panda_arm"))
         sim.got.get(5)
         sim.say("refused: unknown joint")
         assert third.wait(5) and "unknown joint" in third.outcome().message
@@ -79,7 +79,7 @@ def test_what_was_said_of_an_earlier_motion_ends_no_later_one():
 
 def test_a_simulator_that_says_only_how_a_motion_ended():
     with Simulator("panda_table") as sim:
-        work = sim.cell.play(sim.motion("panda_arm"))
+        work = sim.cell.queue_trajectory(sim.motion("panda_arm"))
         assert sim.got.get(5).points
         sim.say("done: arrived")
         assert work.wait(2) and work.outcome().ok
@@ -88,9 +88,11 @@ def test_a_simulator_that_says_only_how_a_motion_ended():
 def test_the_second_arm_waits_for_the_first():
     """What is said does not tell which motion is meant, and nothing proves that two would not meet."""
     with Simulator("dual_ur10") as sim:
-        left, begun = sim.cell.play(sim.motion("left_arm")), []
+        left, begun = sim.cell.queue_trajectory(sim.motion("left_arm")), []
         assert sim.got.get(5).points
-        other = threading.Thread(target=lambda: begun.append(sim.cell.play(sim.motion("right_arm"))))
+        other = threading.Thread(
+            target=lambda: begun.append(sim.cell.queue_trajectory(sim.motion("right_arm")))
+        )
         other.start()
         sim.say("executing 2 points, 1.00 s")
         assert sim.got.get(0.3) is None and not begun
@@ -106,11 +108,11 @@ def test_a_motion_that_begins_elsewhere_is_refused_and_a_stop_stops_every_joint(
     with Simulator("panda_table") as sim:
         away = sim.motion("panda_arm")
         away.points[0].positions = away.points[0].positions + 0.5
-        work = sim.cell.play(away)
+        work = sim.cell.queue_trajectory(away)
         assert work.wait(5) and work.outcome().code is ErrorCode.CONTROL_FAILED
         assert "from the trajectory's start" in work.outcome().message
-        running = sim.cell.play(sim.motion("panda_arm"))
-        assert sim.cell.play(S.new("trajectory_msgs/JointTrajectory")).wait(5)
+        running = sim.cell.queue_trajectory(sim.motion("panda_arm"))
+        assert sim.cell.queue_trajectory(S.new("trajectory_msgs/JointTrajectory")).wait(5)
         assert running.outcome().code is ErrorCode.PREEMPTED
 
 
@@ -118,7 +120,7 @@ def test_things_are_where_the_simulator_says_even_if_it_says_so_a_little_late(ca
     with Simulator("panda_table") as sim:
         pose = sim.bus.advertise("/object_pose", "geometry_msgs/PoseStamped")
         T = SE3.from_xyz(0.5, -0.2, 0.1)
-        wait_for(lambda: sim.cell.live.driver.is_seen)
+        wait_for(lambda: sim.cell.live.driver.has_joint_states)
         later = threading.Timer(
             0.3,
             lambda: pose.publish(
@@ -166,8 +168,8 @@ def test_without_a_simulator_every_action_ends_with_a_code_and_the_reason(monkey
     try:
         for kind, (action, fields) in goals.items():
             with ActionClient(bus, action, f"moveit_msgs/{kind}") as client:
-                sent = client.send(S.new(f"moveit_msgs/{kind}Goal", **fields))
-                assert sent.wait(5) and sent.state is State.ABORTED and "/joint_states" in sent.text
+                sent = client.send_goal(S.new(f"moveit_msgs/{kind}Goal", **fields))
+                assert sent.wait(5) and sent.state is GoalState.ABORTED and "/joint_states" in sent.text
                 assert sent.result.error_code.val in (99999, -4), kind
     finally:
         pick.close()
@@ -183,7 +185,7 @@ def test_a_trajectory_of_the_fingers_alone_is_a_gripper_command():
         hand = sim.scene.model.gripper("hand")
         names, q = (hand.joint_name,), sim.scene.state.reindexed((hand.joint_name,)).positions
         closing = JointTrajectory(names, np.array([0.0, 1.0]), np.array([q, [0.01]]))
-        work = sim.cell.play(trajectory_message(S, sim.bus.header(), closing))
+        work = sim.cell.queue_trajectory(trajectory_message(S, sim.bus.header(), closing))
         assert commands.get(2.0).data == pytest.approx(hand.width(0.01))
         assert work.wait(10.0) and work.outcome().ok and work.outcome().evidence["stalled"]
         assert sim.got.get(0.1) is None

@@ -9,7 +9,7 @@ import pytest
 
 from armcell.cell import load
 from armcell.core import SE3, ErrorCode
-from armcell.ros import ActionClient, Bus, State, schema
+from armcell.ros import ActionClient, Bus, GoalState, schema
 from armcell.ros.convert import pose_message
 from armcell.ros.nodes import ServedCell, ServedPlanner
 
@@ -33,8 +33,8 @@ def served():
 def bus(served):
     """The bus, with the arm at home and the world as it was."""
     scene = served.live.scene_at_start
-    served.cell.change(lambda now: scene.with_positions(now.positions))
-    assert move(served.bus, 0.0, velocity=0.5)[0] is State.SUCCEEDED
+    served.cell.edit_scene(lambda now: scene.with_positions(now.positions))
+    assert move(served.bus, 0.0, velocity=0.5)[0] is GoalState.SUCCEEDED
     return served.bus
 
 
@@ -63,7 +63,7 @@ def ended(bus, name, kind, goal, meanwhile=None, after=0.3):
     """Send a goal; once the arm has moved for a while do something; the goal's state and code."""
     states = bus.subscribe("/joint_states", "sensor_msgs/JointState", queue_size=1)
     with ActionClient(bus, name, f"moveit_msgs/{kind}") as client:
-        sent = client.send(goal)
+        sent = client.send_goal(goal)
         if meanwhile is not None:
             moving = 0
             while moving < 3 and not sent.wait(0.0):
@@ -113,12 +113,12 @@ def test_execute_trajectory_stops_before_what_comes_through_every_door(bus, serv
     state, code, _ = ended(
         bus, "/execute_trajectory", "ExecuteTrajectory", goal, lambda: DOORS[door](bus, rod())
     )
-    assert (state, code) == (State.ABORTED, CHANGED)
+    assert (state, code) == (GoalState.ABORTED, CHANGED)
     said = [m.data for m in iter(lambda: status.get(0.2), None)]
     assert any("would touch rod" in text for text in said), said
     at = served.cell.scene().state["panda_joint1"]
     assert 0.01 < at < 1.0 and "rod" in served.cell.scene().objects
-    assert move(bus, 1.9, velocity=0.5)[:2] == (State.SUCCEEDED, 1)  # around it
+    assert move(bus, 1.9, velocity=0.5)[:2] == (GoalState.SUCCEEDED, 1)  # around it
     DOORS[door](bus, rod(operation=REMOVE))
     give_up = time.monotonic() + 5
     while "rod" in served.cell.scene().objects and time.monotonic() < give_up:
@@ -132,16 +132,16 @@ def test_what_comes_beside_the_way_stops_nothing(bus):
     done = ended(
         bus, "/execute_trajectory", "ExecuteTrajectory", goal, lambda: by_service(bus, rod(BESIDE)), 0.05
     )
-    assert done[:2] == (State.SUCCEEDED, 1)
+    assert done[:2] == (GoalState.SUCCEEDED, 1)
 
 
 @pytest.mark.slow
 def test_move_group_says_so_or_plans_again(bus, served):
-    assert move(bus, 1.9, lambda: by_topic(bus, rod()))[:2] == (State.ABORTED, CHANGED)
+    assert move(bus, 1.9, lambda: by_topic(bus, rod()))[:2] == (GoalState.ABORTED, CHANGED)
     by_service(bus, rod(operation=REMOVE))
-    assert move(bus, 0.0, velocity=0.5)[:2] == (State.SUCCEEDED, 1)
+    assert move(bus, 0.0, velocity=0.5)[:2] == (GoalState.SUCCEEDED, 1)
     done = move(bus, 1.9, lambda: by_topic(bus, rod()), replan=True)
-    assert done[:2] == (State.SUCCEEDED, 1)
+    assert done[:2] == (GoalState.SUCCEEDED, 1)
     assert served.cell.scene().state["panda_joint1"] == pytest.approx(1.9, abs=0.01)
 
 
@@ -158,7 +158,7 @@ def test_pickup_goes_around(bus, served):
     before = len(served.live.ctx.events)
     state, code, _ = ended(bus, "/pickup", "Pickup", goal, lambda: by_topic(bus, thing), 0.0)
     assert [e.data["object"] for e in served.live.ctx.events[before:] if e.kind == "stop"] == ["rod"]
-    assert (state, code) == (State.SUCCEEDED, 1)
+    assert (state, code) == (GoalState.SUCCEEDED, 1)
     assert set(served.cell.scene().attached) == {"cube"} and "rod" in served.cell.scene().objects
 
 
@@ -168,9 +168,9 @@ def test_a_planner_far_from_the_robot_stops_it_too():
     cell = load("panda_pick")
     live = cell.connect("fake", None, time_scale=4.0)
     with ServedCell(live, bus, plan=False) as robot, ServedPlanner(cell, bus):
-        assert move(bus, 1.9, lambda: by_topic(bus, rod()))[:2] == (State.ABORTED, CHANGED)
+        assert move(bus, 1.9, lambda: by_topic(bus, rod()))[:2] == (GoalState.ABORTED, CHANGED)
         stopped = robot.live.scene().state["panda_joint1"]
         assert 0.01 < stopped < 1.0
-        assert move(bus, 1.9, velocity=0.5)[:2] == (State.SUCCEEDED, 1)
+        assert move(bus, 1.9, velocity=0.5)[:2] == (GoalState.SUCCEEDED, 1)
         q = robot.live.scene().state.positions
         assert np.isfinite(q).all()

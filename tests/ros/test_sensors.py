@@ -213,7 +213,7 @@ def test_the_robot_in_a_late_cloud_is_taken_as_it_stood(served, clean):
     before, stamp = cell.scene(), bus.clock.now()
     points = robot_points(before).astype(np.float32)
     request = plan(served, 1.0)
-    assert cell.play(request.trajectory.joint_trajectory).wait(30)
+    assert cell.queue_trajectory(request.trajectory.joint_trajectory).wait(30)
     moved = abs(cell.scene().positions - before.positions).max()
     assert moved > 0.9, group
     publisher = bus.advertise(TOPIC, "sensor_msgs/PointCloud2")

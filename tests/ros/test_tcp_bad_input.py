@@ -9,8 +9,8 @@ from tests.ros.tcp_helpers import frame
 from tests.ros.unity_like import UnityLike
 
 from armcell.ros import schema
-from armcell.ros.codec import ros1
-from armcell.ros.tcp.frames import MAX_BODY, FrameError, FrameReader, command
+from armcell.ros.codec import ros1_codec
+from armcell.ros.tcp.framing import MAX_BODY, FrameError, FrameReader, command
 
 TRAJECTORY = "trajectory_msgs/JointTrajectory"
 
@@ -23,7 +23,7 @@ def bystander(bus, server):
         got = bus.subscribe("/chat", "std_msgs/String")
         unity.read_until("__handshake")
         yield unity
-        unity.message("/chat", ros1().encode(schema().new("std_msgs/String", data="fine")))
+        unity.message("/chat", ros1_codec().encode(schema().new("std_msgs/String", data="fine")))
         assert got.get(5).data == "fine"
         assert unity.buffer == b""
         unity.command("__ping", request_time=1)
@@ -91,7 +91,7 @@ def test_a_mistake_is_told_and_the_connection_goes_on(bus, server, bystander, wh
             assert answer[0] not in ("__error", "/a"), answer  # told once, though done three times
         unity.register("__publish", "/b", "std_msgs/String")
         got = bus.subscribe("/b", "std_msgs/String")
-        unity.message("/b", ros1().encode(schema().new("std_msgs/String", data="on we go")))
+        unity.message("/b", ros1_codec().encode(schema().new("std_msgs/String", data="on we go")))
         assert got.get(5).data == "on we go"
         address = f"127.0.0.1:{unity.socket.getsockname()[1]}"
     assert len([r for r in caplog.records if address in r.getMessage()]) == 1
@@ -123,7 +123,7 @@ def test_numbers_that_are_none_arrive_as_they_are(bus, server):
     got = bus.subscribe("/planned", TRAJECTORY)
     with UnityLike(server.address) as unity:
         unity.register("__publish", "/planned", TRAJECTORY)
-        unity.message("/planned", ros1().encode(schema().new(TRAJECTORY, points=[point])))
+        unity.message("/planned", ros1_codec().encode(schema().new(TRAJECTORY, points=[point])))
         assert str(got.get(5).points[0].positions.tolist()) == "[nan, inf]"
 
 

@@ -11,9 +11,9 @@ import pytest
 from tests.ros.tcp_helpers import text, wait_for
 
 from armcell.core import InputError
-from armcell.ros import Bus, ServiceError, cdr, schema
-from armcell.ros.codec import ros1
-from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
+from armcell.ros import Bus, ServiceError, cdr_codec, schema
+from armcell.ros.codec import ros1_codec
+from armcell.ros.tcp import ForwardedNames, RosTcpClient, RosTcpServer, ServerSettings
 
 STATE = "sensor_msgs/JointState"
 TEXT = "std_msgs/String"
@@ -28,7 +28,7 @@ def protocol(request):
 def pair(protocol):
     """Two programs, joined: (simulator's bus, planner's bus, client, server)."""
     simulator, planner = Bus(), Bus()
-    bridge = Bridge(
+    bridge = ForwardedNames(
         publish={"/joint_states": STATE},
         subscribe={"/planned": TEXT},
         implement={"/grip": "std_srvs/SetBool"},
@@ -80,7 +80,9 @@ def test_it_connects_when_the_endpoint_comes_and_again_when_it_returns():
     simulator, planner = Bus(), Bus()
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    bridge = Bridge(publish={"/map": TEXT}, subscribe={"/planned": TEXT}, use={"/plan": "std_srvs/Trigger"})
+    bridge = ForwardedNames(
+        publish={"/map": TEXT}, subscribe={"/planned": TEXT}, use={"/plan": "std_srvs/Trigger"}
+    )
     simulator.advertise("/map", TEXT, latch=True).publish(text("latched"))
     with RosTcpClient(simulator, "127.0.0.1", port, bridge) as client:
         for i in range(2):
@@ -101,7 +103,7 @@ def test_registrations_byte_for_byte_in_ros2_mode():
     """Names and JSON end in NUL and the NUL is counted; keep-alives fill silent seconds."""
     with socket.create_server(("127.0.0.1", 0)) as endpoint:
         bus = Bus()
-        bridge = Bridge(publish={"/a": TEXT}, subscribe={"/b": TEXT})
+        bridge = ForwardedNames(publish={"/a": TEXT}, subscribe={"/b": TEXT})
         with RosTcpClient(bus, *endpoint.getsockname(), bridge):
             peer, _ = endpoint.accept()
             with peer:
@@ -117,7 +119,7 @@ def test_registrations_byte_for_byte_in_ros2_mode():
                 publisher = bus.advertise("/a", TEXT)
                 wait_for(lambda: publisher.subscribers == 1)
                 publisher.publish(text("hi"))
-                message = frame(b"/a\0", bytes(cdr().encode(text("hi"))))
+                message = frame(b"/a\0", bytes(cdr_codec().encode(text("hi"))))
                 assert receive(peer, len(message)) == message
                 start = time.monotonic()
                 assert receive(peer, 8) == bytes(8)
@@ -130,13 +132,13 @@ def test_an_endpoint_older_than_the_handshake(caplog):
     with socket.create_server(("127.0.0.1", 0)) as endpoint:
         bus = Bus()
         got = bus.subscribe("/b", TEXT)
-        with RosTcpClient(bus, *endpoint.getsockname(), Bridge(subscribe={"/b": TEXT})) as client:
+        with RosTcpClient(bus, *endpoint.getsockname(), ForwardedNames(subscribe={"/b": TEXT})) as client:
             peer, _ = endpoint.accept()
             with peer:
                 peer.settimeout(5)
                 peer.sendall(bytes(8))  # what endpoint 0.6 greets with
                 assert client.wait_connected(5)
-                peer.sendall(frame(b"/b", bytes(ros1().encode(text("old")))))
+                peer.sendall(frame(b"/b", bytes(ros1_codec().encode(text("old")))))
                 assert got.get(5).data == "old"
     assert "sent no handshake" in caplog.text
 
@@ -144,7 +146,7 @@ def test_an_endpoint_older_than_the_handshake(caplog):
 def test_an_endpoints_errors_are_logged_not_answered(caplog):
     with (
         socket.create_server(("127.0.0.1", 0)) as endpoint,
-        RosTcpClient(Bus(), *endpoint.getsockname(), Bridge()) as client,
+        RosTcpClient(Bus(), *endpoint.getsockname(), ForwardedNames()) as client,
     ):
         peer, _ = endpoint.accept()
         with peer:
@@ -160,7 +162,7 @@ def test_an_endpoints_errors_are_logged_not_answered(caplog):
 
 def test_a_bridge_goes_one_way_per_topic():
     with pytest.raises(InputError, match="/a is bridged both ways"):
-        Bridge(publish={"/a": TEXT}, subscribe={"/a": TEXT})
+        ForwardedNames(publish={"/a": TEXT}, subscribe={"/a": TEXT})
 
 
 def frame(name, body):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from armcell.ros import Bus, schema
-from armcell.ros.tcp import Bridge, RosTcpClient
+from armcell.ros.tcp import ForwardedNames, RosTcpClient
 
 pytestmark = pytest.mark.interop
 SYSTEM_PYTHON = "/usr/bin/python3"
@@ -102,7 +102,7 @@ def test_the_simulator_stands_where_unity_stands(graph):
     request, _ = schema().service("std_srvs/SetBool")
     _, response = schema().service("std_srvs/Trigger")
     bus.serve("/grip", "std_srvs/Trigger", lambda _: response(True, "gripped"))
-    bridge = Bridge(
+    bridge = ForwardedNames(
         publish={"/joint_states": "sensor_msgs/JointState"},
         subscribe={"/planned_trajectory": "trajectory_msgs/JointTrajectory"},
         implement={"/grip": "std_srvs/Trigger"},

@@ -20,7 +20,7 @@ from tests.ros.unity_like import UnityLike
 
 from armcell.core import InputError
 from armcell.ros import Bus, Schema, schema
-from armcell.ros.codec import ros1
+from armcell.ros.codec import ros1_codec
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
 
@@ -43,7 +43,7 @@ def test_a_stalled_client_delays_nobody_and_its_queue_stays_bounded(bus):
             images.publish(image)
             chat.publish(text(str(i)))
             longest = max(longest, time.monotonic() - start)
-            assert ros1().decode("std_msgs/String", reader.read_until("/chat")).data == str(i)
+            assert ros1_codec().decode("std_msgs/String", reader.read_until("/chat")).data == str(i)
         assert longest < 0.5
         status = {c.address.split(":")[1]: c for c in server.clients()}
         behind = status[str(stalled.socket.getsockname()[1])]
@@ -55,9 +55,11 @@ def test_a_stalled_client_delays_nobody_and_its_queue_stays_bounded(bus):
 
 def test_a_client_that_asks_without_reading_is_given_up(bus, monkeypatch):
     from armcell.ros.tcp import server as module
-    from armcell.ros.tcp.outbox import Caps
+    from armcell.ros.tcp.outbox import OutboxLimits
 
-    monkeypatch.setattr(module, "Caps", lambda messages: Caps(messages, control_bytes=1 << 20))
+    monkeypatch.setattr(
+        module, "OutboxLimits", lambda messages: OutboxLimits(messages, control_bytes=1 << 20)
+    )
     for i in range(50):
         bus.advertise(f"/a_topic_with_a_long_name_{i}", "std_msgs/String")
     with RosTcpServer(bus, ANY_PORT) as server:
@@ -169,7 +171,7 @@ def read_states(unity, got, silence):
         except TimeoutError:
             return
         if name in got:
-            data = ros1().decode("std_msgs/UInt8MultiArray", body).data
+            data = ros1_codec().decode("std_msgs/UInt8MultiArray", body).data
             assert len(data) == 40_000 and (data == data[0]).all()
             got[name].append(int(data[0]))
 

@@ -19,8 +19,8 @@ from tests.ros.tcp_helpers import (
 )
 from tests.ros.unity_like import UnityLike
 
-from armcell.ros import cdr, schema
-from armcell.ros.codec import ros1
+from armcell.ros import cdr_codec, schema
+from armcell.ros.codec import ros1_codec
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
 
@@ -130,7 +130,7 @@ def test_a_client_that_goes_takes_its_registrations_with_it(bus, server):
         wait_for(lambda: not bus.services() and [t.name for t in bus.topics()] == ["/a"])
         assert len(server.clients()) == 1
         bus.advertise("/a", "std_msgs/String").publish(text("still here"))
-        assert ros1().decode("std_msgs/String", other.read_until("/a")).data == "still here"
+        assert ros1_codec().decode("std_msgs/String", other.read_until("/a")).data == "still here"
 
 
 def test_two_clients_publish_and_read_one_topic(bus, server):
@@ -139,11 +139,11 @@ def test_two_clients_publish_and_read_one_topic(bus, server):
             unity.register("__publish", "/chat", "std_msgs/String")
             unity.register("__subscribe", "/chat", "std_msgs/String")
         wait_for(lambda: joined(bus, "/chat") and joined(bus, "/chat").subscribers == 2)
-        one.message("/chat", ros1().encode(text("from one")))
-        assert ros1().decode("std_msgs/String", one.read_until("/chat")).data == "from one"
-        assert cdr().decode("std_msgs/String", two.read_until("/chat")).data == "from one"
-        two.message("/chat", cdr().encode(text("from two")))
-        assert ros1().decode("std_msgs/String", one.read_until("/chat")).data == "from two"
+        one.message("/chat", ros1_codec().encode(text("from one")))
+        assert ros1_codec().decode("std_msgs/String", one.read_until("/chat")).data == "from one"
+        assert cdr_codec().decode("std_msgs/String", two.read_until("/chat")).data == "from one"
+        two.message("/chat", cdr_codec().encode(text("from two")))
+        assert ros1_codec().decode("std_msgs/String", one.read_until("/chat")).data == "from two"
 
 
 def test_a_client_that_says_nothing_is_greeted_all_the_same(server):
@@ -160,7 +160,7 @@ def test_a_wrong_guess_is_put_right(bus):
         unity.register("__publish", "/chat", "std_msgs/String")
         assert "ROS2" in unity.read()[1]["metadata"]
         got = bus.subscribe("/chat", "std_msgs/String")
-        unity.message("/chat", cdr().encode(text("hi")))
+        unity.message("/chat", cdr_codec().encode(text("hi")))
         assert got.get(5).data == "hi"
 
 

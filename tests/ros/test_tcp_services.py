@@ -13,7 +13,7 @@ from tests.ros.tcp_helpers import (
 from tests.ros.unity_like import UnityLike
 
 from armcell.ros import ServiceError, schema
-from armcell.ros.codec import ros1
+from armcell.ros.codec import ros1_codec
 from armcell.ros.tcp import RosTcpServer, ServerSettings
 
 
@@ -76,7 +76,7 @@ def test_a_failed_service_is_answered_all_the_same(bus, server, how):
         name_back, body = unity.read()
         assert name_back == name
         if how in ("fails", "bad request"):
-            assert not ros1().decode("std_srvs/SetBoolResponse", body).success
+            assert not ros1_codec().decode("std_srvs/SetBoolResponse", body).success
 
 
 def serve_like_unity(unity, ros2, count, delay=0.0):

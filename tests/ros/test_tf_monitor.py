@@ -5,7 +5,7 @@ import pytest
 from armcell.core import SE3
 from armcell.ros import Bus, schema
 from armcell.ros.convert import transform_message
-from armcell.ros.tf_monitor import TfMonitor, watch
+from armcell.ros.tf_monitor import TfMonitor, subscribe_monitor
 
 S = schema()
 
@@ -68,7 +68,7 @@ def test_it_listens_to_a_bus():
     bus, monitor = Bus(), TfMonitor()
     bus.clock.set(10.0)
     bus.advertise("/tf_static", "tf2_msgs/TFMessage", latch=True).publish(message([("world", "a")]))
-    members = watch(monitor, bus)
+    members = subscribe_monitor(monitor, bus)
     for _ in range(500):
         if "a" in monitor.frames:
             break

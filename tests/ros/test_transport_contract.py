@@ -38,7 +38,7 @@ def test_it_opens_on_this_machine_only_and_leaves_nothing(name):
     transport = transports[name](Bus(), ADDRESSES.get(name, ""))
     transport.reserve()
     transport.start()
-    assert transport.ready() and "\n" not in transport.ready()
+    assert transport.ready_message() and "\n" not in transport.ready_message()
     assert transport.status_text() and "\n" not in transport.status_text()
     if name != "ros2":  # DDS also listens for discovery
         assert list(transport.endpoints()) and all(e.is_local for e in transport.endpoints())

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tests.ros.test_csharp import CONNECTOR, HANDWRITTEN
 
-from armcell.ros.csharp import csharp, write
+from armcell.ros.csharp_generator import generate_csharp, write
 from armcell.ros.schema import schema
 
 PAGE = Path(__file__).parents[2] / "docs" / "with_unity.md"
@@ -21,7 +21,7 @@ def test_the_script_compiles(tmp_path):
     script = tmp_path / "ArmcellClient.cs"
     script.write_text(code)
     packages = ["geometry_msgs", "sensor_msgs", "std_msgs", "trajectory_msgs"]
-    files = [f for f in write(csharp(schema(), packages), tmp_path) if f.name not in HANDWRITTEN]
+    files = [f for f in write(generate_csharp(schema(), packages), tmp_path) if f.name not in HANDWRITTEN]
     sources = [script, *files, CONNECTOR, CONNECTOR.with_name("Unity.cs")]
     done = subprocess.run(
         ["mcs", "-target:library", f"-out:{tmp_path / 'out.dll'}", *map(str, sources)],

@@ -95,7 +95,7 @@ class UnitySim:
         near = np.linalg.norm(self.tcp().translation - self.cube.translation) < 0.02
         if self.target < width and near and width <= self.size + 1e-9:
             if self.held is None:
-                self.held = self.tcp().inv() @ self.cube
+                self.held = self.tcp().inverse() @ self.cube
         else:
             least = self.size if near and self.target < self.size else self.target
             width += float(np.clip(max(self.target, least) - width, -FINGER_SPEED * dt, FINGER_SPEED * dt))

@@ -25,7 +25,7 @@ def plane_depth() -> np.ndarray:
 
 def test_points_lie_on_the_plane_and_project_back():
     depth = plane_depth()
-    points = T.inv().apply(depth_points(depth, K, T))
+    points = T.inverse().apply(depth_points(depth, K, T))
     np.testing.assert_allclose(points @ NORMAL, OFFSET)
     pixels = points @ K.T
     pixels = pixels[:, :2] / pixels[:, 2:]

@@ -10,8 +10,8 @@ from armcell.core import SE3, Box, InputError, JointState, Octree, Sphere, Unkno
 from armcell.scene import (
     OCTOMAP,
     AddObject,
-    Allow,
-    AllowByDefault,
+    AllowCollision,
+    AllowCollisionByDefault,
     AppendShapes,
     AttachObject,
     CollisionObject,
@@ -59,8 +59,8 @@ def test_every_change():
             MoveObject("cube", SE3.from_xyz(0, 0, 0.025), "table/middle"),
             SetColor("cube", (1.0, 0, 0, 1)),
             SetType("cube", ObjectType("dice", "toys")),
-            Allow("cube", "table"),
-            AllowByDefault("seen"),
+            AllowCollision("cube", "table"),
+            AllowCollisionByDefault("seen"),
             AttachObject("cube", "panda_hand", ("panda_leftfinger",)),
             AttachObject("pen", "panda_link7", object=box("pen", (0.01, 0.01, 0.1), (0, 0, 0.1))),
             DetachObject("pen"),
@@ -99,8 +99,8 @@ BAD = {
     "unknown touch link": (AttachObject("cube", "panda_hand", ("panda_toe",)), "panda_toe", InputError),
     "a link's name": (AddObject(box("panda_hand", (1, 1, 1))), "name of a link", InputError),
     "nothing to detach": (DetachObject("cube"), "cube", InputError),
-    "unknown body": (Allow("cube", "ghost"), "ghost", InputError),
-    "unknown default": (AllowByDefault("ghost"), "ghost", InputError),
+    "unknown body": (AllowCollision("cube", "ghost"), "ghost", InputError),
+    "unknown default": (AllowCollisionByDefault("ghost"), "ghost", InputError),
     "negative padding": (SetPadding(-0.1), "padding", InputError),
     "scale of nothing": (SetPadding(scales={"panda_hand": 0.0}), "scale", InputError),
     "joint limit": (SetState(JointState(("panda_joint4",), [3.0])), "panda_joint4", InputError),
@@ -116,7 +116,7 @@ def test_nothing_is_changed_by_a_diff_that_is_partly_wrong(name):
     change, text, _ = BAD[name]
     scene = with_octomap(panda(CUBE), CELLS)
     before = everything(scene)
-    good = (AddObject(TABLE), MoveObject("cube", SE3.identity()), Allow("cube", "table"))
+    good = (AddObject(TABLE), MoveObject("cube", SE3.identity()), AllowCollision("cube", "table"))
     with pytest.raises(InputError, match=rf"diff/3 {type(change).__name__}.*nothing was changed") as error:
         scene.apply(SceneDiff((*good, change, RemoveObject("table"))))
     assert text in str(error.value)
@@ -167,7 +167,7 @@ def test_defaults_come_after_pairs_and_forbidding_wins():
 
 
 def test_diffs_add_up():
-    one, two = SceneDiff.of(AddObject(TABLE)), SceneDiff.of(Allow("table", "panda_hand"))
+    one, two = SceneDiff.of(AddObject(TABLE)), SceneDiff.of(AllowCollision("table", "panda_hand"))
     assert everything(panda().apply(one + two)) == everything(panda().apply(one).apply(two))
 
 

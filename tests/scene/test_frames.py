@@ -22,7 +22,7 @@ def test_a_subframe_goes_with_its_object():
     q = held.positions.copy()
     q[:6] += 0.05
     moved = held.with_positions(q)
-    T_hand_handle = scene.frame_pose("panda_hand").inv() @ expected
+    T_hand_handle = scene.frame_pose("panda_hand").inverse() @ expected
     hand = kinematic_tree(held.model).link_pose(moved.positions, "panda_hand")
     assert moved.frame_pose("cup/handle").isclose(hand @ T_hand_handle, 1e-9, TURN)
     assert moved.transform("panda_hand", "cup/handle").isclose(T_hand_handle, 1e-9, TURN)

@@ -20,7 +20,7 @@ def solve_ik(model, joint_names, link, T, q):
     columns = model.columns(joint_names)
     for _ in range(300):
         now = tree.link_pose(q, link)
-        error = np.r_[T.translation - now.translation, (T.rotation @ now.rotation.inv()).log()]
+        error = np.r_[T.translation - now.translation, (T.rotation @ now.rotation.inverse()).log()]
         if np.linalg.norm(error) < 1e-9:
             return q
         J = tree.jacobian(q, link, joint_names)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from armcell.sim.by_address import addresses_of, matrix, vector
+from armcell.sim.array_pointers import addresses_of, matrix, vector
 
 
 @njit

@@ -7,7 +7,7 @@ import pytest
 from tests.sim.helpers import Grasping
 
 from armcell.core import SE3
-from armcell.sim import SimWorld, Targets
+from armcell.sim import JointTargets, SimWorld
 
 
 def _state(world: SimWorld) -> tuple:
@@ -54,7 +54,7 @@ def test_following_is_the_same_and_ends_at_the_same_error(tolerance):
             t = times[:, None]
             return start + 0.5 * t**2, np.repeat(t, len(names), axis=1)
 
-        return world.follow(names, Targets(wanted, world.timestep, 2), 0.4, tolerance)
+        return world.follow(names, JointTargets(wanted, world.timestep, 2), 0.4, tolerance)
 
     compiled, python = _both(act)
     assert compiled == python

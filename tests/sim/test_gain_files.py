@@ -16,7 +16,7 @@ from armcell.core import InputError, UnknownNameError
 from armcell.records.reader import read_record
 from armcell.sim import PhysicsSettings, SimWorld
 from armcell.sim.gain_files import gain_values, with_gains
-from armcell.sim.joint_gains import GainTable, JointGains, joint_drive
+from armcell.sim.joint_gains import GainTable, JointGains, effective_gains
 
 SEEDS = Path(__file__).parents[3] / "shared/seeds"
 ELBOW, WRIST = "left_elbow_joint", "left_wrist_3_joint"
@@ -196,7 +196,7 @@ def test_single_joints_have_their_gains_and_the_others_the_arm_s(scene, control)
         world.set_arm_target((joint,), [scene.state[joint] + offset], [0.0])
         world.step()
         assert world.mj_data.actuator(joint).force[0] == pytest.approx(kp * offset, rel=0.35)
-    assert joint_drive(scene.model.joints[ELBOW], s)[:3] == (900.0, 0.0, 40.0)
+    assert effective_gains(scene.model.joints[ELBOW], s)[:3] == (900.0, 0.0, 40.0)
 
 
 def cell_with(folder: Path, physics: str) -> Path:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.sim.helpers import Grasping
 
-from armcell.sim import PhysicsSettings, holding
+from armcell.sim import PhysicsSettings, held_object_correction
 
 PLAIN = PhysicsSettings(holding_impratio=10.0)
 
@@ -45,7 +45,7 @@ def test_two_kilograms_do_not_creep_in_a_hand_at_rest(robot):
 def test_a_carried_object_stays_where_the_hand_took_it(values, monkeypatch):
     settings = PhysicsSettings(**values)
     moved = _moved(Grasping(settings=settings))
-    monkeypatch.setattr(holding, "lag", lambda _: 0.0)
+    monkeypatch.setattr(held_object_correction, "lag", lambda _: 0.0)
     assert moved < 0.06 and moved < 0.5 * _moved(Grasping(settings=settings))
 
 

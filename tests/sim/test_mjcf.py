@@ -10,7 +10,7 @@ import pytest
 from tests.model.test_mjcf import DRIVE, JAWS, LINKAGE, TENDON, arm
 
 from armcell.core import SE3
-from armcell.model import Gripper, Part, compose, load_robot
+from armcell.model import Gripper, MountedRobot, compose, load_robot
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
 from armcell.sim.build import build
@@ -51,7 +51,9 @@ def test_kinematics_in_physics_equal_the_models(tmp_path, visuals):
     from armcell.kinematics import kinematic_tree
 
     model = load_robot(arm(tmp_path))
-    both = compose("two", [Part(model, "a_", T_parent_root=SE3.from_xyz(0, 1, 0.2)), Part(model, "b_")])
+    both = compose(
+        "two", [MountedRobot(model, "a_", T_parent_root=SE3.from_xyz(0, 1, 0.2)), MountedRobot(model, "b_")]
+    )
     built = build(scene_of(both), visuals=visuals)
     data = mujoco.MjData(built.mj)
     q = np.array([0.4, -0.3, 0.1, -0.6, 0.8, -0.05])

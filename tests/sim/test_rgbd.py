@@ -48,7 +48,7 @@ def test_depth_is_where_geometry_says(world, gl):
     corners = np.array([[0.8 + 0.2 * i, 0.45 + 0.3 * j, -0.1] for i in (0, 1) for j in (0, 1)])
     inside = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * 0.9
     for point in inside:
-        (u, v), z = OFF_CENTER.project(camera.T_world_camera.inv().apply(point))[0], image.depth
+        (u, v), z = OFF_CENTER.project(camera.T_world_camera.inverse().apply(point))[0], image.depth
         u, v = round(u), round(v)
         seen = np.array([(u - 70.0) / 145.0, (v - 66.0) / 150.0, 1.0]) * z[v, u]
         assert camera.T_world_camera.apply(seen)[2] == pytest.approx(-0.1, abs=1e-5)
@@ -61,7 +61,7 @@ def test_decals_are_the_right_way_round(world, gl):
     image = take_image(world, camera, gl)
     for row, column in np.ndindex(3, 3):
         point = [0.9 + (column - 1) * 0.06, 0.6 + (1 - row) * 0.06, -0.0995]
-        u, v = np.rint(camera.model.project(camera.T_world_camera.inv().apply(point))[0]).astype(int)
+        u, v = np.rint(camera.model.project(camera.T_world_camera.inverse().apply(point))[0]).astype(int)
         bright = image.rgb[v, u].mean()
         assert (bright > 120) == (PICTURE[row, column] > 0), (row, column, bright)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armcell.sim import Targets
-from armcell.sim.targets import AHEAD
+from armcell.sim import JointTargets
+from armcell.sim.joint_targets import AHEAD
 
 STEP = 0.002
 
@@ -23,7 +23,7 @@ class Wanted:
 
 def test_rows_are_those_of_the_times_as_steps_add_them_up():
     wanted, now, steps = Wanted(), 0.3, 2
-    targets = Targets(wanted, STEP, steps)
+    targets = JointTargets(wanted, STEP, steps)
     while now < 0.3 + 2.5 * AHEAD:
         times, until = [], now + 0.02
         while not times or now < until:
@@ -36,14 +36,14 @@ def test_rows_are_those_of_the_times_as_steps_add_them_up():
 
 
 def test_at_least_one_however_short():
-    targets = Targets(Wanted(), STEP, 2)
+    targets = JointTargets(Wanted(), STEP, 2)
     for until in (-1.0, 0.0, 1e-4):
         assert targets.between(0.0, until)[:, 0].tolist() == [0.0]
 
 
 def test_a_time_that_is_not_foreseen_is_worked_out_anew():
     wanted = Wanted()
-    targets = Targets(wanted, STEP, 2)
+    targets = JointTargets(wanted, STEP, 2)
     targets.between(0.0, 0.02)
     for now in (0.101, 5.0, 0.0505):  # between two ticks, later, back again
         rows = targets.between(now, now + 0.02)

@@ -9,7 +9,7 @@ from tests.sim.helpers import Grasping
 
 import armcell
 from armcell.core import Box, InputError
-from armcell.scene import CollisionObject, PlanningScene, Thread
+from armcell.scene import CollisionObject, PlanningScene, ScrewThread
 from armcell.sim import SimWorld
 
 CELL = """
@@ -42,7 +42,7 @@ def turned(world, torque, seconds=0.5):
 
 def test_it_stays_where_it_is_and_its_pose_is_told(world):
     world.step(500)
-    T = world.object_pose("block").inv() @ world.object_pose("bolt")
+    T = world.object_pose("block").inverse() @ world.object_pose("bolt")
     np.testing.assert_allclose(T.translation, (0, 0, 0.08), atol=2e-5)
     assert set(world.sample().object_poses) == {"block", "bolt"}
 
@@ -52,7 +52,7 @@ def test_clockwise_goes_in_by_the_pitch(world, torque):
     turns, meters = turned(world, torque, 0.4)
     assert turns < -0.05
     assert meters == pytest.approx(0.002 * turns, abs=3e-5)
-    T = world.object_pose("block").inv() @ world.object_pose("bolt")
+    T = world.object_pose("block").inverse() @ world.object_pose("bolt")
     assert T.translation[2] == pytest.approx(0.08 + meters, abs=1e-6)
 
 
@@ -86,7 +86,7 @@ def test_wrong_threads(tmp_path, thread, words):
     with pytest.raises(InputError, match=words):
         armcell.load(tmp_path)
     with pytest.raises(InputError, match="pitch"):
-        Thread("block", -1.0, 0.1)
+        ScrewThread("block", -1.0, 0.1)
 
 
 # --- the wrench ---
@@ -141,13 +141,13 @@ def test_nothing_touched_is_nothing_felt():
 def test_a_lifted_rod_weighs_on_both_hands():
     """Both hands together feel the rod's weight and nothing else, whatever they do to each other."""
     from armcell.tasks import checked
-    from armcell.tasks.arms import shifted
+    from armcell.tasks.arms import moved_object_pose
 
     cell = armcell.load("dual_ur10_rod")
     with cell.connect("sim") as live:
         rod = live.carry("rod", left_arm="front_end", right_arm="back_end")
         start = live.scene().object("rod").T_world_object
-        checked(rod.grasp(route=[shifted(start, z=0.1)]))
+        checked(rod.grasp(route=[moved_object_pose(start, z=0.1)]))
         checked(rod.shift(z=0.1))
         live.driver.advance(0.5)
         hands = [live.driver.wrench(f"{side}_gripper") for side in ("left", "right")]

@@ -8,7 +8,7 @@ from tests.sim.helpers import Grasping, down, solve_ik
 
 from armcell.core import SE3, ArmcellError, Box, InputError, UnknownNameError
 from armcell.kinematics import kinematic_tree
-from armcell.model import Part, compose, load_robot
+from armcell.model import MountedRobot, compose, load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import SimWorld
 
@@ -138,7 +138,7 @@ def test_twist_is_the_rate_of_the_pose():
     world.step()
     after, h = world.object_pose("box"), world.timestep
     assert (after.translation - before.translation) / h == pytest.approx(twist[:3], abs=0.03)
-    assert (after.rotation @ before.rotation.inv()).log() / h == pytest.approx(twist[3:], abs=0.03)
+    assert (after.rotation @ before.rotation.inverse()).log() / h == pytest.approx(twist[3:], abs=0.03)
 
 
 def test_the_monitor_counts_every_step_that_a_look_at_each_list_of_contacts_finds():
@@ -187,7 +187,9 @@ def test_the_monitor_sees_the_arm_hit_the_table():
 def test_two_robots_in_one_world():
     arm = load_robot("ur10_gripper")
     sides = {"left_": 0.6, "right_": -0.6}
-    model = compose("dual", [Part(arm, side, "world", SE3.from_xyz(0, y, 0)) for side, y in sides.items()])
+    model = compose(
+        "dual", [MountedRobot(arm, side, "world", SE3.from_xyz(0, y, 0)) for side, y in sides.items()]
+    )
     world = SimWorld(PlanningScene.of(model))
     mass = sum(link.inertial.mass for link in arm.links.values() if link.inertial)
     assert world.mj_model.body_mass.sum() == pytest.approx(2 * mass)

@@ -18,7 +18,7 @@ from armcell.tasks import (
     Lookahead,
     Motion,
     PartialSolution,
-    Planning,
+    SearchState,
     Serial,
     Task,
     TaskError,
@@ -35,7 +35,7 @@ from armcell.tasks import (
     weighted,
 )
 from armcell.tasks.costs import motions
-from armcell.tasks.stages import AppendPlannedMotion, Connect, Straight
+from armcell.tasks.stages import AppendPlannedMotion, Connect, MoveStraight
 
 
 class Options:
@@ -56,7 +56,7 @@ class Options:
 
 @pytest.fixture
 def planning():
-    return Planning(TaskSettings())
+    return SearchState(TaskSettings())
 
 
 def start() -> PartialSolution:
@@ -75,7 +75,7 @@ def test_a_serial_container_is_its_stages_under_one_name(planning):
     flat = [Options("a", "ab"), Options("b", "xy"), Options("c", "12", bad="1")]
     nested = [flat[0], Serial("rest", tuple(flat[1:]))]
     assert steps(solutions(nested, start(), planning)) == steps(
-        solutions(flat, start(), Planning(TaskSettings()))
+        solutions(flat, start(), SearchState(TaskSettings()))
     )
     assert steps(solutions([Serial("all", ())], start(), planning)) == [""]
 
@@ -159,7 +159,7 @@ def test_solutions_are_ranked_and_no_more_are_looked_at_than_asked_for(planning)
     plan = task.plan(start(), planning, count=3)
     assert plan.ok and steps(plan.solutions) == ["a", "aa", "aaa"] and plan.costs == (1.0, 2.0, 3.0)
     assert log == ["aaa", "a", "aa"]
-    assert task.plan(start(), Planning(TaskSettings()), count=9).costs == (1.0, 1.0, 2.0, 3.0)
+    assert task.plan(start(), SearchState(TaskSettings()), count=9).costs == (1.0, 1.0, 2.0, 3.0)
 
 
 # --- validation ---
@@ -215,7 +215,7 @@ def test_the_recipes_stages_fit_together_and_not_in_another_order():
 
 def test_a_wrong_link_and_a_wrong_object_are_found():
     s, hand = TaskSettings(), nominal().model.gripper()
-    lift = Straight("lift", hand.arm_group, "panda_hend_tcp", s.near, (0, 0, 0.1))
+    lift = MoveStraight("lift", hand.arm_group, "panda_hend_tcp", s.near, (0, 0, 0.1))
     with pytest.raises(TaskError) as raised:
         check_task([*pick_stages(nominal(), "cube", hand, s), *place_stages("cube", "try", hand, s), lift],
                    PartialSolution(nominal()))  # fmt: skip
@@ -256,9 +256,9 @@ def test_what_foresight_asked_is_in_the_table_and_not_among_the_rejections(plann
 def test_a_planner_as_a_reserve():
     """A straight way that cannot be done whole falls back to a free motion; both real."""
     warm_up()  # or compiling would use up the search's time
-    planning = Planning(TaskSettings())
+    planning = SearchState(TaskSettings())
     s, hand = TaskSettings(), nominal().model.gripper()
-    down = Straight("straight down", hand.arm_group, hand.tcp_link, s.near, (0, 0, -1.0))
+    down = MoveStraight("straight down", hand.arm_group, hand.tcp_link, s.near, (0, 0, -1.0))
     home = Connect("go round", hand.arm_group, s.free, goal=NamedGoal("home"))
     plan = Task("down or home", (Fallbacks("way", (down, home)),)).plan(start(), planning)
     assert [step.name for step in plan.best.steps] == ["go round"]
@@ -273,7 +273,7 @@ def test_planned_says_which_motion_it_appends():
 
 # --- candidates gone into at once ---
 def threads(count, **more):
-    return Planning(TaskSettings(planning_threads=count, **more))
+    return SearchState(TaskSettings(planning_threads=count, **more))
 
 
 class Slow:
@@ -358,7 +358,7 @@ def test_real_candidates_at_once_give_the_same_plans():
     for count in (1, 2, 4):
         settings = replace(cell.settings, planning_threads=count)
         stages = (*pick_stages(scene, "cube", hand, settings), *place_stages("cube", "tray", hand, settings))
-        plan = Task("t", stages).plan(PartialSolution(scene), Planning(settings), count=6)
+        plan = Task("t", stages).plan(PartialSolution(scene), SearchState(settings), count=6)
         found.append([[m.trajectory.positions.tolist() for m in motions(d)] for d in plan.solutions])
     assert len(found[0]) == 6 and found[0] == found[1] == found[2]
 

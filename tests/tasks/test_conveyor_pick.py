@@ -14,7 +14,7 @@ from armcell.core import SE3, Box, InputError
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import SimWorld
-from armcell.tasks import MovingSettings
+from armcell.tasks import ConveyorPickSettings
 
 
 @cache
@@ -49,7 +49,7 @@ def test_what_cannot_be_picked_on_the_way_is_said():
         with pytest.raises(InputError, match="fixed"):
             cell.arm.pick_moving("tray")
     with pytest.raises(InputError, match="approach"):
-        MovingSettings(approach=0.0)
+        ConveyorPickSettings(approach=0.0)
 
 
 @pytest.mark.slow
@@ -85,7 +85,7 @@ def test_both_boxes_end_in_the_tray(seed):
         result = run_task(cell, live, seed, "sim")
         assert result["success"], result["message"]
         assert result["unwanted_contacts"] == [] and result["welds"] == []
-        tray = cell.scene().object("tray").T_world_object.inv()
+        tray = cell.scene().object("tray").T_world_object.inverse()
         for name in ("box_1", "box_2"):
             local = tray.apply(live.driver.world.object_pose(name).translation)
             assert abs(local[0]) < 0.2 and abs(local[1]) < 0.15 and 0 < local[2] < 0.06

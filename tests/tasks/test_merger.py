@@ -15,21 +15,21 @@ from armcell.tasks import (
     Fallbacks,
     Merger,
     PartialSolution,
-    Planning,
+    SearchState,
     Serial,
     Task,
     TaskSettings,
     perform_all,
 )
-from armcell.tasks.stages import Close, Connect, MoveGripper, Straight
-from armcell.tasks.steps import Together
+from armcell.tasks.stages import Close, Connect, MoveGripper, MoveStraight
+from armcell.tasks.steps import ParallelMotions
 
 S = TaskSettings()
 
 
 def planned(stage, scene):
     warm_up()  # or compiling would use up the search's time
-    return Task("t", (stage,)).plan(PartialSolution(scene), Planning(S))
+    return Task("t", (stage,)).plan(PartialSolution(scene), SearchState(S))
 
 
 def touched(scene, trajectory, gripper=None, widths=(0.0,)) -> bool:
@@ -67,7 +67,7 @@ def test_an_arm_and_its_fingers_at_once(panda):
     go = Connect("turn", hand.arm_group, S.free, goal=turn(start, -0.6))
     plan = planned(Merger("turn and close", (go, MoveGripper("narrow", hand, 0.02))), scene)
     (step,) = plan.best.steps
-    assert isinstance(step, Together) and step.motion.name == "turn" and step.grips[0].width == 0.02
+    assert isinstance(step, ParallelMotions) and step.motion.name == "turn" and step.grips[0].width == 0.02
     state = plan.best.scene.state
     assert state[hand.joint_name] == pytest.approx(hand.joint_position(0.02))
     assert state["panda_joint1"] == pytest.approx(start[0] - 0.6)
@@ -84,7 +84,9 @@ def test_fingers_that_would_meet_something_are_refused_and_the_reserve_is_taken(
     for side in (-1, 1):
         at = tcp @ SE3.from_xyz(0.08, side * 0.035, 0.0)
         gate = gate.with_object(CollisionObject.single(f"post_{side}", Box(0.01, 0.01, 0.01), at))
-    through = Straight("through", hand.arm_group, hand.tcp_link, S.near, (0.16, 0.0, 0.0), in_tip_frame=True)
+    through = MoveStraight(
+        "through", hand.arm_group, hand.tcp_link, S.near, (0.16, 0.0, 0.0), in_tip_frame=True
+    )
     wide = MoveGripper("open", hand, 0.08)
     for stage in (through, wide, Serial("in turn", (through, wide))):
         assert planned(stage, gate).ok
@@ -144,7 +146,9 @@ def test_two_arms_at_once(two):
     """Both lift their tools; the pair is free at every sample by coal, and refused where they would meet."""
     hands = {g.arm_group: g for g in two.model.grippers.values()}
     left, right = hands["left_arm"], hands["right_arm"]
-    up = [Straight(g.arm_group, g.arm_group, g.tcp_link, S.near, (0.0, 0.0, -0.05)) for g in (left, right)]
+    up = [
+        MoveStraight(g.arm_group, g.arm_group, g.tcp_link, S.near, (0.0, 0.0, -0.05)) for g in (left, right)
+    ]
     plan = planned(Merger("both down", (*up, MoveGripper("narrow", left, 0.03))), two)
     (step,) = plan.best.steps
     assert set(step.motion.trajectory.joint_names) == {
@@ -165,7 +169,7 @@ def test_two_arms_that_would_meet_are_refused(two):
     for g in hands.values():
         tcp = two.frame_pose(g.tcp_link).translation
         to_middle = np.array([0.0, 0.0, 1.2]) - tcp
-        stages.append(Straight(g.arm_group, g.arm_group, g.tcp_link, S.near, tuple(to_middle)))
+        stages.append(MoveStraight(g.arm_group, g.arm_group, g.tcp_link, S.near, tuple(to_middle)))
     for stage in stages:
         assert planned(stage, two).ok
     plan = planned(Merger("both to the middle", tuple(stages)), two)

@@ -56,7 +56,7 @@ def test_place_leaves_it_in_the_tray(done):
     target, found = done.placed.evidence["placement"].T_world_object, done.driver.object_poses()["cube"]
     meters, radians = target.distance_to(found)
     assert meters < 0.005 and radians < 0.02
-    T_tray_cube = nominal().object("tray").T_world_object.inv() @ found
+    T_tray_cube = nominal().object("tray").T_world_object.inverse() @ found
     assert np.abs(T_tray_cube.translation[:2]).max() < 0.12 - 0.025
     assert T_tray_cube.translation[2] == pytest.approx(0.01 + 0.025, abs=2e-3)
     assert not done.ctx.holding and done.driver.gripper("hand").held is None
@@ -96,7 +96,7 @@ def test_a_second_object_after_the_first(done):
     """The cell goes on working: what was placed can be picked again and put elsewhere."""
     assert done.arm.pick("cube").ok
     assert done.arm.place("cube", on="table", at=(-0.1, -0.3)).ok
-    T = nominal().object("table").T_world_object.inv() @ done.driver.object_poses()["cube"]
+    T = nominal().object("table").T_world_object.inverse() @ done.driver.object_poses()["cube"]
     np.testing.assert_allclose(T.translation[:2], (-0.1, -0.3), atol=0.03)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import armcell
 from armcell.grasping import grasp_candidates, hand_of
-from armcell.tasks import PartialSolution, Planning, search
+from armcell.tasks import PartialSolution, SearchState, search
 from armcell.tasks.stages import ChooseGrasp, Connect
 from armcell.tasks.steps import Motion
 
@@ -19,7 +19,7 @@ def pick(scene, settings, gripper, among=()):
         ChooseGrasp("cube", gripper, settings.near, settings.approach_distance, among=among),
         Connect("move", gripper.arm_group, settings.free, target="pre_grasp"),
     ]
-    solution = search(stages, PartialSolution(scene), Planning(settings))
+    solution = search(stages, PartialSolution(scene), SearchState(settings))
     if solution is None:
         return "", float("inf")
     (motion,) = (step for step in solution.steps if isinstance(step, Motion))

@@ -19,17 +19,19 @@ from tests.tasks.helpers import (
     with_cube,
 )
 
-from armcell.cell.values import with_values
+from armcell.cell.value_overrides import with_values
 from armcell.core import SE3, Box, ErrorCode, InputError
 from armcell.scene import CollisionObject, Material, PlanningScene
 from armcell.tasks import Lookahead, RecoverySettings
-from armcell.tasks.search import PartialSolution, Planning, search
+from armcell.tasks.search import PartialSolution, SearchState, search
 
 SETTINGS = panda_pick().settings
 
 
 def in_tray(cell, item="cube"):
-    local = nominal().object("tray").T_world_object.inv().apply(cell.driver.object_poses()[item].translation)
+    local = (
+        nominal().object("tray").T_world_object.inverse().apply(cell.driver.object_poses()[item].translation)
+    )
     return bool(np.abs(local[:2]).max() < 0.12 and 0 < local[2] < 0.06)
 
 
@@ -194,7 +196,7 @@ class Only:
 
 
 def test_a_stage_that_foresees_keeps_only_what_goes_on():
-    planning = Planning(SETTINGS)
+    planning = SearchState(SETTINGS)
     solution = search(
         [Choice("a", 1, 2, 3), Lookahead("later", (Only("a", 3),))], PartialSolution(nominal()), planning
     )

@@ -9,14 +9,14 @@ import pytest
 from tests.tasks.helpers import AtStage, live, nominal, panda_pick
 
 from armcell.core import SE3, SO3, Box, ErrorCode, InputError
-from armcell.grasping import rests
+from armcell.grasping import stable_poses
 from armcell.scene import CollisionObject, PlanningScene, library_object
 from armcell.tasks import (
     IntermediatePlacement,
     PartialSolution,
     PickAndPlace,
-    Planning,
     RecoverySettings,
+    SearchState,
     Task,
 )
 from armcell.tasks.regrasp import PlacementGoal, regrasp_sequences
@@ -33,7 +33,7 @@ def box(name: str, *size: float) -> CollisionObject:
 def scene_of(item: CollisionObject, up, x=0.5, y=-0.15, yaw=0.3) -> PlanningScene:
     """An object on a free table with one of its sides up."""
     table = CollisionObject.single("table", Box(1.0, 1.4, 0.04), SE3.from_xyz(0.5, 0, -0.021))
-    side = max(rests(item), key=lambda r: float(r.up @ up))
+    side = max(stable_poses(item), key=lambda r: float(r.up @ up))
     R = SO3.exp((0, 0, yaw)) @ SO3.between(up, (0.0, 0.0, 1.0))
     pose = SE3(R, np.array([x, y, TABLE + side.height]))
     item = replace(item, T_world_object=pose, movable=True)
@@ -144,7 +144,7 @@ def test_all_of_it_as_a_stage_of_a_task():
         stage = PickAndPlace(
             "brick", "table", gripper, up=(0.0, 0.0, -1.0), intermediate_placements=intermediate_placements
         )
-        return Task("turn", (stage,)).plan(PartialSolution(scene), Planning(settings))
+        return Task("turn", (stage,)).plan(PartialSolution(scene), SearchState(settings))
 
     assert plan(0).best is None
     best = plan(2).best
@@ -154,7 +154,7 @@ def test_all_of_it_as_a_stage_of_a_task():
 def test_a_place_that_is_taken_is_said_without_a_search():
     post = CollisionObject.single("post", Box(0.3, 0.3, 0.1), SE3.from_xyz(0.5, 0.2, 0.05))
     scene = scene_of(BRICK, Z).with_object(post)
-    planning = Planning(panda_pick().settings)
+    planning = SearchState(panda_pick().settings)
     wanted = PlacementGoal("brick", "table", (0.0, 0.2), (0.0, 0.0, -1.0))
     assert not list(regrasp_sequences(scene, wanted, scene.model.gripper(), planning, 2))
     ((stage, _, reason),) = planning.rejections.details

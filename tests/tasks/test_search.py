@@ -7,7 +7,7 @@ import time
 import pytest
 
 from armcell.core import ErrorCode, Outcome
-from armcell.tasks import PartialSolution, Planning, TaskSettings, search
+from armcell.tasks import PartialSolution, SearchState, TaskSettings, search
 
 
 class Options:
@@ -28,7 +28,7 @@ class Options:
 
 @pytest.fixture
 def planning():
-    return Planning(TaskSettings())
+    return SearchState(TaskSettings())
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ def test_the_budget_is_of_work_not_of_waiting(log, wait, found):
             wait(0.2)
             yield from super().propose(solution, planning)
 
-    planning = Planning(TaskSettings(planning_budget=0.1))
+    planning = SearchState(TaskSettings(planning_budget=0.1))
     result = search([Slow("a", ["a1"], log)], start(), planning)
     assert (result is not None) == found
     assert (planning.time_left > 0) == found

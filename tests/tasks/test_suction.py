@@ -14,7 +14,7 @@ from armcell.core import SE3, Box, ErrorCode
 from armcell.drivers import DriverOptions, drivers
 from armcell.grasping import grasp_candidates, hand_of
 from armcell.scene import CollisionObject, Material, PlanningScene
-from armcell.tasks import TaskSettings, prove
+from armcell.tasks import TaskSettings, prove_grasps
 
 OBSERVED = TaskSettings(attempts=1)
 
@@ -99,11 +99,11 @@ def test_proofs_tell_firm_grasps_from_leaking_and_overloaded_ones():
     best = grasps[0]
     assert len(best.contacts) == 2
     over_the_edge = replace(best, T_object_tcp=best.T_object_tcp @ SE3.from_xyz(0.07, 0.0, 0.0))
-    firm, leaking = prove(model, model.gripper(), item, [best, over_the_edge], trials=8)
+    firm, leaking = prove_grasps(model, model.gripper(), item, [best, over_the_edge], trials=8)
     assert (firm.successes, leaking.successes) == (8, 0)
     assert firm.slip < 1e-4
     heavy = replace(item, mass=13.0)  # 128 N, more than the cups pull
-    (overloaded,) = prove(model, model.gripper(), heavy, [best], trials=4)
+    (overloaded,) = prove_grasps(model, model.gripper(), heavy, [best], trials=4)
     assert overloaded.successes == 0
 
 

@@ -15,7 +15,7 @@ def with_board(degrees: float, towards: float) -> PlanningScene:
     scene = nominal()
     at = scene.object("tray").T_world_object.translation
     turn = SO3.exp((0, 0, towards))
-    R = turn @ SO3.exp((0, np.radians(degrees), 0)) @ turn.inv()
+    R = turn @ SO3.exp((0, np.radians(degrees), 0)) @ turn.inverse()
     board = CollisionObject.single("board", Box(0.22, 0.22, 0.02), SE3(R, at).shifted(z=0.08))
     return scene.without_object("tray").with_object(board)
 

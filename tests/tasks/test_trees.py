@@ -106,7 +106,7 @@ def test_what_is_dropped_is_picked_up_by_the_tree_and_the_tree_tells():
         assert outcome.ok, outcome.message
         assert stages(cell).count("lift") == 2
         assert "1 failure from 5" in trees.drawn(root)
-        for check in (trees.rests_on(cell.ctx, "cube", "tray"), trees.held(cell.ctx, "cube")):
+        for check in (trees.rests_on(cell.ctx, "cube", "tray"), trees.held_node(cell.ctx, "cube")):
             check.tick_once()
             assert (check.status is Status.SUCCESS) == ("tray" in check.name)
         assert not cell.driver.unwanted_contacts()
@@ -123,13 +123,13 @@ def test_it_gives_up_with_every_reason():
 
 
 def test_any_stages_as_a_node():
-    from armcell.tasks.stages import Straight
+    from armcell.tasks.stages import MoveStraight
 
     with live() as cell:
         hand = hand_of(cell)
         speed = cell.ctx.settings.near
         up = trees.performing(
-            cell.ctx, "up", lambda c: [Straight("up", "arm", hand.tcp_link, speed, (0.0, 0.0, 0.05))]
+            cell.ctx, "up", lambda c: [MoveStraight("up", "arm", hand.tcp_link, speed, (0.0, 0.0, 0.05))]
         )
         before = cell.scene().frame_pose(hand.tcp_link).translation
         assert trees.run(up)

@@ -7,7 +7,7 @@ import pytest
 from tests.tasks.helpers import live, nominal
 
 from armcell.core import SE3, SO3, InputError
-from armcell.tasks.stages import Upright
+from armcell.tasks.stages import UprightConstraint
 
 
 class Lean:
@@ -46,7 +46,7 @@ def test_the_axis_nearest_to_the_vertical_is_kept(axis, turn):
     R = [SO3.from_rpy((0, -np.pi / 2, 0)), SO3.from_rpy((np.pi / 2, 0, 0)), SO3.identity()][axis]
     tilted = SO3.exp((0.03, 0.0, 0.0)) @ R
     scene = nominal().with_object_pose("cube", SE3(SO3.exp((0, 0, turn)) @ tilted, np.array([0.4, 0, 0.5])))
-    (kept,) = Upright("cube", 0.1).constraints(scene).orientations
+    (kept,) = UprightConstraint("cube", 0.1).constraints(scene).orientations
     wanted = kept.rotation.matrix
     assert abs(wanted[2, axis]) == pytest.approx(1.0)
     assert kept.tolerance[axis] == pytest.approx(np.pi)

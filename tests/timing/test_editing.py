@@ -12,18 +12,18 @@ from armcell.core import InputError, JointState, JointTrajectory, UnknownNameErr
 from armcell.timing import (
     BlendedPath,
     check_scaling,
-    concatenated,
-    delayed,
-    merged,
+    concatenate_trajectories,
+    delay_trajectory,
+    merge_trajectories,
     parameterize,
-    resting,
-    reversed_in_time,
-    section,
-    started_from,
-    stretched,
-    stretched_to,
-    synchronized,
+    reverse_trajectory,
+    slow_down,
+    slow_down_to_duration,
+    stationary_trajectory,
+    synchronize_trajectories,
+    trajectory_section,
     with_resting_joints,
+    with_start_state,
 )
 
 
@@ -41,7 +41,7 @@ def test_scaling_must_be_in_0_1(value):
 
 def test_backwards_in_time():
     _, trajectory = timed(2)
-    back = reversed_in_time(trajectory)
+    back = reverse_trajectory(trajectory)
     assert back.duration == pytest.approx(trajectory.duration) and back.times[0] == 0.0
     for t in np.linspace(0, trajectory.duration, 50)[1:-1]:
         p, v, a = trajectory.sample(t)
@@ -52,7 +52,7 @@ def test_backwards_in_time():
 
 def test_stretching_slows_the_same_motion():
     _, trajectory = timed(2)
-    slow = stretched(trajectory, 2.5)
+    slow = slow_down(trajectory, 2.5)
     assert slow.duration == pytest.approx(2.5 * trajectory.duration)
     for t in np.linspace(0, trajectory.duration, 50)[1:-1]:
         p, v, a = trajectory.sample(t)
@@ -61,14 +61,14 @@ def test_stretching_slows_the_same_motion():
             np.testing.assert_allclose(mine, theirs, atol=1e-9)
     for factor in (0.5, 0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="stretch factor"):
-            stretched(trajectory, factor)
+            slow_down(trajectory, factor)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-12, 1.37, 3.0])
 def test_to_a_duration(factor):
     _, trajectory = timed(3)
     wanted = trajectory.duration * factor
-    slow = stretched_to(trajectory, wanted)
+    slow = slow_down_to_duration(trajectory, wanted)
     assert slow.times[0] == 0.0 and slow.duration == wanted
     for t in np.linspace(0, trajectory.duration, 30)[1:-1]:
         for mine, theirs, power in zip(slow.sample(factor * t), trajectory.sample(t), range(3), strict=True):
@@ -81,25 +81,25 @@ def test_to_a_duration(factor):
 def test_never_faster(factor):
     _, trajectory = timed(3)
     with pytest.raises(InputError, match="the motion needs"):
-        stretched_to(trajectory, trajectory.duration * factor)
+        slow_down_to_duration(trajectory, trajectory.duration * factor)
 
 
 def test_two_arms_end_together():
     left, right = timed(1)[1], timed(4)[1]
     assert left.duration != right.duration
     for one, other in ((left, right), (right, left)):
-        a, b = synchronized([one, other])
+        a, b = synchronize_trajectories([one, other])
         assert a.duration == b.duration == max(left.duration, right.duration)
         np.testing.assert_array_equal(a.positions, one.positions)
         np.testing.assert_array_equal(b.positions, other.positions)
-    assert synchronized([]) == ()
+    assert synchronize_trajectories([]) == ()
 
 
 def test_an_arm_that_stands_still_waits():
     _, moving = timed(1)
     q = np.full(7, 0.3)
     still = parameterize(BlendedPath([q]), NAMES, PANDA_V, PANDA_A)
-    _, waiting = synchronized([moving, still])
+    _, waiting = synchronize_trajectories([moving, still])
     assert waiting.duration == moving.duration
     p, v, a = waiting.sample(moving.duration / 3)
     np.testing.assert_array_equal(p, q)
@@ -108,7 +108,7 @@ def test_an_arm_that_stands_still_waits():
 
 def test_without_velocities():
     bare = JointTrajectory(("a",), np.array([0.0, 1.0]), np.array([[0.0], [1.0]]))
-    slow = stretched_to(bare, 3.0)
+    slow = slow_down_to_duration(bare, 3.0)
     assert slow.duration == 3.0 and slow.velocities is None and slow.sample(1.5)[0] == pytest.approx(0.5)
 
 
@@ -121,7 +121,7 @@ def assert_same_at(mine: JointTrajectory, theirs: JointTrajectory, later: float,
 
 def test_a_delayed_motion_stands_first():
     _, trajectory = timed(5)
-    later = delayed(trajectory, 0.7)
+    later = delay_trajectory(trajectory, 0.7)
     assert later.times[0] == 0.0 and later.duration == trajectory.duration + 0.7
     q, v, a = later.sample(0.3)
     np.testing.assert_array_equal(q, trajectory.positions[0])
@@ -132,36 +132,38 @@ def test_a_delayed_motion_stands_first():
 def test_sections_concatenate_to_the_whole():
     _, trajectory = timed(6)
     cuts = [0.0, 0.31, trajectory.times[len(trajectory.times) // 2], trajectory.duration]
-    parts = [section(trajectory, a, b) for a, b in pairwise(cuts)]
+    parts = [trajectory_section(trajectory, a, b) for a, b in pairwise(cuts)]
     assert all(part.times[0] == a and part.times[-1] == b for part, (a, b) in zip(parts, pairwise(cuts)))
-    whole = concatenated(*parts)
+    whole = concatenate_trajectories(*parts)
     assert whole.duration == pytest.approx(trajectory.duration)
     assert_same_at(whole, trajectory, 0.0, 0.0, trajectory.duration)
 
 
 def test_a_section_keeps_its_speed_at_both_ends():
     _, trajectory = timed(6)
-    part = section(trajectory, 0.2, 0.5)
+    part = trajectory_section(trajectory, 0.2, 0.5)
     for row, t in ((0, 0.2), (-1, 0.5)):
         np.testing.assert_array_equal(part.velocities[row], trajectory.sample(t)[1])
-    inner = section(part, part.times[0], part.times[-1])  # its ends move, `sample` there is at rest
+    inner = trajectory_section(
+        part, part.times[0], part.times[-1]
+    )  # its ends move, `sample` there is at rest
     np.testing.assert_array_equal(inner.velocities, part.velocities)
-    sparse = section(trajectory, 0.0, trajectory.duration, apart=trajectory.times[2] + 1e-9)
+    sparse = trajectory_section(trajectory, 0.0, trajectory.duration, apart=trajectory.times[2] + 1e-9)
     np.testing.assert_array_equal(sparse.times[1:3], trajectory.times[3:5])
     bare = JointTrajectory(("a",), np.array([0.0, 1.0]), np.array([[0.0], [1.0]]))
     with pytest.raises(InputError, match="needs velocities"):
-        section(bare, 0.2, 0.5)
+        trajectory_section(bare, 0.2, 0.5)
 
 
 def test_concatenation_keeps_what_all_parts_have():
     _, trajectory = timed(7)
     bare = JointTrajectory(NAMES, np.array([0.0, 1.0]), np.repeat(trajectory.positions[-1:], 2, axis=0))
-    both = concatenated(trajectory, bare)
+    both = concatenate_trajectories(trajectory, bare)
     assert both.velocities is None and both.duration == trajectory.duration + 1.0
     with pytest.raises(InputError, match="same joints"):
-        concatenated(trajectory, resting(("other",), [0.0]))
+        concatenate_trajectories(trajectory, stationary_trajectory(("other",), [0.0]))
     with pytest.raises(InputError):
-        concatenated()
+        concatenate_trajectories()
 
 
 def test_merged_motions_move_like_each_alone():
@@ -169,7 +171,7 @@ def test_merged_motions_move_like_each_alone():
     renamed = JointTrajectory(
         tuple(f"b_{n}" for n in NAMES), other.times, other.positions, other.velocities, other.accelerations
     )
-    both = merged(one, renamed)
+    both = merge_trajectories(one, renamed)
     assert both.joint_names == one.joint_names + renamed.joint_names
     assert both.duration == max(one.duration, other.duration)
     for t in one.times[1:-1]:
@@ -194,10 +196,10 @@ def test_joints_that_do_not_move_rest():
 def test_a_motion_that_starts_from_a_state():
     motion = JointTrajectory(("a",), np.array([0.5, 1.0]), np.array([[0.0], [1.0]]), np.zeros((2, 1)))
     state = JointState(("z", "a"), np.array([3.0, -1.0]), np.array([7.0, 0.25]))
-    begun = started_from(state, motion)
+    begun = with_start_state(state, motion)
     np.testing.assert_array_equal(begun.times, [0.0, 0.5, 1.0])
     np.testing.assert_array_equal(begun.positions[:, 0], [-1.0, 0.0, 1.0])
     np.testing.assert_array_equal(begun.velocities[:, 0], [0.25, 0.0, 0.0])
     assert begun.accelerations is None
     with pytest.raises(UnknownNameError):
-        started_from(JointState(("z",), np.zeros(1)), motion)
+        with_start_state(JointState(("z",), np.zeros(1)), motion)

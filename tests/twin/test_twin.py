@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from armcell.core import SE3, Box, ErrorCode, InputError, JointTrajectory, Outcome
-from armcell.drivers.guarding import ArmSample
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.safety import Fault
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings
-from armcell.twin import UNWATCHED, Rehearsal, Stage, TwinBands, TwinGuard, learned
-from armcell.twin.bands import SMOOTHED, Seen
+from armcell.twin import UNWATCHED, DryRun, ResidualThresholds, TwinGuard, TwinSimulation, fit_thresholds
 from armcell.twin.guard import SLOW, STOP_AFTER
+from armcell.twin.residual_thresholds import SMOOTHED, TwinSample
 
 MODEL = load_robot("ur10_gripper")
 ARM = MODEL.group("arm").joint_names
@@ -35,9 +35,9 @@ def turn(angle: float, seconds: float = 1.0, joints=np.eye(6)[0]) -> JointTrajec
     return JointTrajectory(ARM, t, q0 + q, v, a)
 
 
-def stage(*objects: CollisionObject) -> tuple[Stage, PlanningScene]:
+def stage(*objects: CollisionObject) -> tuple[TwinSimulation, PlanningScene]:
     scene = PlanningScene.of(MODEL, objects=list(objects)).with_state(HOME)
-    return Stage(scene, PhysicsSettings()), scene
+    return TwinSimulation(scene, PhysicsSettings()), scene
 
 
 def test_what_touches_in_physics_is_refused():
@@ -82,13 +82,13 @@ def test_what_is_held_goes_along_and_is_felt():
     assert more == pytest.approx(3.0 * 9.81 * level, rel=0.15)
 
 
-def watched(twin: Rehearsal, rng, fault=lambda seen: seen, scaling=1.0) -> list[Seen]:
+def watched(twin: DryRun, rng, fault=lambda seen: seen, scaling=1.0) -> list[TwinSample]:
     """Looks at an arm that is what its twin says, a step ahead, with noise; `fault` spoils each."""
     looks = []
     for t in np.arange(0.02, twin.times[-1] - 0.02, 0.01):
         q, v, effort = twin.at(t - LAG)
         current = GAIN * effort + FRICTION * np.tanh(v / 0.02) + rng.normal(0, 0.4, 6)  # ripple
-        looks.append(fault(Seen(t, scaling, q + rng.normal(0, 5e-4, 6), v * scaling, current, 0.004)))
+        looks.append(fault(TwinSample(t, scaling, q + rng.normal(0, 5e-4, 6), v * scaling, current, 0.004)))
     return looks
 
 
@@ -101,7 +101,7 @@ def twins():
 @pytest.fixture(scope="module")
 def bands(twins):
     rng = np.random.default_rng(0)
-    return learned([(twin, range(6), watched(twin, rng)) for twin in twins])
+    return fit_thresholds([(twin, range(6), watched(twin, rng)) for twin in twins])
 
 
 def test_lag_and_current_are_fitted(bands):
@@ -109,13 +109,13 @@ def test_lag_and_current_are_fitted(bands):
     assert bands.gain[0] == pytest.approx(GAIN, abs=0.02)
     assert (bands.current < 0.8).all() and (bands.position < np.deg2rad(0.5)).all()
     with pytest.raises(InputError, match="looks at a moving arm"):
-        learned([])
+        fit_thresholds([])
 
 
 def test_bands_are_kept_and_void_for_another(bands, tmp_path):
     file = tmp_path / "b.json"
-    TwinBands({"arm": bands}, {"robot": "x", "calibration.arm": "c1"}).save(file)
-    again = TwinBands.load(file)
+    ResidualThresholds({"arm": bands}, {"robot": "x", "calibration.arm": "c1"}).save(file)
+    again = ResidualThresholds.load(file)
     np.testing.assert_array_equal(again.arms["arm"].current, bands.current)
     assert again.arms["arm"].lag == bands.lag
     guard = TwinGuard(stage()[0], again)
@@ -125,7 +125,7 @@ def test_bands_are_kept_and_void_for_another(bands, tmp_path):
     for text in ("{", "[]", '{"format": 1}', '{"format": 9}'):
         file.write_text(text)
         with pytest.raises(InputError, match=r"b\.json"):
-            TwinBands.load(file)
+            ResidualThresholds.load(file)
 
 
 class Followed:
@@ -134,7 +134,7 @@ class Followed:
     def __init__(self):
         self.t, self.how = 0.0, "running"
 
-    def clock(self):
+    def trajectory_time(self):
         return self.t
 
     def state(self):
@@ -173,15 +173,15 @@ def driven(bands, twin, fault=lambda seen: seen, begin=0.7, ramp=0.0, arm=None):
     With `ramp`, a slider takes the speed down by that much at each look. With `arm`, the robot does that.
     """
     notes, trips, robot, motion = [], [], Robot(ramp), Followed()
-    guard = TwinGuard(SimpleNamespace(play=lambda *_: twin), TwinBands({"arm": bands}, {}),
+    guard = TwinGuard(SimpleNamespace(play=lambda *_: twin), ResidualThresholds({"arm": bands}, {}),
                       note=lambda arm, kind, text: notes.append((motion.t, kind, text)))  # fmt: skip
     trajectory = turn(0.1)
-    assert guard.rehearse(trajectory, HOME, {}, {}) is None
+    assert guard.dry_run(trajectory, HOME, {}, {}) is None
     guard.trips = {"arm": lambda: robot.seen.trip}
-    following = guard.watching(motion, trajectory, [robot], lambda f: trips.append((motion.t, f)))
+    following = guard.monitor(motion, trajectory, [robot], lambda f: trips.append((motion.t, f)))
     for seen in watched(arm or twin, np.random.default_rng(5), lambda s: fault(s) if s.clock >= begin else s):
         motion.t, robot.seen = seen.clock, seen
-        following.clock()
+        following.trajectory_time()
         if trips:
             break
     motion.how = "done"
@@ -191,13 +191,13 @@ def driven(bands, twin, fault=lambda seen: seen, begin=0.7, ramp=0.0, arm=None):
 
 
 def moved(**change):
-    return lambda s: Seen(**{**s.__dict__, **{k: f(getattr(s, k)) for k, f in change.items()}})
+    return lambda s: TwinSample(**{**s.__dict__, **{k: f(getattr(s, k)) for k, f in change.items()}})
 
 
 STUCK = {}
 
 
-def blocked(seen: Seen) -> Seen:
+def blocked(seen: TwinSample) -> TwinSample:
     at = STUCK.setdefault("q", seen.q.copy())
     return moved(q=lambda q: np.r_[at[0], q[1:]], v=lambda v: np.r_[0.0, v[1:]])(seen)
 
@@ -234,7 +234,7 @@ def swings():
 @pytest.fixture(scope="module")
 def swing_bands(swings):
     rng = np.random.default_rng(0)
-    return learned([(twin, range(6), watched(twin, rng)) for twin in swings])
+    return fit_thresholds([(twin, range(6), watched(twin, rng)) for twin in swings])
 
 
 @pytest.fixture(scope="module")
@@ -289,8 +289,8 @@ def test_loads_have_signs_and_touches_are_none(swing_bands, swings, scaling):
             q, v, _ = twin.at(t - LAG * scaling)
             effort, kilo = twin.efforts_at(t - LAG * scaling, scaling)
             current = GAIN * effort + FRICTION * np.tanh(v * scaling / 0.02) + off(GAIN * kilo)
-            seen = Seen(t, scaling, q, v * scaling, current, 0.004)
-            found = swing_bands.deviations(seen, twin, range(6), currents)
+            seen = TwinSample(t, scaling, q, v * scaling, current, 0.004)
+            found = swing_bands.residuals(seen, twin, range(6), currents)
         return float(found["load"][0] * swing_bands.load)
 
     told = [load(lambda kilo, mass=mass: mass * kilo) for mass in (-2.0, 2.0)]
@@ -321,8 +321,8 @@ def test_a_clock_that_may_be_wrong_hides_no_offset(bands, twins):
     q, v, effort = twin.at(t + 0.015 - LAG)
     assert abs(v[0]) * 0.015 > 2 * bands.position[0]
     for offset, late, outside in ((0.0, 0.0, True), (0.0, 0.02, False), (np.deg2rad(2.0), 0.02, True)):
-        seen = Seen(t, 1.0, q + np.r_[0, offset, 0, 0, 0, 0], v, GAIN * effort, 0.004, True, late)
-        found = bands.deviations(seen, twin, range(6), deque(maxlen=SMOOTHED))
+        seen = TwinSample(t, 1.0, q + np.r_[0, offset, 0, 0, 0, 0], v, GAIN * effort, 0.004, True, late)
+        found = bands.residuals(seen, twin, range(6), deque(maxlen=SMOOTHED))
         assert (found["position"].max() > 1.0) == outside
 
 
@@ -330,11 +330,11 @@ def test_refused_is_told_and_nothing_of_before_is_compared(bands, twins):
     bad = replace(twins[0], outcome=Outcome(ErrorCode.CONTROL_FAILED, "in physics a touches b"))
     notes = []
     guard = TwinGuard(SimpleNamespace(play=lambda *_: bad), None, note=lambda *note: notes.append(note))
-    refused = guard.rehearse(turn(0.1), HOME, {}, {})
+    refused = guard.dry_run(turn(0.1), HOME, {}, {})
     assert refused.message == "the twin refuses it: in physics a touches b" and refused.evidence["twin"]
     assert notes == [("all", "twin refused", "in physics a touches b")]
     motion = Followed()
-    assert guard.watching(motion, turn(0.2), [], lambda f: None) is motion  # another trajectory
+    assert guard.monitor(motion, turn(0.2), [], lambda f: None) is motion  # another trajectory
 
 
 def test_a_twin_without_bands_says_once_that_it_compares_nothing(twins):
@@ -342,17 +342,17 @@ def test_a_twin_without_bands_says_once_that_it_compares_nothing(twins):
     guard = TwinGuard(SimpleNamespace(play=lambda *_: twins[0]), note=lambda *note: notes.append(note))
     for _ in range(2):
         trajectory = turn(0.1)
-        guard.rehearse(trajectory, HOME, {}, {})
-        guard.watching(Followed(), trajectory, [Robot(0.0)], lambda f: None)
+        guard.dry_run(trajectory, HOME, {}, {})
+        guard.monitor(Followed(), trajectory, [Robot(0.0)], lambda f: None)
     assert notes == [("all", "twin", UNWATCHED)]
     assert guard.motions == []  # nor does it keep them
     guard.learning = True
-    guard.watching(Followed(), trajectory, [Robot(0.0)], lambda f: None)
+    guard.monitor(Followed(), trajectory, [Robot(0.0)], lambda f: None)
     assert len(guard.motions) == 1
 
 
 def test_currents_are_judged_by_the_mean_of_some_looks(bands, twins):
     currents = deque(maxlen=SMOOTHED)
     looks = watched(twins[0], np.random.default_rng(3))
-    kinds = [set(bands.deviations(seen, twins[0], range(6), currents)) for seen in looks]
+    kinds = [set(bands.residuals(seen, twins[0], range(6), currents)) for seen in looks]
     assert all("current" not in k for k in kinds[: SMOOTHED - 1]) and "current" in kinds[-1]

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from tests.ros.test_csharp import CONNECTOR, HANDWRITTEN, SHIPPED
 
-from armcell.ros.codec import cdr, ros1
-from armcell.ros.csharp import NOT_SHIPPED, csharp, write
+from armcell.ros.codec import cdr_codec, ros1_codec
+from armcell.ros.csharp_generator import NOT_SHIPPED, generate_csharp, write
 from armcell.ros.schema import schema
 
 PACKAGE = Path(__file__).parents[2] / "unity"
@@ -44,8 +44,8 @@ class Player:
     """The compiled package with the stubs, for one protocol."""
 
     def __init__(self, folder, ros2):
-        self.ros2, self.codec = ros2, cdr() if ros2 else ros1()
-        files = [f for f in write(csharp(schema(), PACKAGES), folder) if f.name not in HANDWRITTEN]
+        self.ros2, self.codec = ros2, cdr_codec() if ros2 else ros1_codec()
+        files = [f for f in write(generate_csharp(schema(), PACKAGES), folder) if f.name not in HANDWRITTEN]
         listed = folder / "sources"
         listed.write_text("\n".join(f'"{s}"' for s in [*files, CONNECTOR]))
         define = ["-define:ROS2"] if ros2 else []

@@ -73,8 +73,8 @@ def test_capsules_become_a_cylinder_and_balls(tmp_path):
     shapes = flat.links["panda_hand"].collisions
     assert [type(c.shape) for c in shapes] == [Cylinder, Sphere, Sphere]
     middle, low, high = (c.T_link_shape for c in shapes)
-    np.testing.assert_allclose(middle.inv().apply(high.translation), [0, 0, 0.05], atol=1e-12)
-    np.testing.assert_allclose(middle.inv().apply(low.translation), [0, 0, -0.05], atol=1e-12)
+    np.testing.assert_allclose(middle.inverse().apply(high.translation), [0, 0, 0.05], atol=1e-12)
+    np.testing.assert_allclose(middle.inverse().apply(low.translation), [0, 0, -0.05], atol=1e-12)
 
 
 def test_small_hulls_lie_inside_and_say_by_how_much(tmp_path):

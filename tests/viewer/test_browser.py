@@ -51,7 +51,7 @@ def places(scene, q):
     T_world_camera = SE3(SO3(R), np.array(EYE))
     tree, focal, found = kinematic_tree(scene.model), SIZE[1] / 2 / np.tan(FOV / 2), {}
     for link, point in POINTS.items():
-        x, y, z = T_world_camera.inv().apply(tree.link_pose(q, link).apply(point))
+        x, y, z = T_world_camera.inverse().apply(tree.link_pose(q, link).apply(point))
         found[link] = (round(SIZE[0] / 2 + focal * x / z), round(SIZE[1] / 2 + focal * y / z))
     return found
 

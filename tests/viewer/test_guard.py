@@ -22,11 +22,11 @@ from armcell.cell import load
 from armcell.cell.setup import propose
 from armcell.cli.main import main
 from armcell.core import SE3, ArmcellError, InputError
-from armcell.core.endpoints import Endpoint, open_sockets
+from armcell.core.network_endpoints import Endpoint, open_sockets
 from armcell.model.setup import UrdfPart
 from armcell.records import read_record
 from armcell.viewer import CellViewer, PlanningPanel, PlanningSession
-from armcell.viewer.guard import MAX_CLIENTS, MAX_CONNECTIONS, MAX_MESSAGE, PageGuard
+from armcell.viewer.page_guard import MAX_CLIENTS, MAX_CONNECTIONS, MAX_MESSAGE, PageGuard
 from armcell.viewer.replay import ReplayView
 from armcell.viewer.server import start_page
 from armcell.viewer.setup_view import SetupView
@@ -297,7 +297,9 @@ def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
     with pytest.raises(ArmcellError, match=r"viser .* armcell does not serve a page that it cannot guard"):
         start_page("127.0.0.1", 0, "x")
     monkeypatch.undo()
-    monkeypatch.setattr(PageGuard, "in_front_of", lambda self, serve: serve)  # the guard is passed by
+    monkeypatch.setattr(
+        PageGuard, "wrap_request_handler", lambda self, serve: serve
+    )  # the guard is passed by
     with pytest.raises(ArmcellError, match="answers 200 to a request without the token"):
         start_page("127.0.0.1", 0, "x")
     until(lambda: open_sockets() <= before, 10)

@@ -135,7 +135,7 @@ def test_every_planner_is_offered_and_choices_reach_the_session(panel):
     s = session.settings
     assert (s.velocity_scaling, s.acceleration_scaling, s.attempts) == (0.5, 0.25, 4)
     assert (s.planning_time, s.motion) == (2.5, "keep upright")
-    session.set(pipeline="native", planner="RRTConnect")
+    session.change_settings(pipeline="native", planner="RRTConnect")
     assert (plan.pipeline.value, plan.planner.value) == ("native", "RRTConnect")
 
 

@@ -80,8 +80,8 @@ def test_named_random_and_present_states(session):
     assert session.goal.status == "free" and not np.allclose(session.goal.positions[:7], extended.positions)
     session.set_random(start=True)
     assert session.start is not None
-    session.set_present(start=True)
-    session.set_present()
+    session.set_current_state(start=True)
+    session.set_current_state()
     assert session.start is None and np.array_equal(session.goal.positions, session.scene.positions)
 
 
@@ -90,10 +90,10 @@ def test_what_cannot_be_changes_nothing(session):
     for wrong in (
         lambda: session.set_named("nowhere"),
         lambda: session.set_positions(JointState(("panda_joint1",), np.array([9.0]))),
-        lambda: session.set(planner="NoSuch"),
-        lambda: session.set(velocity_scaling=1.5),
-        lambda: session.set(attempts=0),
-        lambda: session.set(motion="teleport"),
+        lambda: session.change_settings(planner="NoSuch"),
+        lambda: session.change_settings(velocity_scaling=1.5),
+        lambda: session.change_settings(attempts=0),
+        lambda: session.change_settings(motion="teleport"),
         lambda: session.set_group("legs"),
     ):
         with pytest.raises(InputError):
@@ -104,7 +104,9 @@ def test_what_cannot_be_changes_nothing(session):
 # --- requests ---
 def test_the_request_is_what_was_chosen(session):
     session.set_goal_pose(ABOVE_TRAY)
-    session.set(pipeline="ompl", planner="BITstar", planning_time=2.0, attempts=3, velocity_scaling=0.5)
+    session.change_settings(
+        pipeline="ompl", planner="BITstar", planning_time=2.0, attempts=3, velocity_scaling=0.5
+    )
     request = session.request()
     assert (request.pipeline_id, request.planner_id, request.planning_time) == ("ompl", "BITstar", 2.0)
     assert (request.attempts, request.velocity_scaling) == (3, 0.5)
@@ -116,10 +118,10 @@ def test_the_request_is_what_was_chosen(session):
 def test_the_gripper_has_no_tip(session):
     session.set_group("hand")
     assert session.goal.T_world_tip is None
-    session.set(motion=LINE)
+    session.change_settings(motion=LINE)
     with pytest.raises(InputError, match="no tip"):
         session.request()
-    session.set(motion=FREE)
+    session.change_settings(motion=FREE)
     session.set_named("closed")
     assert planned(session).ok
 
@@ -128,7 +130,7 @@ def test_the_gripper_has_no_tip(session):
     "motion", [pytest.param(m, marks=pytest.mark.slow) if m == UPRIGHT else m for m in MOTIONS]
 )
 def test_each_kind_of_motion_is_one(session, motion):
-    session.set(motion=motion)
+    session.change_settings(motion=motion)
     session.set_goal_pose(SE3.from_xyz_rpy((0.45, -0.25, 0.45), DOWN))
     result = planned(session)
     assert result.ok, session.message
@@ -164,7 +166,7 @@ def test_a_plan_from_elsewhere_or_of_another_scene_is_not_executed(session):
     session.set_named("extended", start=True)
     session.set_goal_pose(ABOVE_TRAY)
     assert planned(session).ok and "where the robot is" in session.why_not_executable
-    session.set_present(start=True)
+    session.set_current_state(start=True)
     assert planned(session).ok and session.why_not_executable == ""
     session.change_scene(lambda now: now.without_object("post"))
     assert "scene was changed" in session.why_not_executable
@@ -217,7 +219,7 @@ def test_stop_ends_planning_at_once_and_errors_are_said(session, monkeypatch):
         assert cancel.wait(30)
         raise RuntimeError("broken inside")
 
-    monkeypatch.setattr("armcell.viewer.session.plan", for_ever)
+    monkeypatch.setattr("armcell.viewer.planning_session.plan", for_ever)
     session.plan()
     assert begun.wait(10) and session.busy == "planning"
     with pytest.raises(InputError, match="planning"):
@@ -233,7 +235,7 @@ def test_stop_ends_planning_at_once_and_errors_are_said(session, monkeypatch):
 def test_stop_while_the_robot_moves(cell):
     connect = lambda s, o: cell.connect("fake", observers=o, time_scale=1.0, scene=s)  # noqa: E731
     session = PlanningSession(cell.scene(), connect)
-    session.set(velocity_scaling=0.1)
+    session.change_settings(velocity_scaling=0.1)
     session.set_goal_pose(ABOVE_TRAY)
     assert planned(session).ok
     duration = session.result.trajectory.duration

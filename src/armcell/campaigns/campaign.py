@@ -20,7 +20,7 @@ from armcell.campaigns.store import Store
 from armcell.campaigns.trial import Trial
 from armcell.cell import announce_code, cell_names, content_hashes
 from armcell.core import InputError
-from armcell.core.endpoints import Endpoint
+from armcell.core.network_endpoints import Endpoint
 from armcell.planning import warm_up
 
 FEWEST = 20  # trials before the stop rule tests the confidence interval
@@ -115,7 +115,7 @@ def run(
 def _workers(store: Store, count: int, ray: str | None) -> Workers:
     if ray is None:
         return Processes(store.spec, count or cores())
-    from armcell.campaigns.cluster import RayWorkers
+    from armcell.campaigns.ray_workers import RayWorkers
 
     return RayWorkers(store.spec, store.hashes, count, ray)
 

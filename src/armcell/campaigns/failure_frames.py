@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from armcell.campaigns.statistics import causes
-from armcell.campaigns.store import Store, write_whole
+from armcell.campaigns.store import Store, write_atomically
 from armcell.cell import Cell, load, run_task
 from armcell.cell.pictures import Picture, Pictures
-from armcell.cell.values import with_values
+from armcell.cell.value_overrides import with_values
 from armcell.records import html
 
 logger = logging.getLogger(__name__)
@@ -45,10 +45,10 @@ def take_pictures(store: Store, tell: Callable[[int, int], None] = lambda done, 
     for done, row in enumerate(wanted):
         tell(done, len(wanted))
         file = picture_file(store.folder, row["trial"])
-        if not file.exists() and (picture := moment(cell, row)) is not None:
-            with suppress(OSError):  # `write_whole` reports the error
+        if not file.exists() and (picture := failure_frame(cell, row)) is not None:
+            with suppress(OSError):  # `write_atomically` reports the error
                 file.parent.mkdir(exist_ok=True)
-            write_whole(file, html.picture_png(picture))
+            write_atomically(file, html.picture_png(picture))
     tell(len(wanted), len(wanted))
 
 
@@ -65,7 +65,7 @@ def _wanted(store: Store) -> list[dict[str, Any]]:
     return shown[:MOST]
 
 
-def moment(cell: Cell, row: dict[str, Any]) -> Picture | None:
+def failure_frame(cell: Cell, row: dict[str, Any]) -> Picture | None:
     """Run a failed trial again and return a picture of its first contact. If there is no contact, return a
     picture of the end of the trial.
 

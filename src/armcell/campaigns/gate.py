@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from armcell.campaigns.spec import CampaignSpec
-from armcell.campaigns.statistics import Share, success
-from armcell.campaigns.store import TRIALS, asked, rows_of
+from armcell.campaigns.statistics import Proportion, success
+from armcell.campaigns.store import TRIALS, rows_of, stored_spec
 from armcell.cell import Cell, cell_names, content_hashes
 from armcell.cell.built_in import LIBRARY
-from armcell.cell.identity import versions
+from armcell.cell.cell_hashes import versions
 from armcell.core import InputError
 
 FORMAT = 2  # format 1 did not list the varied parameters
@@ -60,7 +60,7 @@ def issue(
     """
     check_reason(allow_unvaried)
     folder = Path(folder)
-    spec, then = asked(folder)
+    spec, then = stored_spec(folder)
     now = content_hashes(cell)
     changed = changed_parts(then, now)
     if changed:
@@ -75,7 +75,7 @@ def issue(
             "interval promises too much",
             file=folder, hint=f"armcell gate {_name(cell)} --trials {max(len(rows), _fewest(least))}",
         )  # fmt: skip
-    names = varied(cell, rows)
+    names = varied_paths(cell, rows)
     if not names and allow_unvaried is None:
         raise _unvaried(cell, f"{len(rows)} trials that differ in nothing but the planners' seed", folder)
     share = success(rows)
@@ -84,7 +84,7 @@ def issue(
         raise InputError(
             f"shows too little: {share.count} of {share.total} succeeded, which is at least {low:.1%} "
             f"(95 % interval), and {least:.0%} is asked for",
-            file=folder, hint=_cure(share.count, share.total, least),
+            file=folder, hint=_hint(share.count, share.total, least),
         )  # fmt: skip
     record = {
         "format": FORMAT,
@@ -144,7 +144,7 @@ def check_draws(cell: Cell) -> None:
         raise _unvaried(cell, "trials that differ in nothing but the planners' seed", cell.file)
 
 
-def varied(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def varied_paths(cell: Cell, rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the paths of the parameters and randomized values that differ between trials of a campaign.
 
     "drop" means objects that physics drops into a bin, different for each seed. Sensor noise does not
@@ -285,10 +285,10 @@ def _asked(spec: CampaignSpec) -> str:
 
 def _fewest(least: float, above: int = 0) -> int:
     """Return how many trials without a failure the gate needs to prove a success rate of at least `least`."""
-    return next(n for n in range(above + 1, 10**6) if Share(n, n).clopper_pearson[0] >= least)
+    return next(n for n in range(above + 1, 10**6) if Proportion(n, n).clopper_pearson[0] >= least)
 
 
-def _cure(count: int, total: int, least: float) -> str:
+def _hint(count: int, total: int, least: float) -> str:
     if count == total:
         more = _fewest(least, total)
         return f"{more} trials without a failure show it: armcell gate CELL --trials {more}"

@@ -10,22 +10,22 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from armcell.campaigns.statistics import Row, Share, drawn, fairly_drawn
+from armcell.campaigns.statistics import Proportion, Row, drawn, without_adaptive_samples
 from armcell.records.plots import DPI, PALETTE, WIDTH_IN
 
 GOOD, INK = PALETTE[0], "#374151"
 BINS = 10
 
 
-def share_plot(rows: Sequence[Row]) -> bytes:
+def success_rate_plot(rows: Sequence[Row]) -> bytes:
     """Plot the success rate of a campaign against the number of trials,
     with its 95 % confidence interval, as PNG.
     """
-    fair = sorted(fairly_drawn(rows), key=lambda row: row["trial"])
+    fair = sorted(without_adaptive_samples(rows), key=lambda row: row["trial"])
     figure, (ax,) = _figure(1, 1, 2.2)
     counts = np.unique(np.geomspace(1, max(len(fair), 1), 200).astype(int))
     good = np.cumsum([bool(row["success"]) for row in fair])
-    shares = [Share(int(good[n - 1]), int(n)) for n in counts if n <= len(fair)]
+    shares = [Proportion(int(good[n - 1]), int(n)) for n in counts if n <= len(fair)]
     n = [share.total for share in shares]
     low, high = zip(*(share.wilson for share in shares)) if shares else ((), ())
     ax.fill_between(n, low, high, color=GOOD, alpha=0.2, linewidth=0, label="95 % interval")
@@ -48,7 +48,7 @@ def parameter_plots(rows: Sequence[Row], paths: Sequence[str]) -> bytes | None:
     columns = min(3, len(paths))
     figure, axes = _figure(-(-len(paths) // columns), columns, 2.3)
     for ax, path in zip(axes, paths):
-        some_rows = [row for row in fairly_drawn(rows) if path in drawn(row)]
+        some_rows = [row for row in without_adaptive_samples(rows) if path in drawn(row)]
         values = [drawn(row)[path] for row in some_rows]
         if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
             edges = np.linspace(min(values), max(values), BINS + 1)
@@ -61,7 +61,7 @@ def parameter_plots(rows: Sequence[Row], paths: Sequence[str]) -> bytes | None:
         for k, at in enumerate(names):
             some = [row for row, w in zip(some_rows, where, strict=True) if w == k]
             if some:
-                share = Share(sum(bool(row["success"]) for row in some), len(some))
+                share = Proportion(sum(bool(row["success"]) for row in some), len(some))
                 low, high = share.wilson
                 ax.plot([at, at], [low, high], color=GOOD, alpha=0.4, linewidth=3)
                 ax.plot([at], [share.value], "o", color=GOOD, markersize=4)

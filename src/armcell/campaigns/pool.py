@@ -16,7 +16,7 @@ from armcell import _interrupts
 from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.trial import Trial, failed
 from armcell.core import InputError
-from armcell.core.endpoints import Endpoint
+from armcell.core.network_endpoints import Endpoint
 
 TRIES = 3  # attempts for a trial whose worker dies
 LIVES = 2000  # trials until a worker is replaced, to bound memory leaks of libraries
@@ -47,7 +47,7 @@ class Worker(ABC):
     @abstractmethod
     def send(self, data: dict[str, Any]) -> None:
         """Send a trial to a worker of the pool. If the worker is dead, this call does not fail;
-        `Workers.heard` reports the death later.
+        `Workers.receive` reports the death later.
         """
 
 
@@ -82,7 +82,7 @@ class Workers(ABC, Generic[W]):
         return ()
 
     @abstractmethod
-    def heard(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:
+    def receive(self, seconds: float) -> Iterator[tuple[W, list[Answer] | None]]:
         """Yield each worker of the trial pool that has answered, together with its answers. For a dead
         worker, yield None instead of answers.
 
@@ -158,7 +158,7 @@ class Pool(Generic[W]):
                 return
             self._look_for_ready_ones()
             _interrupts.check()
-            for worker, answers in self._workers.heard(GLANCE):
+            for worker, answers in self._workers.receive(GLANCE):
                 if answers is None:
                     trial, how = worker.trial, self._replace(worker)
                     if not worker.ready:

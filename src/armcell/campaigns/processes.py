@@ -99,7 +99,7 @@ class Processes(Workers[ProcessWorker]):
         self._selector.register(worker.output, selectors.EVENT_READ, worker)
         return worker
 
-    def heard(self, seconds: float) -> Iterator[tuple[ProcessWorker, list[Answer] | None]]:
+    def receive(self, seconds: float) -> Iterator[tuple[ProcessWorker, list[Answer] | None]]:
         for key, _ in self._selector.select(timeout=seconds):
             worker: ProcessWorker = key.data
             if worker in self._running:  # skip a worker that `Pool` has replaced

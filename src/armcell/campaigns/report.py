@@ -8,7 +8,7 @@ from typing import Any
 
 from armcell.campaigns import plots, statistics
 from armcell.campaigns.failure_frames import picture_file
-from armcell.campaigns.store import Store, write_whole
+from armcell.campaigns.store import Store, write_atomically
 from armcell.campaigns.trial import replay_command
 from armcell.records import html
 
@@ -34,10 +34,10 @@ def write_report(store: Store, stopped: str) -> Path:
         InputError: the folder is not writable, or the disk is full.
     """
     data, rows = summary(store, stopped), _in_order(store)
-    write_whole(store.folder / "summary.json", (json.dumps(data, indent=2) + "\n").encode())
-    write_whole(store.folder / "report.md", _markdown(data, store.folder).encode())
+    write_atomically(store.folder / "summary.json", (json.dumps(data, indent=2) + "\n").encode())
+    write_atomically(store.folder / "report.md", _markdown(data, store.folder).encode())
     file = store.folder / "report.html"
-    write_whole(file, _html(data, rows, store.folder).encode())
+    write_atomically(file, _html(data, rows, store.folder).encode())
     return file
 
 
@@ -153,7 +153,7 @@ def _html(data: dict[str, Any], rows: list[dict[str, Any]], folder: Path) -> str
     ]
     body.append(html.section("Numbers", f'<div class="keys">{"".join(keys)}</div>'))
     if rows:
-        picture = html.image(plots.share_plot(rows), "success over trials")
+        picture = html.image(plots.success_rate_plot(rows), "success over trials")
         body.append(html.section("Success over trials", picture))
     if histograms := plots.distribution_plots(rows, MEASURED):
         body.append(html.section("What was measured", html.image(histograms, "histograms")))

@@ -11,9 +11,9 @@ from typing import Any
 
 from armcell.campaigns.distributions import Distribution, Uniform, distribution, ends
 from armcell.cell import Cell, load
-from armcell.cell.values import place_of, with_values
+from armcell.cell.value_overrides import split_path, with_values
 from armcell.core import InputError, UnknownNameError
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 
 SAMPLINGS = ("random", "latin_hypercube", "adaptive")
 KEYS = (
@@ -83,7 +83,7 @@ class CampaignSpec:
         if both:
             raise InputError(f"{', '.join(sorted(both))}: in parameters and in values; give one or the other")
         for outer, inner in permutations((*self.values, *self.parameters), 2):
-            place, within = place_of(outer), place_of(inner)
+            place, within = split_path(outer), split_path(inner)
             part_varies = outer in self.values and inner in self.parameters and within != place
             if within[: len(place)] == place and not part_varies:
                 how = "the same as" if within == place else "a part of"
@@ -139,11 +139,11 @@ def checked_cell(spec: CampaignSpec) -> Cell:
             except UnknownNameError:
                 raise
             except InputError as error:
-                raise _cured(error, cell, path, found, value) from None
+                raise _with_hint(error, cell, path, found, value) from None
     return cell
 
 
-def _cured(error: InputError, cell: Cell, path: str, found: Distribution, value: Any) -> InputError:
+def _with_hint(error: InputError, cell: Cell, path: str, found: Distribution, value: Any) -> InputError:
     """Return an error about a parameter in a campaign specification.
     If an integer would be valid, the error contains a hint.
     """

@@ -20,7 +20,7 @@ ALPHA = 0.05  # significance level; all intervals are 95 % intervals
 
 
 @dataclass(frozen=True)
-class Share:
+class Proportion:
     """Proportion `count` / `total` in the statistics of a campaign,
     with two kinds of 95 % confidence interval.
     """
@@ -66,21 +66,21 @@ class Share:
         }
 
 
-def fairly_drawn(rows: Sequence[Row]) -> list[Row]:
+def without_adaptive_samples(rows: Sequence[Row]) -> list[Row]:
     """Return the result rows of a campaign without the trials that adaptive sampling placed near failures.
     Those trials would bias the statistics.
     """
     return [row for row in rows if not row["near_failure"]]
 
 
-def success(rows: Sequence[Row]) -> Share:
+def success(rows: Sequence[Row]) -> Proportion:
     """Return the success rate of a campaign, counted over the trials that were drawn from the specified
     distributions.
 
     Trials placed near failures by adaptive sampling are excluded, because they would bias the rate.
     """
-    fair = fairly_drawn(rows)
-    return Share(sum(bool(row["success"]) for row in fair), len(fair))
+    fair = without_adaptive_samples(rows)
+    return Proportion(sum(bool(row["success"]) for row in fair), len(fair))
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
     tests need independent draws. Trials placed near failures are excluded, because they share all parameters
     of a failure, so every parameter would appear significant.
     """
-    draws = [(drawn(row), bool(row["success"])) for row in fairly_drawn(rows)]
+    draws = [(drawn(row), bool(row["success"])) for row in without_adaptive_samples(rows)]
     found = []
     for path in sorted({path for draw, _ in draws for path in draw}):
         values = [draw[path] for draw, _ in draws if path in draw]
@@ -188,8 +188,8 @@ class Comparison:
     `interval` is Newcombe's 95 % interval from two Wilson intervals (1998), `p_value` is Fisher's exact test.
     """
 
-    first: Share
-    second: Share
+    first: Proportion
+    second: Proportion
     difference: float
     interval: tuple[float, float]
     p_value: float

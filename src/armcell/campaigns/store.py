@@ -80,7 +80,7 @@ class Store:
         Raises:
             InputError: the folder contains no campaign, or one of another format version.
         """
-        spec, hashes = asked(Path(folder))
+        spec, hashes = stored_spec(Path(folder))
         return Store(Path(folder), spec, hashes)
 
     def _read(self) -> None:
@@ -117,7 +117,7 @@ class Store:
         os.close(self._file)
 
 
-def write_whole(file: Path, data: bytes) -> None:
+def write_atomically(file: Path, data: bytes) -> None:
     """Write a file of a campaign atomically, so that readers see either
     the complete old file or the complete new file.
 
@@ -137,7 +137,7 @@ def write_whole(file: Path, data: bytes) -> None:
         ) from None  # fmt: skip
 
 
-def asked(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
+def stored_spec(folder: Path) -> tuple[CampaignSpec, dict[str, str]]:
     """Read the specification with which a campaign was started,
     and the content hashes of its cell at that time.
     """

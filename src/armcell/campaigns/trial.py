@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from armcell.cell import Cell, run_task
-from armcell.cell.values import with_values
+from armcell.cell.value_overrides import with_values
 from armcell.core import ErrorCode, InputError
 
 

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 from armcell.campaigns.spec import CampaignSpec
 from armcell.campaigns.trial import Trial, run_trial
 from armcell.cell import Cell, load
-from armcell.cell.values import with_values
+from armcell.cell.value_overrides import with_values
 from armcell.core import InputError
 
 

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from armcell.cell.built_in import built_in_cells, cell_names
     from armcell.cell.cell import Cell
+    from armcell.cell.cell_hashes import code_hash, content_hashes
     from armcell.cell.controllers import Controller
-    from armcell.cell.identity import code_hash, content_hashes
     from armcell.cell.live import Arm, LiveCell
-    from armcell.cell.live_cameras import CameraWatch, LiveCamera
+    from armcell.cell.live_cameras import LiveCamera, OctomapUpdater
     from armcell.cell.loader import load
     from armcell.cell.objects_file import load_objects, save_objects
-    from armcell.cell.run import complaints, result_of, run_task
+    from armcell.cell.run import result_of, run_failures, run_task
     from armcell.cell.script import announce_code
-    from armcell.cell.setup import Proposal, propose, propose_from_package, write_cell
-    from armcell.cell.values import gains_as_values, parsed, with_values
+    from armcell.cell.setup import SetupProposal, propose, propose_from_package, write_cell
+    from armcell.cell.value_overrides import gains_as_values, parse_value, with_values
 
 # Modules are imported on first use: listing the built-in cells needs neither planner nor physics.
 _LAZY = {
@@ -27,40 +27,40 @@ _LAZY = {
         "built_in": ("built_in_cells", "cell_names"),
         "cell": ("Cell",),
         "controllers": ("Controller",),
-        "identity": ("code_hash", "content_hashes"),
+        "cell_hashes": ("code_hash", "content_hashes"),
         "live": ("Arm", "LiveCell"),
         "loader": ("load",),
         "objects_file": ("load_objects", "save_objects"),
-        "run": ("complaints", "result_of", "run_task"),
+        "run": ("run_failures", "result_of", "run_task"),
         "script": ("announce_code",),
-        "live_cameras": ("CameraWatch", "LiveCamera"),
-        "setup": ("Proposal", "propose", "propose_from_package", "write_cell"),
-        "values": ("gains_as_values", "parsed", "with_values"),
+        "live_cameras": ("OctomapUpdater", "LiveCamera"),
+        "setup": ("SetupProposal", "propose", "propose_from_package", "write_cell"),
+        "value_overrides": ("gains_as_values", "parse_value", "with_values"),
     }.items()
     for name in names
 }
 
 __all__ = [
     "Arm",
-    "CameraWatch",
     "Cell",
     "Controller",
     "LiveCamera",
     "LiveCell",
-    "Proposal",
+    "OctomapUpdater",
+    "SetupProposal",
     "announce_code",
     "built_in_cells",
     "cell_names",
     "code_hash",
-    "complaints",
     "content_hashes",
     "gains_as_values",
     "load",
     "load_objects",
-    "parsed",
+    "parse_value",
     "propose",
     "propose_from_package",
     "result_of",
+    "run_failures",
     "run_task",
     "save_objects",
     "with_values",

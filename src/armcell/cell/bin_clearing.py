@@ -16,14 +16,14 @@ from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
 from armcell.tasks import TaskContext
-from armcell.tasks.bin_clearing import ClearSettings, clear_bin
+from armcell.tasks.bin_clearing import BinClearingSettings, clear_bin
 
 LOST = -1.0  # [m] height; an object below has fallen off the floor
 
 
 def clear_with(
     ctx: TaskContext, scene: PlanningScene, gripper: Gripper, bin: str, tray: str, table: str,
-    eye: LiveCamera, eye_on_tray: LiveCamera, settings: ClearSettings = ClearSettings(),
+    eye: LiveCamera, eye_on_tray: LiveCamera, settings: BinClearingSettings = BinClearingSettings(),
 ) -> Outcome:  # fmt: skip
     """Clear a bin into a tray with an arm of the cell. In the physics simulation, also count the objects in
     the tray, in the bin and elsewhere.
@@ -83,7 +83,7 @@ def _inside(world: SimWorld, scene: PlanningScene, container: str, things: list[
     found = []
     for name in things:
         low, high = scene.object(name).bounds()
-        local = frame.inv().apply(world.object_pose(name).apply((low + high) / 2))
+        local = frame.inverse().apply(world.object_pose(name).apply((low + high) / 2))
         if np.all(np.abs(local[:2]) < np.array([size_x, size_y]) / 2) and local[2] > -0.01:
             found.append(name)
     return found

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from armcell.cell.calibrating import with_geometry
 from armcell.cell.cell import Cell
 from armcell.cell.live import LiveCell
+from armcell.cell.robot_calibration import with_geometry
 from armcell.core import ArmcellError, CartesianRequest, InputError, JointGoal, JointState, PlanRequest
-from armcell.core.pauses import no_long_pauses
+from armcell.core.gc_pauses import gc_frozen
 from armcell.drivers.real import RobotIdentity, identify_all, kind_of, real_settings
 from armcell.execution import execute
 from armcell.kinematics import kinematic_tree
@@ -36,7 +36,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Step:
+class BringUpStep:
     """One step in the bring-up of a cell's real arms, as stored in the record."""
 
     name: str
@@ -61,7 +61,7 @@ class BringUp:
             self.settings = real_settings(cell.spec.real, cell.model)
         except InputError as error:
             raise InputError(error.reason, file=cell.file, element=error.element, hint=error.hint) from None
-        self.steps: list[Step] = []
+        self.steps: list[BringUpStep] = []
         self._found: dict[str, RobotIdentity] = {}
 
     def run(self) -> bool:
@@ -117,7 +117,7 @@ class BringUp:
         return True
 
     def _note(self, name: str, arm: str, outcome: str, text: str) -> None:
-        self.steps.append(Step(name, arm, time.time(), outcome, text))
+        self.steps.append(BringUpStep(name, arm, time.time(), outcome, text))
         self._tell(f"{name} ({arm}): {outcome}" + (f": {text}" if text else ""))
         if self._record is not None:
             lines: list[dict[str, Any]] = [asdict(s) for s in self.steps]
@@ -128,7 +128,7 @@ class BringUp:
     # --- the steps ---
     def _network(self, name: str) -> str:
         arm = self.settings.arms[name]
-        with no_long_pauses():  # a pause of this program is not the network's
+        with gc_frozen():  # a pause of this program is not the network's
             report = kind_of(arm).measure_network(arm)
         if report.worst_gap > self.settings.max_state_age:
             raise InputError(
@@ -185,7 +185,7 @@ class BringUp:
                 last.add(joint.child)
         theirs = kind.flange_position(found, q)
         # Models name the flange differently (tool0, ee_link): compare with the best-fitting fixed link.
-        T_base_world = tree.link_pose(state, base).inv()
+        T_base_world = tree.link_pose(state, base).inverse()
         error = min(
             float(np.linalg.norm((T_base_world @ tree.link_pose(state, link)).translation - theirs))
             for link in last

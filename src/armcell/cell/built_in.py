@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 
 LIBRARY = Path(__file__).parent / "library"
 CELL_FILE = "cell.yaml"

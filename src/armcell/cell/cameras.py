@@ -82,7 +82,7 @@ def in_view(camera: Camera, scene: PlanningScene) -> list[str]:
     for name, item in scene.objects.items():
         low, high = item.bounds()
         middle = item.T_world_object.apply((low + high) / 2)
-        pixel = camera.model.project(camera.T_world_camera.inv().apply(middle))[0]
+        pixel = camera.model.project(camera.T_world_camera.inverse().apply(middle))[0]
         if np.all((pixel >= 0) & (pixel <= [camera.width - 1, camera.height - 1])):
             found.append(name)
     return found

@@ -13,22 +13,22 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from armcell.cell.calibrating import as_the_robots_are
 from armcell.cell.cameras import camera_of, decal_of
 from armcell.cell.controllers import controllers_of
 from armcell.cell.disturbances import disturbances_of
-from armcell.cell.dropped_objects import dropped
+from armcell.cell.dropped_objects import drop_objects
 from armcell.cell.live import LiveCell
 from armcell.cell.objects_file import object_of, screwed
-from armcell.cell.perceiving import PerceivingDriver, Seen
+from armcell.cell.perceived_objects import DetectedPoses, PerceivingDriver
+from armcell.cell.robot_calibration import with_robot_calibration
 from armcell.cell.schema import CameraSpec, CellSpec, MarkerSpec
 from armcell.cell.twin import twin_guard
 from armcell.core import SE3, SO3, InputError, Observer, UnknownNameError
 from armcell.core.checks import settings_from
 from armcell.drivers import DriverOptions, drivers
 from armcell.drivers.disturbances import Disturbances
-from armcell.drivers.disturbed import DisturbedSim
-from armcell.model import Part, RobotModel, compose, load_ompl_planning, load_robot
+from armcell.drivers.disturbed_sim import DisturbedSim
+from armcell.model import MountedRobot, RobotModel, compose, load_ompl_planning, load_robot
 from armcell.model.loader import xacro_texts
 from armcell.perception import Sensors3d, load_sensors_3d
 from armcell.scene import CollisionObject, Material, PlanningScene
@@ -74,7 +74,9 @@ class Cell:
             model = load_robot(spec.model, self.file.parent, self.allow_env, given)
             if spec.pose is None:
                 return model
-            return compose(model.name, [Part(model, T_parent_root=SE3.from_mapping(spec.pose, "robot/pose"))])
+            return compose(
+                model.name, [MountedRobot(model, T_parent_root=SE3.from_mapping(spec.pose, "robot/pose"))]
+            )
         except InputError as error:
             raise self._fail("robot", str(error)) from None
 
@@ -228,10 +230,10 @@ class Cell:
                     raise
                 raise self._fail(f"objects/{name}", error.reason, error.hint) from None
         if seed is not None and self.spec.drop is not None:
-            scene = dropped(scene, self.spec.drop.objects, self.spec.drop.into, seed)
+            scene = drop_objects(scene, self.spec.drop.objects, self.spec.drop.into, seed)
         return scene
 
-    def moved_unseen(self, mode: str) -> list[str]:
+    def displaced_objects(self, mode: str) -> list[str]:
         """Return the movable objects of a cell that a disturbance displaces without the planner's knowledge.
 
         The task uses their poses from the cell file until a camera or a gripper detects the displacement.
@@ -267,7 +269,7 @@ class Cell:
         factory = drivers[mode]
         scene = self.scene(seed) if scene is None else scene
         if mode == "real" and self.spec.real:
-            scene = as_the_robots_are(scene, self.spec.real)
+            scene = with_robot_calibration(scene, self.spec.real)
         options = DriverOptions(
             seed or 0, time_scale, self.physics, self.cameras, self.decals, extra={"real": self.spec.real}
         )
@@ -278,12 +280,12 @@ class Cell:
             driver.guard = twin_guard(self, scene, watch)
         look = self.spec.perception
         blind = look.objects if look is not None else []
-        moved = self.moved_unseen(mode)
+        moved = self.displaced_objects(mode)
         if blind or moved:
             # hide the true poses: use the world origin as a placeholder
             known = {n: scene.object(n).at(SE3.identity()) for n in (*blind, *moved)}
             initial = {n: scene.object(n).T_world_object for n in moved}
-            seen = Seen(known, look.surface if look is not None else None, initial=initial)
+            seen = DetectedPoses(known, look.surface if look is not None else None, initial=initial)
             driver = PerceivingDriver(driver, scene.model, seen)
         live = LiveCell(
             self.name, scene, driver, settings or self.settings, observers, seed or 0, self.cameras,

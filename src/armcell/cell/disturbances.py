@@ -8,7 +8,7 @@ import numpy as np
 
 from armcell.cell.schema import CellSpec
 from armcell.core import InputError, UnknownNameError
-from armcell.drivers.disturbances import Disturbances, Move, Push
+from armcell.drivers.disturbances import Displacement, Disturbances, Push
 from armcell.model import RobotModel
 
 
@@ -48,5 +48,5 @@ def disturbances_of(spec: CellSpec, model: RobotModel, file: Path) -> Disturbanc
         float(np.deg2rad(given.joint_noise_deg)),
         given.latency,
         tuple(Push(push.on, push.at, push.duration, push.force) for push in given.pushes.values()),
-        tuple(Move(n, m.at, m.by, float(np.deg2rad(m.turn_deg))) for n, m in given.moved.items()),
+        tuple(Displacement(n, m.at, m.by, float(np.deg2rad(m.turn_deg))) for n, m in given.moved.items()),
     )

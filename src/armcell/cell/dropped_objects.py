@@ -22,7 +22,7 @@ AWAY = 20.0  # [m] x position of objects that wait for their drop
 FENCES = ("fence 1", "fence 2", "fence 3", "fence 4", "shelf")
 
 
-def dropped(scene: PlanningScene, names: Sequence[str], into: str, seed: int) -> PlanningScene:
+def drop_objects(scene: PlanningScene, names: Sequence[str], into: str, seed: int) -> PlanningScene:
     """Drop each object into a bin at a random pose in the physics simulation.
     Return the scene with all objects at rest.
 
@@ -144,5 +144,5 @@ def _top(item: CollisionObject, T: SE3) -> float:
 def _is_in(item: CollisionObject, T: SE3, frame: SE3, half: np.ndarray) -> bool:
     """Return whether the center of a dropped object at pose `T` is above the floor rectangle of a bin."""
     low, high = item.bounds()
-    local = frame.inv().apply(T.apply((low + high) / 2))
+    local = frame.inverse().apply(T.apply((low + high) / 2))
     return bool(np.all(np.abs(local[:2]) < half) and local[2] > 0)

@@ -13,15 +13,24 @@ from typing import Any
 import numpy as np
 
 from armcell.cell.live import LiveCell
-from armcell.cell.perceiving import PerceivingDriver, Seen
+from armcell.cell.perceived_objects import DetectedPoses, PerceivingDriver
 from armcell.core import SE3, Outcome
 from armcell.drivers import DriverOptions, drivers
 from armcell.grasping import Grasp, grasp_quality
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim import PhysicsSettings, SimWorld
-from armcell.tasks import Stage, TaskContext, TaskSettings, as_it_may_be, hold, pick_stages, prove, varied
-from armcell.tasks.proof import MAX_SLIP, MAX_TURN
+from armcell.tasks import (
+    Stage,
+    TaskContext,
+    TaskSettings,
+    distinct_grasps,
+    hold,
+    pick_stages,
+    prove_grasps,
+    sample_object_variants,
+)
+from armcell.tasks.grasp_proof import MAX_SLIP, MAX_TURN
 from armcell.tasks.stages import Close, RunSteps
 from armcell.tasks.steps import DONE, perform_all
 from armcell.tasks.task import plan_stages
@@ -31,7 +40,7 @@ IN_VAIN = 3  # draws per wanted trial: some grasps are unreachable
 
 
 @dataclass(frozen=True)
-class Held:
+class HoldResult:
     """Result of a simulated pick that tests a grasp prediction:
     whether the gripper held the object, and how firmly.
     """
@@ -58,8 +67,8 @@ class Prediction:
     grasp: str
     probability: float  # predicted by trials of the hand alone
     epsilon: float
-    success: bool  # `Held.firmly`
-    held: Held
+    success: bool  # `HoldResult.firmly`
+    held: HoldResult
 
 
 def predictions(
@@ -74,26 +83,26 @@ def predictions(
         duration: time [s] for which the object is held after the lift.
         seed: seeds the grasp draw and the object's true properties; independent of the proofs' seed.
     """
-    rng, pool = np.random.default_rng(seed), varied(grasps, POOL)
+    rng, pool = np.random.default_rng(seed), distinct_grasps(grasps, POOL)
     drawn = [pool[i] for i in rng.permutation(len(pool))[: IN_VAIN * count]]
-    truths = as_it_may_be(item, len(drawn) + 1, rng)[1:]  # the first has the believed properties
+    truths = sample_object_variants(item, len(drawn) + 1, rng)[1:]  # the first has the believed properties
     found: list[Prediction] = []
     for grasp, truth in zip(drawn, truths, strict=True):
         if len(found) == count:
             break
-        held = held_in_truth(scene, truth, gripper, grasp, settings, duration)
+        held = simulate_pick(scene, truth, gripper, grasp, settings, duration)
         if held is None:
             continue
-        (proof,) = prove(scene.model, gripper, item, [grasp], settings.proof_trials)
+        (proof,) = prove_grasps(scene.model, gripper, item, [grasp], settings.proof_trials)
         epsilon = grasp_quality(item, grasp).epsilon
         found.append(Prediction(grasp.name, proof.probability, epsilon, held.firmly, held))
     return found
 
 
-def held_in_truth(
+def simulate_pick(
     scene: PlanningScene, truth: CollisionObject, gripper: Gripper, grasp: Grasp, settings: TaskSettings,
     duration: float,
-) -> Held | None:  # fmt: skip
+) -> HoldResult | None:  # fmt: skip
     """Pick, lift and hold an object whose true properties the grasp
     prediction does not know, to test the prediction.
 
@@ -107,7 +116,7 @@ def held_in_truth(
     """
     name = truth.name
     believed = scene.object(name)
-    seen = Seen({name: believed})
+    seen = DetectedPoses({name: believed})
     options = DriverOptions(physics=PhysicsSettings())
     robot = drivers["sim"](scene.with_object(truth), options)
     driver: Any = PerceivingDriver(robot, scene.model, seen)
@@ -150,16 +159,16 @@ class _Hand:
         return DONE
 
     def _now(self) -> SE3:
-        return self._world.link_pose(self._gripper.tcp_link).inv() @ self._world.object_pose(self._item)
+        return self._world.link_pose(self._gripper.tcp_link).inverse() @ self._world.object_pose(self._item)
 
-    def held(self, outcome: Outcome) -> Held:
+    def held(self, outcome: Outcome) -> HoldResult:
         """Return whether a grasp held its object while the arm lifted and held it,
         and how far the object slipped and turned.
         """
         if self._closed is None:
-            return Held(False, reason=outcome.message)
-        moved = self._now() @ self._closed.inv()  # in the TCP frame
+            return HoldResult(False, reason=outcome.message)
+        moved = self._now() @ self._closed.inverse()  # in the TCP frame
         slip, turn = moved.distance_to(SE3.identity())
         between = self._world.gripper_state(self._gripper.name).held == self._item
         reason = outcome.message or ("" if between else "nothing is between the fingers")
-        return Held(outcome.ok and between, slip, turn, reason)
+        return HoldResult(outcome.ok and between, slip, turn, reason)

@@ -61,7 +61,7 @@ def _view(alone: RobotModel, hand: Hand, width: float, points: Array, title: str
 
     def pixels(at: Array) -> list[Point]:
         """Return the pixels of points (n, 3) [m, tcp frame]."""
-        there = camera.T_world_camera.inv().apply(T_world_tcp.apply(np.atleast_2d(at)))
+        there = camera.T_world_camera.inverse().apply(T_world_tcp.apply(np.atleast_2d(at)))
         return [(float(u), float(v)) for u, v in camera.model.project(there)]
 
     def line(at: Array, color: tuple[int, int, int], arrow: bool = False) -> None:
@@ -95,7 +95,7 @@ def _view(alone: RobotModel, hand: Hand, width: float, points: Array, title: str
 def _points(alone: RobotModel, q: Array, tcp_link: str) -> Array:
     """Return corners (n, 3) [m, tcp frame] of the boxes around the shapes of a hand."""
     tree = kinematic_tree(alone)
-    into = tree.link_pose(q, tcp_link).inv()
+    into = tree.link_pose(q, tcp_link).inverse()
     found = [np.zeros((1, 3))]
     for name, link in alone.links.items():
         for solid in link.collisions:

@@ -47,12 +47,12 @@ def with_proven_grippers(model: RobotModel) -> tuple[RobotModel, tuple[GripperPr
     """Return the robot without the grippers that fail to hold a cube in the physics simulation,
     and the proof for each gripper.
     """
-    proofs = tuple(prove(model, gripper) for gripper in model.grippers.values())
+    proofs = tuple(prove_gripper(model, gripper) for gripper in model.grippers.values())
     held = {p.gripper.name: p.gripper for p in proofs if p.held}
     return replace(model, grippers=held), proofs
 
 
-def prove(model: RobotModel, gripper: Gripper) -> GripperProof:
+def prove_gripper(model: RobotModel, gripper: Gripper) -> GripperProof:
     """Prove that a detected gripper works: close it on a cube in the physics simulation,
     lift the cube and shake it.
     """
@@ -63,7 +63,7 @@ def prove(model: RobotModel, gripper: Gripper) -> GripperProof:
 
 
 def _tried(model: RobotModel, gripper: Gripper) -> GripperProof:
-    from armcell.sim.hand_trials import Trial, run_trials  # imported late: physics
+    from armcell.sim.grasp_trials import GraspTrial, run_trials  # imported late: physics
 
     if isinstance(gripper, SuctionGripper):
         return _sucked(model, gripper)
@@ -83,8 +83,8 @@ def _tried(model: RobotModel, gripper: Gripper) -> GripperProof:
     beyond = float(np.concatenate([hand.left, hand.right])[:, 5].max()) - edge / 2
     # From above, with the support just beyond the jaws' ends.
     center = SE3.from_xyz_rpy((0.0, 0.0, max(beyond + CLEAR, 0.0)), (np.pi, 0.0, 0.0))
-    trial = Trial(
-        T_object_tcp=center @ gripper.grip_center(edge, opening).inv(),
+    trial = GraspTrial(
+        T_object_tcp=center @ gripper.grip_center(edge, opening).inverse(),
         opening=opening,
         width=edge,
         force=min(FORCE, gripper.max_force),
@@ -106,13 +106,13 @@ def _tried(model: RobotModel, gripper: Gripper) -> GripperProof:
 
 def _sucked(model: RobotModel, gripper: SuctionGripper) -> GripperProof:
     """Try a suction gripper on a plate that all its cups cover, with half the load that it may carry."""
-    from armcell.sim.hand_trials import Trial, run_trials  # imported late: physics
+    from armcell.sim.grasp_trials import GraspTrial, run_trials  # imported late: physics
 
     reach = np.linalg.norm(hand_of(model, gripper).cups[:, :2], axis=1) + [c.radius for c in gripper.cups]
     edge = round(2 * float(reach.max()) + RIM, 4)
     plate = CollisionObject.single("plate", Box(edge, edge, THICK), SE3.identity(), movable=True)
     load = sum(map(gripper.force, gripper.cups)) / (9.81 + LIFT_ACCELERATION) / gripper.safety
-    trial = Trial(
+    trial = GraspTrial(
         T_object_tcp=SE3.from_xyz_rpy((0.0, 0.0, THICK / 2 + CLOSE), (np.pi, 0.0, 0.0)),
         opening=gripper.max_width,
         width=0.0,

@@ -9,9 +9,9 @@ from typing import Any
 
 from armcell import _interrupts
 from armcell.cell.bin_clearing import clear_with
-from armcell.cell.live_cameras import CameraWatch, LiveCamera, live_cameras
-from armcell.cell.perceiving import Seen, look_with
-from armcell.collision.arms import combined_group
+from armcell.cell.live_cameras import LiveCamera, OctomapUpdater, live_cameras
+from armcell.cell.perceived_objects import DetectedPoses, look_with
+from armcell.collision.inter_arm_checker import combined_group
 from armcell.core import (
     SE3,
     ArmcellError,
@@ -24,14 +24,14 @@ from armcell.core import (
     PlanResult,
     UnknownNameError,
 )
-from armcell.core.pauses import no_long_pauses
+from armcell.core.gc_pauses import gc_frozen
 from armcell.drivers import Driver
-from armcell.perception import LookSettings, MapSettings, Sensors3d, Sight
-from armcell.planning import Target, goal_of, prepare
+from armcell.perception import DetectionResult, LookSettings, MapSettings, Sensors3d
+from armcell.planning import Target, goal_of, prepare_group
 from armcell.scene import PlanningScene
 from armcell.sim import Camera, Decal
 from armcell.tasks import (
-    MovingSettings,
+    ConveyorPickSettings,
     RecoverySettings,
     SortSettings,
     StageReport,
@@ -39,29 +39,29 @@ from armcell.tasks import (
     TaskSettings,
     grasp,
     hold,
-    let_go,
     move_to,
     pick,
     pick_moving,
     place,
     release,
+    release_and_retreat,
     sort,
     transfer,
 )
 from armcell.tasks.arms import (
     ArmContext,
-    Carrying,
     CarrySettings,
     CycleTimes,
     ScrewSettings,
     SideBySide,
+    TwoArmCarry,
     hand_over,
     move_together,
     orders,
     screw,
     side_by_side,
 )
-from armcell.tasks.bin_clearing import ClearSettings
+from armcell.tasks.bin_clearing import BinClearingSettings
 from armcell.tasks.sorting import Kind
 from armcell.tasks.steps import Motion, perform_all
 
@@ -143,7 +143,7 @@ class Arm:
             raise InputError(f"joint {other[0]!r} is not one of {self.group!r}", hint=f"{list(mine)}")
         return perform_all(self._ctx, (Motion("execute", trajectory, planner),))
 
-    def pick_moving(self, item: str, settings: MovingSettings = MovingSettings()) -> Outcome:
+    def pick_moving(self, item: str, settings: ConveyorPickSettings = ConveyorPickSettings()) -> Outcome:
         """Grasp an object that moves at constant speed, such as on a conveyor,
         and lift it with an arm of the live cell.
         """
@@ -156,7 +156,7 @@ class Arm:
 
     def let_go(self, item: str) -> Outcome:
         """Open the gripper of an arm that holds an object, and retreat in a straight line."""
-        return let_go(self._ctx, item)
+        return release_and_retreat(self._ctx, item)
 
     def screw(
         self, item: str, turns: float, force: float = 8.0, settings: ScrewSettings = ScrewSettings()
@@ -222,7 +222,7 @@ class LiveCell:
         seed: int,
         cameras: Sequence[Camera] = (),
         decals: Sequence[Decal] = (),
-        seen: Seen | None = None,
+        seen: DetectedPoses | None = None,
     ):
         self.name, self.driver, self.scene_at_start = name, driver, scene
         self.seen = seen
@@ -240,15 +240,15 @@ class LiveCell:
                 opening.callback(camera.renderer.close)
             if not self.driver.is_simulated:  # slow preparations run before real arms connect
                 for group in self.arms:
-                    prepare(self.scene_at_start, group)  # loads compiled code
-                opening.enter_context(no_long_pauses())
+                    prepare_group(self.scene_at_start, group)  # loads compiled code
+                opening.enter_context(gc_frozen())
             opening.enter_context(self.driver)
             if not self.driver.is_simulated:
                 opening.callback(_interrupts.last_will(self.driver.stop, urgent=True))
             self.ctx.observe()
             if self.driver.is_simulated:
                 for group in self.arms:
-                    prepare(self.ctx.scene(), group)  # so that the first plan is fast
+                    prepare_group(self.ctx.scene(), group)  # so that the first plan is fast
             self._inside = opening.pop_all()
         return self
 
@@ -324,8 +324,8 @@ class LiveCell:
             _ = self[group]
         return orders(self.scene(), streams, to, self.ctx.settings, cycle_times)
 
-    def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> Carrying:
-        """Return the `Carrying` task of a live cell, in which two arms carry one object together.
+    def carry(self, item: str, settings: CarrySettings = CarrySettings(), **ends: str) -> TwoArmCarry:
+        """Return the `TwoArmCarry` task of a live cell, in which two arms carry one object together.
 
         Example: `cell.carry("rod", left_arm="left_end", right_arm="right_end")`
 
@@ -334,7 +334,7 @@ class LiveCell:
         """
         for group in ends:
             _ = self[group]
-        return Carrying(self.ctx, combined_group(self.model, ends), item, ends, settings)
+        return TwoArmCarry(self.ctx, combined_group(self.model, ends), item, ends, settings)
 
     def hand_over(self, item: str, to: str, at: Sequence[SE3] = ()) -> Outcome:
         """Hand an object over in the air between two arms of a live cell.
@@ -430,7 +430,7 @@ class LiveCell:
             raise UnknownNameError("camera", name, self.cameras)
         return self.cameras[name]
 
-    def look(self, camera: str | None = None, settings: LookSettings | None = None) -> Sight:
+    def look(self, camera: str | None = None, settings: LookSettings | None = None) -> DetectionResult:
         """Detect the movable objects with a camera of the live cell and update the planning scene.
 
         Objects whose poses come only from cameras are set to their detected poses. If an object is not found,
@@ -444,7 +444,7 @@ class LiveCell:
 
     def clear(
         self, bin: str, into: str, table: str, camera: str, tray_camera: str,
-        settings: ClearSettings = ClearSettings(),
+        settings: BinClearingSettings = BinClearingSettings(),
     ) -> Outcome:  # fmt: skip
         """Clear a bin in a live cell: move all objects into another container. Only two cameras locate the
         objects.
@@ -474,6 +474,6 @@ class LiveCell:
 
     def watch(
         self, camera: str | None = None, settings: MapSettings = MapSettings(), rate: float = 10.0
-    ) -> CameraWatch:
+    ) -> OctomapUpdater:
         """Keep the octomap of a live cell up to date with images from a camera, at `rate` [Hz]."""
-        return CameraWatch(self.ctx, self.camera(camera), settings, rate)
+        return OctomapUpdater(self.ctx, self.camera(camera), settings, rate)

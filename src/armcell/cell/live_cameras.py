@@ -147,7 +147,7 @@ class LiveCamera:
 
 @dataclass
 @checked()
-class CameraWatch:
+class OctomapUpdater:
     """Observer that updates the octomap of a live cell from a camera's depth images.
 
     As an observer of the cell, it updates the octomap at its own rate whenever time passes. If the new

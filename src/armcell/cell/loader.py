@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from armcell.cell.built_in import CELL_FILE, LIBRARY, cell_names
 from armcell.cell.schema import validated
 from armcell.core import UnknownNameError
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 
 if TYPE_CHECKING:
     from armcell.cell.cell import Cell

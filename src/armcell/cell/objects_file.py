@@ -24,12 +24,12 @@ from armcell.core import (
     shape_name,
 )
 from armcell.model.assets import load_mesh, resolve_uri
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 from armcell.scene import (
     CollisionObject,
     Material,
     ObjectType,
-    Thread,
+    ScrewThread,
     check_mesh,
     library_object,
     load_obstacle,
@@ -47,7 +47,7 @@ def object_of(name: str, spec: ObjectSpec, folder: Path) -> CollisionObject:
         "type": ObjectType(spec.type.key, spec.type.db),
         "movable": spec.movable,
         "belt": spec.belt,
-        "thread": None if spec.thread is None else Thread(**spec.thread.model_dump()),
+        "thread": None if spec.thread is None else ScrewThread(**spec.thread.model_dump()),
     }
     if spec.color is not None:
         given["color"] = tuple(spec.color) if len(spec.color) == 4 else (*spec.color, 1.0)
@@ -200,7 +200,7 @@ def _entry(
                 f"{item.name!r} is screwed into {thread.into!r}, which is not among the objects",
                 hint="write both",
             )
-        T = every[thread.into].T_world_object.inv() @ T
+        T = every[thread.into].T_world_object.inverse() @ T
     entry: dict[str, Any] = {"shapes": shapes, "pose": _pose(T)}
     if len(shapes) == 1 and shapes[0]["pose"] == [0.0, 0.0, 0.0]:
         entry = {**shapes[0], "pose": entry["pose"]}

@@ -34,8 +34,8 @@ def scores(
         objects, probability, epsilon, success: one value per trial.
     """
     names, p, happened = np.array(objects), np.array(probability, float), np.array(success, float)
-    means = left_out_mean(names, happened)
-    curve = left_out_curve(names, np.array(epsilon, float), happened)
+    means = leave_one_out_mean(names, happened)
+    curve = leave_one_out_curve(names, np.array(epsilon, float), happened)
     found: dict[str, Any] = {"predictions": len(p), "successes_of_predictions": int(happened.sum())}
     for name, q in (("proof", p), ("epsilon", curve), ("base_rate", means)):
         found[f"brier_{name}"] = float(np.mean((q - happened) ** 2))
@@ -82,7 +82,7 @@ def area_under_curve(score: Array, happened: Array) -> float | None:
     return float((less + upto).mean() / (2 * len(bad)))
 
 
-def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
+def leave_one_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
     """Return the base-rate prediction of each trial: the success rate of all other objects, or 0.5 if there
     are none.
     """
@@ -94,7 +94,7 @@ def left_out_mean(objects: NDArray[np.str_], happened: Array) -> Array:
     return found
 
 
-def left_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
+def leave_one_out_curve(objects: NDArray[np.str_], epsilon: Array, happened: Array) -> Array:
     """Predict P(success) of each trial from epsilon alone.
     The logistic curve is fitted to the trials of all other objects.
     """

@@ -11,7 +11,7 @@ from armcell.core import ArmcellError, CameraImage
 from armcell.drivers import Driver
 from armcell.scene import PlanningScene
 from armcell.sim import Camera, Decal
-from armcell.sim.render_process import MeasuredState, Order, PhysicsState, RenderProcess, Setup
+from armcell.sim.render_process import MeasuredState, PhysicsState, RenderProcess, RenderRequest, RenderSetup
 
 logger = logging.getLogger(__name__)
 Give = Callable[[CameraImage], None]
@@ -23,7 +23,7 @@ CLOSE = 10.0  # [s] to draw the queued key moments when the cell closes
 
 @dataclass(frozen=True, eq=False)
 class _Request:
-    order: Order
+    order: RenderRequest
     time: float  # [s] time of the state, driver's clock
     give: Give
     keep: bool
@@ -41,7 +41,7 @@ class CellRenderer:
 
     def __init__(self, driver: Driver, scene: PlanningScene, decals: Sequence[Decal] = ()):
         self._driver, self._scene, self._decals = driver, scene, decals
-        self._setup: tuple[object, Setup] | None = None
+        self._setup: tuple[object, RenderSetup] | None = None
         self._wake = threading.Condition()
         self._waiting: dict[Hashable, _Request] = {}
         self._thread: threading.Thread | None = None
@@ -72,7 +72,7 @@ class CellRenderer:
         """
         if self.broken or self._closing:
             return
-        order = Order(*self._state(), camera, rgb, depth)
+        order = RenderRequest(*self._state(), camera, rgb, depth)
         with self._wake:
             if keep and len(self._waiting) >= MOST_KEPT:
                 logger.warning("a picture is left out: %d wait to be drawn", MOST_KEPT)
@@ -101,14 +101,14 @@ class CellRenderer:
         self._setup = None
 
     # --- implementation ---
-    def _state(self) -> tuple[Setup, PhysicsState | MeasuredState]:
+    def _state(self) -> tuple[RenderSetup, PhysicsState | MeasuredState]:
         world = self._driver.world
         if world is not None:
             if self._setup is None or self._setup[0] is not world.mj_model:
-                self._setup = world.mj_model, Setup.of(world)
+                self._setup = world.mj_model, RenderSetup.of(world)
             return self._setup[1], PhysicsState.of(world)
         if self._setup is None:
-            self._setup = self, Setup(self._scene, decals=self._decals)
+            self._setup = self, RenderSetup(self._scene, decals=self._decals)
         q = self._driver.joint_state().positions
         return self._setup[1], MeasuredState(q, self._driver.object_poses())
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from armcell.cell.cell import Cell
-from armcell.cell.identity import versions
+from armcell.cell.cell_hashes import versions
 from armcell.cell.live import LiveCell
 from armcell.cell.schema import StepSpec
 from armcell.cell.script import load_script
@@ -114,7 +114,7 @@ def result_of(
     """
     live.ctx.report_news()
     poses = live.driver.object_poses()
-    if moved := cell.moved_unseen(mode):  # evaluate the true poses, not the task's estimates
+    if moved := cell.displaced_objects(mode):  # evaluate the true poses, not the task's estimates
         truth = live.driver.true_poses()
         poses |= {name: truth[name] for name in moved}
     errors = [
@@ -172,7 +172,7 @@ def contact_in_words(contact: Mapping[str, Any]) -> str:
     return f"{pair} at {time:.2f} s, {contact['depth_m'] * 1000:.1f} mm deep"
 
 
-def complaints(result: Mapping[str, Any]) -> list[str]:
+def run_failures(result: Mapping[str, Any]) -> list[str]:
     """Return the failures of a run that override the outcome of its task: unwanted contacts and
     lost objects.
     """

@@ -355,7 +355,7 @@ class PushSpec(Strict):
     force: tuple[float, float, float]  # [N]
 
 
-class MovedSpec(Strict):
+class DisplacementSpec(Strict):
     """Cell file schema for a disturbance that moves an object at time `at`.
     The planners are not informed of it.
     """
@@ -372,7 +372,7 @@ class DisturbanceSpec(Strict):
     joint_noise_deg: float = Field(default=0.0, ge=0)  # standard deviation of measured positions
     latency: float = Field(default=0.0, ge=0, le=1)  # [s] delay of each command
     pushes: dict[str, PushSpec] = {}
-    moved: dict[str, MovedSpec] = {}  # by object
+    moved: dict[str, DisplacementSpec] = {}  # by object
 
 
 class ControllerSpec(Strict):
@@ -483,7 +483,7 @@ def _known_keys(location: tuple) -> list[str]:
     if location[0] == "drop":
         return list(DropSpec.model_fields)
     if location[0] == "disturbances":
-        block = {"pushes": PushSpec, "moved": MovedSpec}.get(str(location[1]), DisturbanceSpec)
+        block = {"pushes": PushSpec, "moved": DisplacementSpec}.get(str(location[1]), DisturbanceSpec)
         return list(block.model_fields)
     if "place" in location:
         return list(PlaceSpec.model_fields)

@@ -17,17 +17,17 @@ from armcell.model.setup import (
     MoveItConfig,
     UrdfPart,
     defaults,
-    described,
     launch_files,
     merged_urdf,
     package_files,
+    srdf_of,
     srdf_text,
     with_frames_text,
     with_groups,
     write_folder,
     yaml_text,
 )
-from armcell.model.setup.gripper import StatedGripper, find_grippers
+from armcell.model.setup.gripper_detection import GripperSpec, find_grippers
 from armcell.model.urdf import load_urdf, parse_urdf
 from armcell.model.urdf_writer import urdf_of
 
@@ -38,7 +38,7 @@ LIMITS_NOTE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Proposal:
+class SetupProposal:
     """Robot setup that the setup assistant proposes: a model with groups, grippers,
     named states and disabled link pairs.
 
@@ -58,12 +58,12 @@ class Proposal:
         driven = {n for g in self.model.groups.values() for n in g.joint_names}
         return tuple(n for n in self.model.joint_names if n not in driven)
 
-    def without(self, pair: frozenset[str]) -> Proposal:
+    def without(self, pair: frozenset[str]) -> SetupProposal:
         """Return the setup proposal with collision checking enabled for a link pair."""
         disabled = {p: why for p, why in self.model.disabled_collisions.items() if p != pair}
         return replace(self, model=replace(self.model, disabled_collisions=disabled))
 
-    def disabling(self, pair: frozenset[str]) -> Proposal:
+    def disabling(self, pair: frozenset[str]) -> SetupProposal:
         """Return the setup proposal with collision checking disabled for a link pair, at the user's
         request.
         """
@@ -78,8 +78,8 @@ def propose(
     seed: int = 0,
     name: str | None = None,
     progress: Callable[[str, int], None] | None = None,
-    grippers: Sequence[StatedGripper] = (),
-) -> Proposal:
+    grippers: Sequence[GripperSpec] = (),
+) -> SetupProposal:
     """Propose a setup for one robot, or for several robots that are combined into one model.
 
     Args:
@@ -113,11 +113,11 @@ def propose(
     model = replace(model, disabled_collisions={p.links: p.reason for p in pairs if p.reason})
     tell("closing the gripper on a cube", 0)
     model, proofs = _proven(model, grippers)
-    return Proposal(model, tuple(pairs), text, proofs, mjcf=mjcf)
+    return SetupProposal(model, tuple(pairs), text, proofs, mjcf=mjcf)
 
 
 def _proven(
-    model: RobotModel, grippers: Sequence[StatedGripper]
+    model: RobotModel, grippers: Sequence[GripperSpec]
 ) -> tuple[RobotModel, tuple[GripperProof, ...]]:
     """Return the robot with the grippers that hold a cube in physics, and the proofs.
 
@@ -151,7 +151,7 @@ def _mjcf_file(parts: Sequence[UrdfPart]) -> Path | None:
     return found.file.resolve()
 
 
-def propose_from_package(folder: Path, grippers: Sequence[StatedGripper] = ()) -> Proposal:
+def propose_from_package(folder: Path, grippers: Sequence[GripperSpec] = ()) -> SetupProposal:
     """Propose a cell for an existing MoveIt package.
     The setup assistant keeps the package's groups, states, link pairs and limits.
 
@@ -160,10 +160,10 @@ def propose_from_package(folder: Path, grippers: Sequence[StatedGripper] = ()) -
     """
     config = MoveItConfig.load(folder)
     model, proofs = _proven(find_grippers(config.model, stated=grippers), grippers)
-    return Proposal(model, (), config.urdf_text, proofs, config)
+    return SetupProposal(model, (), config.urdf_text, proofs, config)
 
 
-def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
+def write_cell(proposal: SetupProposal, folder: Path, force: bool = False) -> None:
     """Write the MoveIt package and the cell from the setup assistant into a folder.
     Either all files are written or none.
 
@@ -175,7 +175,7 @@ def write_cell(proposal: Proposal, folder: Path, force: bool = False) -> None:
     write_folder(folder, cell_files(proposal, folder.resolve().name), force)
 
 
-def cell_files(proposal: Proposal, package: str) -> dict[str, str]:
+def cell_files(proposal: SetupProposal, package: str) -> dict[str, str]:
     """Return the files of the MoveIt package and the cell that the setup assistant writes, by
     relative path.
     """
@@ -191,7 +191,7 @@ def cell_files(proposal: Proposal, package: str) -> dict[str, str]:
         "moveit_controllers.yaml": yaml_text(controllers),
         "pilz_cartesian_limits.yaml": yaml_text(defaults.pilz_cartesian_limits()),
         urdf: proposal.urdf_text,
-        srdf: srdf_text(described(model)),
+        srdf: srdf_text(srdf_of(model)),
     }
     names = {"urdf": urdf, "srdf": srdf, **{name.removesuffix(".yaml"): name for name in config}}
     manager = controllers["moveit_simple_controller_manager"]

@@ -88,7 +88,7 @@ def _open_and_close(model: RobotModel, group: str) -> dict[str, dict[str, float]
     for end in ends:
         q = model.neutral()
         q[model.columns(names)] = end
-        checker.place(q)
+        checker.set_configuration(q)
         gaps = [
             checker.pair_distance(i, j)
             for a in moving for b in others if rigid[a] != rigid[b]

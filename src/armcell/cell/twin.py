@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armcell.cell.identity import content_hashes
+from armcell.cell.cell_hashes import content_hashes
 from armcell.core import InputError, JointGoal, JointState, PlanRequest
 from armcell.execution import execute
 from armcell.planning import plan
 from armcell.scene import PlanningScene
-from armcell.twin import UNWATCHED, Stage, TwinBands, TwinGuard, learned
+from armcell.twin import UNWATCHED, ResidualThresholds, TwinGuard, TwinSimulation, fit_thresholds
 
 if TYPE_CHECKING:
     from armcell.cell.cell import Cell
@@ -30,7 +30,7 @@ REACH = 0.7  # [rad] largest offset of a goal from the home position, per joint
 TRIES = 30  # random goals tried per motion
 
 
-def bands_file(cell: Cell) -> Path:
+def thresholds_file(cell: Cell) -> Path:
     """Return the path of a cell's file with twin thresholds. They describe how far the real arms normally
     deviate from the simulated twin.
     """
@@ -50,9 +50,9 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
     Raises:
         InputError: the cell has changed since the thresholds were learned; the error names the changed parts.
     """
-    file, bands = bands_file(cell), None
+    file, bands = thresholds_file(cell), None
     if watch and file.is_file():
-        bands = TwinBands.load(file)
+        bands = ResidualThresholds.load(file)
         now = twin_identity(cell)
         changed = [part for part in DECIDING if bands.identity.get(part) != now[part]]
         if changed:
@@ -62,12 +62,12 @@ def twin_guard(cell: Cell, scene: PlanningScene, watch: bool) -> TwinGuard:
             )  # fmt: skip
     elif watch:
         logger.info("%s; hint: armcell twin %s", UNWATCHED, cell.file)
-    return TwinGuard(Stage(scene, cell.physics), bands, learning=not watch)
+    return TwinGuard(TwinSimulation(scene, cell.physics), bands, learning=not watch)
 
 
-def learn_bands(
+def learn_thresholds(
     cell: Cell, motions: int = 12, seed: int = 0, tell: Callable[[str], None] = lambda text: None
-) -> TwinBands:
+) -> ResidualThresholds:
     """Move every real arm and learn how far it normally deviates from its simulated twin.
 
     Each arm first moves in a slow loop, then to random goals near home. All motions are planned in the cell's
@@ -95,11 +95,11 @@ def learn_bands(
             _go(live, name, home, SPEEDS[1], tell)
         watched = guard.motions
         arms = {
-            name: learned([(m.twin, m.columns, m.seen) for m in watched if m.arm == name])
+            name: fit_thresholds([(m.twin, m.columns, m.seen) for m in watched if m.arm == name])
             for name in calibrations
         }
     learned_on = {f"calibration.{name}": checksum for name, checksum in calibrations.items()}
-    return TwinBands(arms, {**twin_identity(cell), **learned_on})
+    return ResidualThresholds(arms, {**twin_identity(cell), **learned_on})
 
 
 def _home(cell: Cell, group: str) -> np.ndarray:

@@ -13,7 +13,7 @@ from armcell.cell.built_in import CELL_FILE, LIBRARY
 from armcell.cell.loader import load
 from armcell.cell.objects_file import load_objects, object_entries, objects_text
 from armcell.core import SE3, InputError
-from armcell.model.files import SafeLoader, read_text
+from armcell.model.untrusted_files import SafeLoader, read_text
 from armcell.scene import CollisionObject
 from armcell.scene.sdf import SdfWorld, load_sdf
 

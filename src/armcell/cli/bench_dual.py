@@ -43,7 +43,7 @@ def dual(
             check_writable(file)
     bench_plans.planner(planner)
     found = bench_plans.run(_tasks(count, seed, apart), count, planner, repeat, seconds)
-    return bench_plans.finish(found, json_file, paths)
+    return bench_plans.report_results(found, json_file, paths)
 
 
 def _tasks(count: int, seed: int, apart: float) -> Iterator[bench_plans.PlanTask]:
@@ -84,13 +84,13 @@ def dual_scene():
     and a table with one box for each gripper.
     """
     from armcell.model import load_robot
-    from armcell.model.compose import Part, compose
+    from armcell.model.multi_robot import MountedRobot, compose
     from armcell.scene import CollisionObject, PlanningScene
 
     robot = load_robot("ur10_gripper")
     model = compose(
         "dual_ur10",
-        [Part(robot, side, "world", SE3.from_xyz(0, y, BASE_HEIGHT)) for side, y in SIDES.items()],
+        [MountedRobot(robot, side, "world", SE3.from_xyz(0, y, BASE_HEIGHT)) for side, y in SIDES.items()],
     )
     q = model.default_positions()
     for side in SIDES:

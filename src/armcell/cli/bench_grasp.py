@@ -14,7 +14,7 @@ from armcell.cli.console import check_writable, console, errors, write_json
 from armcell.core import InputError
 
 if TYPE_CHECKING:
-    from armcell.cell.grasp_trials import Row
+    from armcell.cell.grasp_benchmark import ObjectResult
 
 EXAMPLES = """
 Examples:
@@ -60,7 +60,7 @@ def grasp(
     Exit status 1 if less than 95 % of the graspable objects succeed at the first attempt, or less than 99 %
     with recovery.
     """
-    from armcell.cell.grasp_trials import Bench, TrialOptions, made_objects, objects_of, summary
+    from armcell.cell.grasp_benchmark import Bench, TrialOptions, made_objects, objects_of, summary
 
     if json_file is not None:
         check_writable(json_file)
@@ -72,7 +72,7 @@ def grasp(
         if len(bad) == len(found_there):
             raise bad[0]
         todo += found_there
-    rows: list[Row] = []
+    rows: list[ObjectResult] = []
 
     def save(found: dict[str, Any] | None) -> None:
         if json_file is not None:
@@ -91,7 +91,7 @@ def grasp(
     return 0 if found["graspable"] and all(found[k]["share"] >= w for k, w in wanted.items()) else 1
 
 
-def _show(rows: list[Row], found: dict[str, Any]) -> None:
+def _show(rows: list[ObjectResult], found: dict[str, Any]) -> None:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("object", "scale", "grasps", "result", "P", "epsilon", "off by", "slip", "reason"):
         table.add_column(title, justify="left" if title in ("object", "result", "reason") else "right")

@@ -115,7 +115,7 @@ def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray],
     from armcell.kinematics.ik.search import any_solution
     from armcell.kinematics.ik.ur import BRANCHES, ur_branches
 
-    chain, seeds, geometry = solver.prepared.chain, solver.prepared.seeds, solver.prepared.geometry
+    chain, seeds, geometry = solver.chain_data.chain, solver.chain_data.seeds, solver.chain_data.geometry
     at, goal, found = reference[solver.columns], np.empty(12), np.empty((BRANCHES, len(solver.columns)))
     s = solver.settings
 
@@ -126,9 +126,20 @@ def _compiled(solver: IKSolver, reference: np.ndarray) -> Callable[[np.ndarray],
     def numeric(T: np.ndarray) -> None:
         goal_in_base(chain.inverse_base, T, goal)
         any_solution(
-            chain.table, chain.bounds, chain.turning, goal, chain.scale, at, seeds.positions, seeds.poses,
-            s.seeds, s.max_iterations, s.position_tolerance, s.rotation_tolerance, found,
-        )  # fmt: skip
+            chain.table,
+            chain.bounds,
+            chain.turning,
+            goal,
+            chain.position_weight,
+            at,
+            seeds.positions,
+            seeds.poses,
+            s.seeds,
+            s.max_iterations,
+            s.position_tolerance,
+            s.rotation_tolerance,
+            found,
+        )
 
     return numeric if geometry is None else analytic
 
@@ -138,7 +149,7 @@ def _rows(solver: IKSolver, count: int, seed: int) -> Iterator[dict[str, Any]]:
 
     rng, reference = np.random.default_rng(seed), solver.model.default_positions()
     low, high = solver.lower, solver.upper
-    endless_low, endless_high = sampling_range(solver.prepared.chain)
+    endless_low, endless_high = sampling_range(solver.chain_data.chain)
     low, high = np.where(np.isfinite(low), low, endless_low), np.where(np.isfinite(high), high, endless_high)
     compiled = _compiled(solver, reference)
     for index in range(-1, count):  # the first call compiles and does not count

@@ -46,7 +46,7 @@ def mbm(
     model = load_robot(find_robot(robot, problems))
     total = sum(len(some[: limit or None]) for some in data["families"].values())
     found = bench_plans.run(_tasks(data, problems, model, limit), total, planner, repeat, seconds)
-    return bench_plans.finish(found, json_file, paths)
+    return bench_plans.report_results(found, json_file, paths)
 
 
 def read_problems(file: Path) -> dict[str, Any]:

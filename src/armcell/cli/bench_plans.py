@@ -72,7 +72,7 @@ def run(
     hidden = not errors.is_terminal
     for task in track(tasks, "planning", total, console=errors, disable=hidden, transient=True):
         checker = KernelChecker(task.scene, task.joint_names)
-        if words := touching(checker, task.start, task.goals):
+        if words := endpoint_collisions(checker, task.start, task.goals):
             yield {**_row(task), "touching": words}, None
             continue
         goals, best = task.goals, None
@@ -91,7 +91,7 @@ def run(
         yield _row(task, best), best.waypoints
 
 
-def touching(checker: KernelChecker, start: Array, goals: Array) -> str:
+def endpoint_collisions(checker: KernelChecker, start: Array, goals: Array) -> str:
     """Describe the collisions that make a planning benchmark's task unsolvable: at the start, or at a goal if
     no goal is collision-free. The text is empty if the task has no such collisions.
     """
@@ -220,7 +220,7 @@ def _timing_us(waypoints: Array, names: tuple[str, ...]) -> float:
     return (time.thread_time() - began) * 1e6
 
 
-def finish(
+def report_results(
     found: Iterable[tuple[Row, Array | None]], json_file: Path | None, paths_file: Path | None = None
 ) -> int:
     """Print and write the rows of a planning benchmark.

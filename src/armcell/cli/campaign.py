@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from armcell import _interrupts
 from armcell.cli.console import check_writable, console, errors, write_json
-from armcell.cli.listening import tell_listening
+from armcell.cli.server_addresses import print_addresses
 from armcell.core import InputError
 
 EXAMPLES = """
@@ -79,7 +79,7 @@ def campaign(
     from armcell import campaigns
 
     if ray is not None:  # report errors before the campaign begins
-        from armcell.campaigns.cluster import find_cluster
+        from armcell.campaigns.ray_workers import find_cluster
 
         find_cluster(ray)
     if resume is not None:
@@ -134,8 +134,8 @@ def run_campaign(store: Any, workers: int, ray: str | None = None) -> dict[str, 
 
 def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) -> Any:
     from armcell.campaigns import CampaignSpec
-    from armcell.cell.values import parsed
-    from armcell.model.files import read_yaml
+    from armcell.cell.value_overrides import parse_value
+    from armcell.model.untrusted_files import read_yaml
 
     path = Path(cell)
     from_file = path.is_file() and "cell" in read_yaml(path) and "robot" not in read_yaml(path)
@@ -153,7 +153,7 @@ def _spec(cell: str, vary: list[str], set_: list[str], options: dict[str, Any]) 
     return replace(
         spec,
         parameters={**spec.parameters, **ranges},
-        values={**spec.values, **dict(parsed(one) for one in set_)},
+        values={**spec.values, **dict(parse_value(one) for one in set_)},
         **given,
     )
 
@@ -179,7 +179,7 @@ def _run(store: Any, workers: int, ray: str | None) -> str:
                 share=f"{found.value:.1%} succeed ({low:.1%} to {high:.1%})" if found.total else "",
             )  # fmt: skip
 
-        return campaigns.run(store, workers, tell, ray, tell_listening)
+        return campaigns.run(store, workers, tell, ray, print_addresses)
 
 
 def _take_pictures(store: Any) -> None:
@@ -211,9 +211,12 @@ def _print(data: dict[str, Any]) -> None:
 def _compare(first: Path, second: Path, json_file: Path | None) -> int:
     from armcell import campaigns
     from armcell.campaigns.gate import changed_parts
-    from armcell.campaigns.store import TRIALS, asked
+    from armcell.campaigns.store import TRIALS, stored_spec
 
-    (before, hashes), (after, now) = asked(first), asked(second)  # reports a folder that contains no campaign
+    (before, hashes), (after, now) = (
+        stored_spec(first),
+        stored_spec(second),
+    )  # reports a folder that contains no campaign
     differ = [f"cell {before.cell} and {after.cell}"] if before.cell != after.cell else []
     differ += changed_parts(hashes, now)
     differ += [

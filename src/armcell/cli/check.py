@@ -69,7 +69,7 @@ def _start(scene) -> Iterator[Finding]:
 
 
 def _objects(scene) -> Iterator[Finding]:
-    from armcell.collision.exact import overlaps
+    from armcell.collision.exact_checker import overlaps
 
     for name, item in scene.objects.items():
         if not item.movable:
@@ -136,12 +136,12 @@ def _place(scene, goal) -> Finding:
 
 
 def _reach(cell, scene, item: str, gripper) -> Finding:
-    from armcell.planning import prepare
-    from armcell.tasks import PartialSolution, Planning, search
+    from armcell.planning import prepare_group
+    from armcell.tasks import PartialSolution, SearchState, search
     from armcell.tasks.stages import ChooseGrasp
 
-    prepare(scene, gripper.arm_group)  # otherwise compilation would use up the search time
-    planning = Planning(cell.settings)
+    prepare_group(scene, gripper.arm_group)  # otherwise compilation would use up the search time
+    planning = SearchState(cell.settings)
     stage = ChooseGrasp(item, gripper, cell.settings.near, cell.settings.approach_distance)
     solution = search([stage], PartialSolution(scene), planning)
     if solution is None:

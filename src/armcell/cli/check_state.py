@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from armcell.cli import goals
+from armcell.cli import goal_options
 from armcell.cli.console import console, millimeters
 
 
 def check_state(
-    cell: str = goals.CELL,
-    to: str | None = goals.TO,
-    joints: str | None = goals.JOINTS,
-    joints_deg: str | None = goals.JOINTS_DEG,
-    group: str | None = goals.GROUP,
-    seed: int | None = goals.SEED,
-    json_file: Path | None = goals.JSON,
+    cell: str = goal_options.CELL,
+    to: str | None = goal_options.TO,
+    joints: str | None = goal_options.JOINTS,
+    joints_deg: str | None = goal_options.JOINTS_DEG,
+    group: str | None = goal_options.GROUP,
+    seed: int | None = goal_options.SEED,
+    json_file: Path | None = goal_options.JSON,
 ) -> int:
     """Check a robot state.
     Show its contacts, its smallest clearance, and how far each joint is from its limits.
@@ -29,14 +29,14 @@ def check_state(
 
     Exit status 0 if the state is within limits and free of contact, 1 if not.
     """
-    goals.checked_json(json_file)
+    goal_options.check_json_path(json_file)
     from armcell.cell import load
     from armcell.collision import ExactChecker
 
     loaded = load(cell)
     model, scene = loaded.model, loaded.scene(seed)
-    name = group or goals.arm_group(model)
-    state = scene.state.updated(goals.state_of(model, name, scene, to, joints, joints_deg))
+    name = group or goal_options.arm_group(model)
+    state = scene.state.updated(goal_options.selected_state(model, name, scene, to, joints, joints_deg))
     q = state.positions
     margins = np.minimum(q - model.lower, model.upper - q)
     checker = ExactChecker(scene)
@@ -63,7 +63,7 @@ def check_state(
             + (f", within the padding of {millimeters(scene.padding)}" if within else ""),
             markup=False,
         )
-    goals.save(
+    goal_options.save(
         json_file,
         {
             "ok": inside and not contacts,

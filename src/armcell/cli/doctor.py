@@ -18,9 +18,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from armcell import __version__, _cache
-from armcell.cli import goals
+from armcell.cli import goal_options
 from armcell.cli.console import console
-from armcell.cli.doctor_line import NO, NOTE, OK, Line
+from armcell.cli.doctor_finding import NO, NOTE, OK, Finding
 from armcell.cli.installed import EXTRAS, NEEDED
 from armcell.core import InputError
 
@@ -36,7 +36,7 @@ def doctor(
     connect: str | None = typer.Option(
         None, metavar="HOST:PORT", help="Also try to reach an endpoint, e.g. Unity's 127.0.0.1:10000."
     ),
-    json_file: Path | None = goals.JSON,
+    json_file: Path | None = goal_options.JSON,
 ) -> int:
     """Check the armcell installation and the requirements of a cell.
     Each fault is printed with a hint on how to fix it.
@@ -45,53 +45,55 @@ def doctor(
 
     Exit status 0 if nothing is wrong, 1 if something is.
     """
-    goals.checked_json(json_file)
-    lines: list[Line] = []
+    goal_options.check_json_path(json_file)
+    lines: list[Finding] = []
     table = Table(box=None, pad_edge=False, show_header=False)
     for line in _lines(cell, connect):
         lines.append(line)
         table.add_row(STYLES[line.verdict], escape(line.check), escape(line.found))
     console.print(table)
-    goals.save(json_file, [asdict(line) for line in lines])
+    goal_options.save(json_file, [asdict(line) for line in lines])
     return 1 if any(line.verdict == NO for line in lines) else 0
 
 
-def _lines(cell: str | None, connect: str | None) -> Iterator[Line]:
+def _lines(cell: str | None, connect: str | None) -> Iterator[Finding]:
     yield from machine()
     yield from packages()
     yield from cache()
     yield opengl()
     yield from ports()
     if connect is not None:
-        yield endpoint(connect)
+        yield check_endpoint(connect)
     if cell is not None:
-        yield from of_cell(cell)
+        yield from check_cell(cell)
 
 
 # --- the machine ---
-def machine() -> Iterator[Line]:
-    yield Line(OK, "armcell", f"{__version__} in {Path(__file__).parents[1]}")
+def machine() -> Iterator[Finding]:
+    yield Finding(OK, "armcell", f"{__version__} in {Path(__file__).parents[1]}")
     found = f"{platform.python_version()} ({sys.executable})"
     fit = (3, 11) <= sys.version_info[:2] < (3, 14)
-    yield Line(OK if fit else NO, "Python", found if fit else f"{found}: 3.11 to 3.13 are supported")
+    yield Finding(OK if fit else NO, "Python", found if fit else f"{found}: 3.11 to 3.13 are supported")
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    yield Line(OK, "machine", f"{platform.platform(terse=True)}, {platform.machine()}, {usable} cores usable")
+    yield Finding(
+        OK, "machine", f"{platform.platform(terse=True)}, {platform.machine()}, {usable} cores usable"
+    )
 
 
-def packages() -> Iterator[Line]:
+def packages() -> Iterator[Finding]:
     have = {name: _version(name) for name in NEEDED}
     missing = [name for name, found in have.items() if found is None]
     versions = ", ".join(f"{name} {found}" for name, found in have.items() if found)
     if missing:
-        yield Line(NO, "packages", f"missing: {', '.join(missing)} (pip install {' '.join(missing)})")
+        yield Finding(NO, "packages", f"missing: {', '.join(missing)} (pip install {' '.join(missing)})")
     else:
-        yield Line(OK, "packages", versions)
+        yield Finding(OK, "packages", versions)
     for extra, names in EXTRAS.items():
         absent = [name for name in names if _version(name) is None]
         if absent:
-            yield Line(NOTE, f"extra {extra}", f"not installed (pip install 'armcell[{extra}]')")
+            yield Finding(NOTE, f"extra {extra}", f"not installed (pip install 'armcell[{extra}]')")
         else:
-            yield Line(OK, f"extra {extra}", ", ".join(f"{name} {_version(name)}" for name in names))
+            yield Finding(OK, f"extra {extra}", ", ".join(f"{name} {_version(name)}" for name in names))
 
 
 def _version(name: str) -> str | None:
@@ -101,49 +103,49 @@ def _version(name: str) -> str | None:
         return None
 
 
-def cache() -> Iterator[Line]:
+def cache() -> Iterator[Finding]:
     root, folder = _cache.cache_root(), Path(os.environ["NUMBA_CACHE_DIR"])
     chosen = _cache.chosen_root()
     if (reason := _cache.doubt(chosen)) is not None:
         hint = "let only your user write there (chmod go-w), or set ARMCELL_CACHE_DIR to another folder"
-        yield Line(NO, "cache folder", f"{chosen} is not used, because {reason}: {hint}")
+        yield Finding(NO, "cache folder", f"{chosen} is not used, because {reason}: {hint}")
     elif _cache.writable(root):
         size = sum(f.stat().st_size for f in root.rglob("*") if f.is_file())
-        yield Line(OK, "cache folder", f"{root}: writable, {size / 1e6:.0f} MB")
+        yield Finding(OK, "cache folder", f"{root}: writable, {size / 1e6:.0f} MB")
     else:
         hint = "kernels compile again in every process; set ARMCELL_CACHE_DIR to a folder that can be written"
-        yield Line(NO, "cache folder", f"{root} is not writable: {hint}")
+        yield Finding(NO, "cache folder", f"{root} is not writable: {hint}")
     kept = len(list(folder.rglob("*.nbi")))
     if kept:
-        yield Line(OK, "compiled kernels", f"{kept} functions kept in {folder}")
+        yield Finding(OK, "compiled kernels", f"{kept} functions kept in {folder}")
     else:
-        yield Line(NOTE, "compiled kernels", "none yet: the first plan compiles for about half a minute")
+        yield Finding(NOTE, "compiled kernels", "none yet: the first plan compiles for about half a minute")
 
 
-def opengl() -> Line:
+def opengl() -> Finding:
     from armcell.sim.gl import gl_backend
 
     backend = gl_backend()
     if backend:
-        return Line(OK, "OpenGL", f"cameras draw with {backend}")
+        return Finding(OK, "OpenGL", f"cameras draw with {backend}")
     hint = "cameras cast rays, which is slower (apt install libegl1 libosmesa6, or unset MUJOCO_GL)"
-    return Line(NOTE, "OpenGL", hint)
+    return Finding(NOTE, "OpenGL", hint)
 
 
 # --- the network ---
-def ports() -> Iterator[Line]:
+def ports() -> Iterator[Finding]:
     for port, what in PORTS.items():
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(("127.0.0.1", port))
-                yield Line(OK, f"port {port}", f"free, for {what}")
+                yield Finding(OK, f"port {port}", f"free, for {what}")
             except OSError as error:
                 hint = f"taken ({error.strerror}): stop that program, or give another port"
-                yield Line(NOTE, f"port {port}", f"{hint} for {what}")
+                yield Finding(NOTE, f"port {port}", f"{hint} for {what}")
 
 
-def endpoint(connect: str) -> Line:
+def check_endpoint(connect: str) -> Finding:
     """Check, for `armcell doctor`, whether a ROS-TCP endpoint accepts connections. If not, name the cause.
 
     The cause can be a wrong address, an endpoint that is not running, or a firewall.
@@ -154,33 +156,33 @@ def endpoint(connect: str) -> Line:
     what = f"endpoint {host}:{port}"
     try:
         with socket.create_connection((host, port), timeout=PATIENCE):
-            return Line(OK, what, "accepts connections")
+            return Finding(OK, what, "accepts connections")
     except socket.gaierror:
-        return Line(NO, what, f"wrong address: {host!r} is not known (check the name, or give the number)")
+        return Finding(NO, what, f"wrong address: {host!r} is not known (check the name, or give the number)")
     except ConnectionRefusedError:
         hint = "the machine answers, but nothing listens there: start the endpoint, or give its port"
-        return Line(NO, what, hint)
+        return Finding(NO, what, hint)
     except TimeoutError:
         hint = f"no answer in {PATIENCE:g} s: a firewall drops it (open TCP {port}), or the address is wrong"
-        return Line(NO, what, hint)
+        return Finding(NO, what, hint)
     except OSError as error:
-        return Line(NO, what, f"cannot be reached ({error.strerror}): check the network and the address")
+        return Finding(NO, what, f"cannot be reached ({error.strerror}): check the network and the address")
 
 
 # --- a cell ---
-def of_cell(name: str) -> Iterator[Line]:
+def check_cell(name: str) -> Iterator[Finding]:
     """Yield the results of `armcell doctor` for a cell: those of `armcell check` and of further checks.
 
     Further checks: the robot's files and meshes, transforms, effort limits, gains, drives and controllers.
     """
     from armcell.cell import load
     from armcell.cli.check import findings
-    from armcell.cli.doctor_drives import drives
-    from armcell.cli.doctor_package import of_package
+    from armcell.cli.doctor_drives import check_drives
+    from armcell.cli.doctor_package import check_package
     from armcell.model.setup import is_moveit_config
 
     if is_moveit_config(Path(name)):
-        yield from of_package(Path(name))
+        yield from check_package(Path(name))
         if not any(Path(name).glob("cell.y*ml")):
             return
 
@@ -190,19 +192,19 @@ def of_cell(name: str) -> Iterator[Line]:
     try:
         loaded = load(name)
     except InputError as error:
-        yield Line(NO, "cell", str(error))
+        yield Finding(NO, "cell", str(error))
         return
     finally:
         logger.removeHandler(heard)
-    yield from (Line(OK if sound else NO, what, text) for sound, what, text in findings(name))
+    yield from (Finding(OK if sound else NO, what, text) for sound, what, text in findings(name))
     meshes = sum(v.file is not None for link in loaded.model.links.values() for v in link.visuals)
     if heard.lines:
-        yield from (Line(NO, "robot's files", text) for text in heard.lines)
+        yield from (Finding(NO, "robot's files", text) for text in heard.lines)
     else:
-        yield Line(OK, "robot's files", f"all found; {meshes} visual meshes")
-    yield from transforms(loaded.model)
-    yield from strength(loaded)
-    yield from drives(loaded)
+        yield Finding(OK, "robot's files", f"all found; {meshes} visual meshes")
+    yield from check_transforms(loaded.model)
+    yield from check_drive_strength(loaded)
+    yield from check_drives(loaded)
     yield from controllers(loaded.model)
 
 
@@ -217,31 +219,31 @@ class _Warnings(logging.Handler):
         self.lines.append(record.getMessage())
 
 
-def transforms(model: Any) -> Iterator[Line]:
+def check_transforms(model: Any) -> Iterator[Finding]:
     """Check, for `armcell doctor`, that all links form one tree of transforms below the root link."""
     below = set(model.subtree(model.root_link))
     loose = [name for name in model.links if name not in below]
     if loose:
-        yield Line(NO, "TF tree", f"not below {model.root_link}: {', '.join(loose)} (give them a joint)")
+        yield Finding(NO, "TF tree", f"not below {model.root_link}: {', '.join(loose)} (give them a joint)")
     else:
-        yield Line(OK, "TF tree", f"{len(below)} frames, all below {model.root_link}")
+        yield Finding(OK, "TF tree", f"{len(below)} frames, all below {model.root_link}")
 
 
-def strength(loaded: Any) -> Iterator[Line]:
+def check_drive_strength(loaded: Any) -> Iterator[Finding]:
     """Check, for `armcell doctor`, that the effort limits and gains of the joint drives are sufficient to
     hold the robot in its start state.
     """
     import numpy as np
 
     from armcell.kinematics import InverseDynamics
-    from armcell.sim.joint_gains import arm_joints, joint_drive
+    from armcell.sim.joint_gains import arm_joints, effective_gains
 
     model, physics = loaded.model, loaded.physics
     names = model.joint_names
     effort = model.limits(names, "effort")
     weak = [n for n, e in zip(names, effort, strict=True) if not 0 < e < np.inf]
     if weak:
-        yield Line(NO, "effort limits", f"{', '.join(weak)} have none: add <limit effort=...> to the URDF")
+        yield Finding(NO, "effort limits", f"{', '.join(weak)} have none: add <limit effort=...> to the URDF")
         return
     q, zero = loaded.scene().positions, np.zeros(len(names))
     held = np.abs(InverseDynamics(model, names, q).torques(q, zero, zero)[0])
@@ -249,18 +251,22 @@ def strength(loaded: Any) -> Iterator[Line]:
     k = int(np.argmax(share))
     text = f"holding the start takes {share[k]:.0%} of {names[k]}'s effort ({held[k]:.3g} of {effort[k]:.3g})"
     hint = ": the robot would sag; check masses and effort limits in the URDF"
-    yield Line(OK if share[k] <= 1 else NO, "gains", text if share[k] <= 1 else text + hint)
-    gains = [joint_drive(model.joint(n), physics).kp for n in arm_joints(model)] or [0.0]
+    yield Finding(OK if share[k] <= 1 else NO, "gains", text if share[k] <= 1 else text + hint)
+    gains = [effective_gains(model.joint(n), physics).kp for n in arm_joints(model)] or [0.0]
     low, high = min(gains), max(gains)
-    yield Line(OK, "gains in physics", f"stiffness {low:.3g} to {high:.3g} Nm/rad (fingers have their own)")
+    yield Finding(
+        OK, "gains in physics", f"stiffness {low:.3g} to {high:.3g} Nm/rad (fingers have their own)"
+    )
 
 
-def controllers(model: Any) -> Iterator[Line]:
+def controllers(model: Any) -> Iterator[Finding]:
     """Yield, for `armcell doctor`, the controllers that accept trajectories, each with its joints."""
     groups = [g.arm_group for g in model.grippers.values()]
     groups = groups or [g.name for g in model.groups.values() if g.tip_link]
     for group in groups:
         joints = ", ".join(model.group(group).joint_names)
-        yield Line(OK, f"controller {group}_controller", f"follow_joint_trajectory of {joints}")
+        yield Finding(OK, f"controller {group}_controller", f"follow_joint_trajectory of {joints}")
     if not groups:
-        yield Line(NO, "controllers", "the robot has no arm: give it a planning group that is a chain (SRDF)")
+        yield Finding(
+            NO, "controllers", "the robot has no arm: give it a planning group that is a chain (SRDF)"
+        )

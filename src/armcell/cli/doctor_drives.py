@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from armcell.cli.doctor_line import NO, OK, Line
+from armcell.cli.doctor_finding import NO, OK, Finding
 from armcell.core import ArmcellError, InputError
 
 JUMP = 0.05  # [rad or m] step of each joint's target, in turn
@@ -18,7 +18,7 @@ MOST_OVER = 0.5  # largest overshoot, as share of the step
 FINER = (0.005, 0.002, 0.001, 0.0005)  # [s] physics time steps to try if the cell's own fails
 
 
-def drives(loaded: Any) -> Iterator[Line]:
+def check_drives(loaded: Any) -> Iterator[Finding]:
     """Check, for `armcell doctor`, how well the arm joints follow a small step in the physics simulation.
 
     The check uses the cell's time step and gains. If the joints do not follow, finer time steps show whether
@@ -28,17 +28,17 @@ def drives(loaded: Any) -> Iterator[Line]:
     step = physics.timestep
     text, sound = _followed(scene, physics)
     if sound:
-        yield Line(OK, "physics step", f"{1e3 * step:g} ms: {text}")
+        yield Finding(OK, "physics step", f"{1e3 * step:g} ms: {text}")
         return
     for finer in (s for s in FINER if s < step):
         if _followed(scene, replace(physics, timestep=finer))[1]:
             hint = f"with {1e3 * finer:g} ms they follow: write `timestep: {finer:g}` under `physics:`"
-            yield Line(NO, "physics step", f"{1e3 * step:g} ms is too coarse: {text}; {hint}")
+            yield Finding(NO, "physics step", f"{1e3 * step:g} ms is too coarse: {text}; {hint}")
             return
     gains = f"arm_kp {physics.arm_kp:g}, arm_kv {physics.arm_kv:g}"
     gains += f", joint_gains of {', '.join(physics.joint_gains)}" if physics.joint_gains else ""
     hint = f"look at the gains under `physics:` ({gains}), and at efforts, masses and inertias in the URDF"
-    yield Line(NO, "drives", f"{text}, with a finer step as well: {hint}")
+    yield Finding(NO, "drives", f"{text}, with a finer step as well: {hint}")
 
 
 def _followed(scene: Any, physics: Any) -> tuple[str, bool]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from armcell.cli.doctor_line import NO, OK, Line
+from armcell.cli.doctor_finding import NO, OK, Finding
 from armcell.core import InputError, UnknownNameError
 from armcell.model import MoveItConfig
 
@@ -18,22 +18,22 @@ DRIVER_FILES = (
 )  # files of the controller manager
 
 
-def of_package(folder: Path) -> Iterator[Line]:
+def check_package(folder: Path) -> Iterator[Finding]:
     """Check a MoveIt package for `armcell doctor`: its files,
     and that each joint has one controller with a valid name.
     """
     try:
         config = MoveItConfig.load(folder)
     except InputError as error:
-        yield Line(NO, "MoveIt package", str(error))
+        yield Finding(NO, "MoveIt package", str(error))
         return
     files = ", ".join(config.names[key] for key in config.files)
-    yield Line(OK, "MoveIt package", f"{folder}: {config.names['srdf']}, {files}")
-    yield from moved_joints(config)
-    yield from driver_names(config)
+    yield Finding(OK, "MoveIt package", f"{folder}: {config.names['srdf']}, {files}")
+    yield from check_joint_controllers(config)
+    yield from check_controller_names(config)
 
 
-def moved_joints(config: MoveItConfig) -> Iterator[Line]:
+def check_joint_controllers(config: MoveItConfig) -> Iterator[Finding]:
     """Check, for `armcell doctor`, that a MoveIt package has exactly
     one controller for every joint of its groups.
 
@@ -43,7 +43,7 @@ def moved_joints(config: MoveItConfig) -> Iterator[Line]:
     of_joint: dict[str, list[str]] = {}
     for name, entry in config.controllers.items():
         joints = entry.get("joints") or []
-        yield Line(OK, f"controller {name}", f"{entry.get('type')} of {', '.join(joints) or 'no joints'}")
+        yield Finding(OK, f"controller {name}", f"{entry.get('type')} of {', '.join(joints) or 'no joints'}")
         if entry.get("default"):
             for joint in joints:
                 of_joint.setdefault(joint, []).append(name)
@@ -52,14 +52,14 @@ def moved_joints(config: MoveItConfig) -> Iterator[Line]:
         missing = [joint for joint in group.joint_names if joint not in every]
         if group.tip_link is not None and missing:
             hint = "MoveIt would plan and then refuse to execute; add them to a controller's joints"
-            yield Line(NO, f"group {group.name}", f"no controller moves {', '.join(missing)}: {hint}")
+            yield Finding(NO, f"group {group.name}", f"no controller moves {', '.join(missing)}: {hint}")
     for joint, names in of_joint.items():
         if len(names) > 1:
             hint = "which one executes is chance; take `default: true` from all but one"
-            yield Line(NO, f"joint {joint}", f"is in {' and '.join(names)}: {hint}")
+            yield Finding(NO, f"joint {joint}", f"is in {' and '.join(names)}: {hint}")
 
 
-def driver_names(config: MoveItConfig) -> Iterator[Line]:
+def check_controller_names(config: MoveItConfig) -> Iterator[Finding]:
     """Check, for `armcell doctor`, that the controllers of a MoveIt
     package also occur in the controller manager's file.
     """
@@ -68,24 +68,26 @@ def driver_names(config: MoveItConfig) -> Iterator[Line]:
             yield from _compared(config, file)
 
 
-def _compared(config: MoveItConfig, file: Path) -> Iterator[Line]:
+def _compared(config: MoveItConfig, file: Path) -> Iterator[Finding]:
     try:
         started = _joints_of(yaml.safe_load(file.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        yield Line(NO, file.name, f"cannot be read: {str(error).splitlines()[0]}")
+        yield Finding(NO, file.name, f"cannot be read: {str(error).splitlines()[0]}")
         return
     wrong = False
     for name, entry in config.controllers.items():
         if name not in started:
             why = UnknownNameError("controller", name, started)
-            yield Line(NO, file.name, f"{_named(config)} names a controller that it does not start: {why}")
+            yield Finding(NO, file.name, f"{_named(config)} names a controller that it does not start: {why}")
             wrong = True
         elif started[name] and set(started[name]) != set(entry.get("joints") or []):
             only = ", ".join(sorted(set(started[name]) ^ set(entry.get("joints") or [])))
-            yield Line(NO, file.name, f"{name} has other joints than in {_named(config)}: {only} in one only")
+            yield Finding(
+                NO, file.name, f"{name} has other joints than in {_named(config)}: {only} in one only"
+            )
             wrong = True
     if not wrong:
-        yield Line(OK, file.name, f"has the controllers that {_named(config)} names")
+        yield Finding(OK, file.name, f"has the controllers that {_named(config)} names")
 
 
 def _named(config: MoveItConfig) -> str:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import IO, Any
 
 from armcell.cli.console import console
-from armcell.core.pauses import no_long_pauses
+from armcell.core.gc_pauses import gc_frozen
 
 
 def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
@@ -21,7 +21,7 @@ def run_emulator(rack: Any, trace: IO[bytes] | None) -> None:
     with suppress(PermissionError, AttributeError):  # a controller must not be late on a busy machine
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(12))
     try:
-        with no_long_pauses():
+        with gc_frozen():
             rack.run()
     finally:
         rack.close()

@@ -9,27 +9,27 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from armcell.cli import goals
+from armcell.cli import goal_options
 from armcell.cli.console import console
-from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt
+from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAddress
 from armcell.core import Explanation
 
 
 def explain(
-    cell: str = goals.CELL,
-    to: str | None = goals.TO,
-    pose: goals.Triple | None = goals.POSE,
-    rpy_deg: goals.Triple = goals.RPY_DEG,
-    joints: str | None = goals.JOINTS,
-    joints_deg: str | None = goals.JOINTS_DEG,
-    line: bool = goals.LINE,
+    cell: str = goal_options.CELL,
+    to: str | None = goal_options.TO,
+    pose: goal_options.Triple | None = goal_options.POSE,
+    rpy_deg: goal_options.Triple = goal_options.RPY_DEG,
+    joints: str | None = goal_options.JOINTS,
+    joints_deg: str | None = goal_options.JOINTS_DEG,
+    line: bool = goal_options.LINE,
     pick: str | None = typer.Option(None, metavar="OBJECT", help="Explain which grasps of an object work."),
-    start_deg: str | None = goals.START_DEG,
-    group: str | None = goals.GROUP,
-    link: str | None = goals.LINK,
-    planner: str = goals.PLANNER,
-    seconds: float = goals.TIME,
-    seed: int | None = goals.SEED,
+    start_deg: str | None = goal_options.START_DEG,
+    group: str | None = goal_options.GROUP,
+    link: str | None = goal_options.LINK,
+    planner: str = goal_options.PLANNER,
+    seconds: float = goal_options.TIME,
+    seed: int | None = goal_options.SEED,
     json_file: Path | None = typer.Option(None, "--json", metavar="FILE", help="Write the evidence as JSON."),
     view: bool = typer.Option(
         False, "--view", help="Show what touches in red and the nearest goal that works as a ghost."
@@ -44,28 +44,43 @@ def explain(
 
     Exit status 0 if it is possible, 1 if not, 2 for wrong usage.
     """
-    goals.one_of({"--to": to, "--pose": pose, "--joints": joints, "--joints-deg": joints_deg, "--pick": pick})
-    goals.checked_json(json_file)
+    goal_options.selected_goal(
+        {"--to": to, "--pose": pose, "--joints": joints, "--joints-deg": joints_deg, "--pick": pick}
+    )
+    goal_options.check_json_path(json_file)
     from armcell.cell import load
 
     loaded = load(cell)
     scene = loaded.scene(seed)
     if pick is not None:
         possible, data = _explain_pick(loaded, scene, pick)
-        goals.save(json_file, data)
+        goal_options.save(json_file, data)
         return 0 if possible else 1
-    request = goals.request_of(
-        loaded.model, group or goals.arm_group(loaded.model), to, pose, rpy_deg, joints, joints_deg, line,
-        start_deg, planner, seconds, seed, link,
-    )  # fmt: skip
+    request = goal_options.planning_request(
+        loaded.model,
+        group or goal_options.arm_group(loaded.model),
+        to,
+        pose,
+        rpy_deg,
+        joints,
+        joints_deg,
+        line,
+        start_deg,
+        planner,
+        seconds,
+        seed,
+        link,
+    )
     data = _joint_solutions(scene, request, link) if pose is not None else {}
     explanation = _explanation(scene, request)
     _print(explanation, bool(data))
-    goals.save(json_file, {**data, "possible": explanation.code.ok, "explanation": explanation.as_dict()})
+    goal_options.save(
+        json_file, {**data, "possible": explanation.code.ok, "explanation": explanation.as_dict()}
+    )
     if view:
-        from armcell.cli.viewing import show
+        from armcell.cli.view_option import show
 
-        show(scene, None, explanation, PageAt(host, port, allow_host), loaded.name)
+        show(scene, None, explanation, PageAddress(host, port, allow_host), loaded.name)
     return 0 if explanation.code.ok else 1
 
 
@@ -131,14 +146,14 @@ def _joint_solutions(scene: Any, request: Any, link: str | None) -> dict[str, An
 def _explain_pick(loaded, scene, item: str) -> tuple[bool, dict[str, Any]]:
     from armcell.core import InputError
     from armcell.grasping import grasp_candidates, hand_of
-    from armcell.tasks import PartialSolution, Planning
+    from armcell.tasks import PartialSolution, SearchState
     from armcell.tasks.stages import ChooseGrasp
 
     if not scene.object(item).movable:
         raise InputError(f"object {item!r} is fixed", hint="give it 'movable: true'")
-    gripper = loaded.model.gripper(arm_group=goals.arm_group(loaded.model))
+    gripper = loaded.model.gripper(arm_group=goal_options.arm_group(loaded.model))
     grasps, rejected = grasp_candidates(scene.object(item), hand_of(scene.model, gripper))
-    planning = Planning(loaded.settings)
+    planning = SearchState(loaded.settings)
     stage = ChooseGrasp(item, gripper, loaded.settings.near, loaded.settings.approach_distance)
     works = {solution.data["candidate"] for solution in stage.propose(PartialSolution(scene), planning)}
     reasons = {r.name: r.reason for r in rejected}

@@ -9,7 +9,7 @@ import typer
 
 from armcell.cli.console import console
 from armcell.cli.emulator import run_emulator
-from armcell.cli.listening import tell_listening
+from armcell.cli.server_addresses import print_addresses
 from armcell.core import ArmcellError, InputError
 
 EXAMPLES = """
@@ -75,7 +75,7 @@ def franka_controller(
     rack.open()
     controller = rack.controllers[0]
     console.print(f"{model} at {host}, protocol {settings.version}", soft_wrap=True)
-    tell_listening(controller.network.endpoints)
+    print_addresses(controller.network.endpoints)
     controller.robot.listeners.append(
         lambda text: console.print(f"{host}: {text}", soft_wrap=True, markup=False, highlight=False)
     )

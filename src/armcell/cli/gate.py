@@ -52,13 +52,13 @@ def gate(
     """
     from armcell import campaigns
     from armcell.campaigns import gate as gates
-    from armcell.campaigns.store import asked
-    from armcell.cell import load, parsed, with_values
+    from armcell.campaigns.store import stored_spec
+    from armcell.cell import load, parse_value, with_values
     from armcell.cli.campaign import run_campaign
 
-    values = dict(parsed(one) for one in set_)
+    values = dict(parse_value(one) for one in set_)
     if campaign is not None:
-        values = {**asked(campaign)[0].values, **values}
+        values = {**stored_spec(campaign)[0].values, **values}
     loaded = with_values(load(cell), values)
     target = file or gates.gate_file(loaded)
     check_writable(target)

@@ -58,7 +58,7 @@ def import_(
     import numpy as np
 
     from armcell.cell.world_import import add_to_cell, import_world, write_imported
-    from armcell.cli.setup import numbers
+    from armcell.cli.setup import parse_numbers
     from armcell.core import SE3
 
     if output is not None and into is not None:
@@ -68,7 +68,7 @@ def import_(
     for target in (output, json_file):
         if target is not None:
             check_writable(target)
-    T = SE3.from_xyz_rpy(numbers("--at", at), np.deg2rad(numbers("--rpy-deg", rpy_deg)))
+    T = SE3.from_xyz_rpy(parse_numbers("--at", at), np.deg2rad(parse_numbers("--rpy-deg", rpy_deg)))
     world = import_world(file, package, skip, prefix, T)
     console.print(_table(world.objects))
     if world.skipped:

@@ -63,7 +63,7 @@ def look(
     for file in (json_file, picture):
         if file is not None:
             check_writable(file)
-    from armcell.perception import drawn, find_markers, save_image
+    from armcell.perception import draw_detections, find_markers, save_image
     from armcell.perception import look as look_for
 
     image, scene, known, truth, surface = _source(source, camera, seed, info, rgb, depth, place, surface)
@@ -75,13 +75,13 @@ def look(
     if markers is not None:
         result = find_markers(image, markers, marker_size)
         rows = [_marker(m) for m in result.markers]
-        picture_of = drawn(image, None, result.markers)
+        picture_of = draw_detections(image, None, result.markers)
     else:
         from armcell.perception import LookSettings
 
         result = look_for(image, scene, known, LookSettings(surface=surface))
         rows = [_object(o, truth) for o in result.objects]
-        picture_of = drawn(image, result)
+        picture_of = draw_detections(image, result)
     _print(rows, result)
     if picture is not None:
         from PIL import Image

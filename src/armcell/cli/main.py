@@ -38,10 +38,10 @@ from armcell.cli import (
     ur_controller,
     view,
 )
+from armcell.cli.command_groups import SectionedGroup
 from armcell.cli.console import err
-from armcell.cli.grouped import Grouped
 from armcell.cli.robot_options import robot_options
-from armcell.cli.script_wires import UnityCommand
+from armcell.cli.script_connections import UnityCommand
 from armcell.core import ArmcellError
 
 EXAMPLES = """
@@ -86,7 +86,7 @@ Examples:
 
 app = typer.Typer(
     name="armcell",
-    cls=Grouped,
+    cls=SectionedGroup,
     help="A robot work cell: plans that are proven not to touch, grasps that hold by physics.",
     epilog=EXAMPLES,
     no_args_is_help=True,

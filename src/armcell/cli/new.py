@@ -58,7 +58,7 @@ def write_starter(model: RobotModel, path: str, folder: Path) -> bool:
         path: how the cell names the robot.
     """
     from armcell.cell.starter import starter_cells
-    from armcell.model.options import xacro_args
+    from armcell.model.command_line_options import xacro_args
     from armcell.model.setup import write_folder
 
     text = ""

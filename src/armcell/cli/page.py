@@ -8,7 +8,7 @@ import typer
 
 from armcell import _interrupts
 from armcell.cli.console import console
-from armcell.cli.listening import tell_listening
+from armcell.cli.server_addresses import print_addresses
 
 if TYPE_CHECKING:
     from armcell.viewer.server import PageServer
@@ -27,7 +27,7 @@ ALLOW_HOST = typer.Option(
 OPEN = typer.Option(False, "--open", help="Open the page in the browser.")
 
 
-class PageAt(NamedTuple):
+class PageAddress(NamedTuple):
     """Address of a web page that a command serves: the host, the port and the accepted host names."""
 
     host: str
@@ -35,17 +35,17 @@ class PageAt(NamedTuple):
     names: list[str]
 
 
-def tell_page(page: PageServer) -> None:
+def print_page_address(page: PageServer) -> None:
     """Print the URL of a web page that a command serves, with its token,
     and the addresses on which it listens.
     """
     console.print(f"view: {page.url}", markup=False, soft_wrap=True)
-    tell_listening(page.endpoints)
+    print_addresses(page.endpoints)
 
 
 def serve_page(page: PageServer, open_browser: bool) -> NoReturn:
     """Print the address of a web page, open the page if requested, and serve it until Ctrl-C."""
-    tell_page(page)
+    print_page_address(page)
     console.print("press Ctrl-C to end")
     if open_browser:
         import webbrowser

@@ -5,27 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from armcell.cli import goals
+from armcell.cli import goal_options
 from armcell.cli.console import console, millimeters
-from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt
+from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAddress
 
 
 def plan(
-    cell: str = goals.CELL,
-    to: str | None = goals.TO,
-    pose: goals.Triple | None = goals.POSE,
-    rpy_deg: goals.Triple = goals.RPY_DEG,
-    joints: str | None = goals.JOINTS,
-    joints_deg: str | None = goals.JOINTS_DEG,
-    line: bool = goals.LINE,
-    start_deg: str | None = goals.START_DEG,
-    group: str | None = goals.GROUP,
-    link: str | None = goals.LINK,
-    planner: str = goals.PLANNER,
-    seconds: float = goals.TIME,
-    seed: int | None = goals.SEED,
-    json_file: Path | None = goals.JSON,
-    view: bool = goals.VIEW,
+    cell: str = goal_options.CELL,
+    to: str | None = goal_options.TO,
+    pose: goal_options.Triple | None = goal_options.POSE,
+    rpy_deg: goal_options.Triple = goal_options.RPY_DEG,
+    joints: str | None = goal_options.JOINTS,
+    joints_deg: str | None = goal_options.JOINTS_DEG,
+    line: bool = goal_options.LINE,
+    start_deg: str | None = goal_options.START_DEG,
+    group: str | None = goal_options.GROUP,
+    link: str | None = goal_options.LINK,
+    planner: str = goal_options.PLANNER,
+    seconds: float = goal_options.TIME,
+    seed: int | None = goal_options.SEED,
+    json_file: Path | None = goal_options.JSON,
+    view: bool = goal_options.VIEW,
     host: str = HOST,
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
@@ -37,8 +37,8 @@ def plan(
 
     Exit status 0 if a motion was found, 1 if not, 2 for wrong usage.
     """
-    goals.checked_json(json_file)
-    goals.one_of({"--to": to, "--pose": pose, "--joints": joints, "--joints-deg": joints_deg})
+    goal_options.check_json_path(json_file)
+    goal_options.selected_goal({"--to": to, "--pose": pose, "--joints": joints, "--joints-deg": joints_deg})
     from armcell.cell import load
     from armcell.core import CartesianRequest
     from armcell.planning import plan as plan_free
@@ -46,16 +46,27 @@ def plan(
 
     loaded = load(cell)
     scene = loaded.scene(seed)
-    request = goals.request_of(
-        loaded.model, group or goals.arm_group(loaded.model), to, pose, rpy_deg, joints, joints_deg, line,
-        start_deg, planner, seconds, seed, link,
-    )  # fmt: skip
+    request = goal_options.planning_request(
+        loaded.model,
+        group or goal_options.arm_group(loaded.model),
+        to,
+        pose,
+        rpy_deg,
+        joints,
+        joints_deg,
+        line,
+        start_deg,
+        planner,
+        seconds,
+        seed,
+        link,
+    )
     if isinstance(request, CartesianRequest):
         result = plan_cartesian(scene, request)
     else:
         result = plan_free(scene, request)
     explanation = None if result.ok else result.explain()
-    data = numbers(result)
+    data = plan_metrics(result)
     if explanation is not None:
         data["explanation"] = explanation.as_dict()
         console.print(explanation.text(), markup=False, soft_wrap=True)
@@ -65,16 +76,16 @@ def plan(
             f"{data['duration_s']:.2f} s, {data['waypoints']} waypoints, {data['length_rad']:.2f} rad long, "
             f"clearance {millimeters(data['clearance_m'])}"
         )
-    goals.save(json_file, data)
+    goal_options.save(json_file, data)
     if view:
-        from armcell.cli.viewing import show
+        from armcell.cli.view_option import show
 
-        at = PageAt(host, port, allow_host)
+        at = PageAddress(host, port, allow_host)
         show(scene, result.trajectory if result.ok else None, explanation, at, loaded.name)
     return 0 if result.ok else 1
 
 
-def numbers(result: Any) -> dict[str, Any]:
+def plan_metrics(result: Any) -> dict[str, Any]:
     """Return the key figures of a planned motion as data for JSON, for `armcell plan`."""
     trajectory, path = result.trajectory, result.path
     return {

@@ -9,7 +9,7 @@ import typer
 
 from armcell.cli.console import check_writable, console, err, write_json
 from armcell.cli.page import ALLOW_HOST, HOST, OPEN, PORT, serve_page
-from armcell.cli.results import keep_result
+from armcell.cli.results import write_result_files
 
 REPLAY_EXAMPLES = """
 Examples:
@@ -80,7 +80,7 @@ def _execute(record: Any, runs: Path, anyway: bool, json_file: Path | None) -> i
     found, result, recorder = reexecute(record, folder, anyway)
     console.print(f"run again: {folder}", soft_wrap=True)
     _print(found)
-    keep_result(recorder, result)
+    write_result_files(recorder, result)
     if json_file is not None:
         write_json(json_file, _as_json(found))
     return 0 if found.same_course else 1

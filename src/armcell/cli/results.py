@@ -10,7 +10,7 @@ from armcell.cli.console import write_json
 from armcell.core import InputError
 
 
-def keep_result(recorder: Any, result: dict[str, Any], json_file: Path | None = None) -> Path | None:
+def write_result_files(recorder: Any, result: dict[str, Any], json_file: Path | None = None) -> Path | None:
     """Write the files of a run: result, record and report. Call this after the result was printed.
 
     A failure to write (e.g. a full disk) then does not hide the result.

@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from armcell.model.options import set_packages, set_xacro_args
+from armcell.model.command_line_options import set_packages, set_xacro_args
 
 _OPTIONS = {
     "xacro_arg": typer.Option(

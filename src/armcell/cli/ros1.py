@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import typer
 
 from armcell.cli.console import err
-from armcell.cli.naming import Naming
+from armcell.cli.ros_name_options import RosNameOptions
 from armcell.core import InputError
-from armcell.core.endpoints import Endpoint
+from armcell.core.network_endpoints import Endpoint
 
 if TYPE_CHECKING:
     from armcell.ros.transports import Transport
@@ -26,7 +26,7 @@ OWN_MASTER = typer.Option(
 )  # fmt: skip
 
 
-class Wire(NamedTuple):
+class OpenTransport(NamedTuple):
     """Open connection between the message bus of a command and ROS or another program.
 
     Attributes:
@@ -40,7 +40,7 @@ class Wire(NamedTuple):
     endpoints: Iterable[Endpoint]
 
 
-Join = Callable[[], Wire]
+Join = Callable[[], OpenTransport]
 """Connects the bus. The connection was checked and its port reserved before the cell was loaded.
 
 Call it when the cell is ready: afterwards, other programs can reach the cell.
@@ -48,7 +48,7 @@ Call it when the cell is ready: afterwards, other programs can reach the cell.
 
 
 def join(
-    stack: ExitStack, bus: Any, name: str, own_master: bool | None, naming: Naming, bind: str | None
+    stack: ExitStack, bus: Any, name: str, own_master: bool | None, naming: RosNameOptions, bind: str | None
 ) -> Join:
     """Find the ROS 1 master for a command, and return a function that joins the graph.
 
@@ -58,20 +58,20 @@ def join(
     Raises:
         InputError: there is no master, or the address cannot be used.
     """
-    from armcell.ros.nodes.description import NAME
+    from armcell.ros.nodes.robot_description import NAME
     from armcell.ros.ros1 import from_environment
     from armcell.ros.transports import Ros1Transport
 
     found = from_environment(name, naming.special, bind, own_master=own_master)
     settings = replace(found, namespace=f"/{naming.namespace}")
     description = NAME if not naming.namespace else f"/{naming.namespace}{NAME}"
-    connect = reserved(stack, Ros1Transport(bus, "", settings, keep=(description,)))
+    connect = reserve_transport(stack, Ros1Transport(bus, "", settings, keep=(description,)))
     if not settings.is_local:
         err(f"{settings.bind}: every machine in the network can move the cell (no password, no encryption)")
     return connect
 
 
-def reserved(stack: ExitStack, transport: Transport) -> Join:
+def reserve_transport(stack: ExitStack, transport: Transport) -> Join:
     """Reserve the port of a transport (ROS 1, Unity) for a command,
     and return a function that opens the transport.
 
@@ -81,9 +81,9 @@ def reserved(stack: ExitStack, transport: Transport) -> Join:
     stack.callback(transport.close)
     transport.reserve()
 
-    def joined() -> Wire:
+    def joined() -> OpenTransport:
         transport.start()
-        return Wire(transport.ready(), transport.status_text, transport.endpoints())
+        return OpenTransport(transport.ready_message(), transport.status_text, transport.endpoints())
 
     return joined
 

@@ -28,7 +28,7 @@ class GraphClient:
         others = {name for name, nodes in (*publishers, *subscribers) if set(nodes) - {node.name}}
         return {name: kind for name, kind in node.ask_master("getTopicTypes") if name in others}
 
-    def wait_heard(self, topic: str) -> None:
+    def wait_for_subscribers(self, topic: str) -> None:
         """Wait, for `armcell topic`, until all ROS 1 subscribers of a
         topic are connected, at most `WAIT` seconds.
         """
@@ -51,7 +51,7 @@ class GraphClient:
 
 
 @contextmanager
-def joined_to_graph() -> Iterator[tuple[Any, GraphClient]]:
+def graph_connection() -> Iterator[tuple[Any, GraphClient]]:
     """Yield a new bus for the topic commands, joined to the ROS 1 graph at ROS_MASTER_URI,
     and the client of the graph.
 

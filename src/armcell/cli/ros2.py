@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from armcell.cli.console import err
-from armcell.cli.ros1 import Join, Wire, reserved
+from armcell.cli.ros1 import Join, OpenTransport, reserve_transport
 from armcell.core import InputError
 
 ROS2 = typer.Option(
@@ -39,11 +39,11 @@ def join(
 
     reach = from_environment(domain, network=bind not in (None, "127.0.0.1", "localhost"))
     settings = Ros2Settings(reach, f"/{namespace}/{node}" if namespace else f"/{node}")
-    connect = reserved(stack, Ros2Transport(bus, "", settings))
+    connect = reserve_transport(stack, Ros2Transport(bus, "", settings))
     if reach.is_open:
         err("ROS 2: every machine in the network can move the cell (no password, no encryption)")
 
-    def joined() -> Wire:
+    def joined() -> OpenTransport:
         wire = connect()
         if not reach.is_open and not all(endpoint.is_local for endpoint in wire.endpoints):
             err(

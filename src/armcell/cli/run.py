@@ -12,16 +12,16 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from armcell.cli.console import check_writable, console, errors, millimeters, stage_table
-from armcell.cli.draw import SEED, drawn
-from armcell.cli.gating import gate_of, gate_words, tell_unwatched
-from armcell.cli.goals import GAINS
-from armcell.cli.naming import NAMESPACE, REMAP, naming
-from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt, tell_page
-from armcell.cli.recording import Kept, begin_record, watch
-from armcell.cli.results import keep_result
+from armcell.cli.gate_check import check_gate, gate_summary, warn_without_twin
+from armcell.cli.goal_options import GAINS
+from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAddress, print_page_address
+from armcell.cli.results import write_result_files
 from armcell.cli.ros1 import OWN_MASTER
 from armcell.cli.ros2 import DOMAIN
-from armcell.cli.script_wires import ScriptWires
+from armcell.cli.ros_name_options import NAMESPACE, REMAP, parse_ros_names
+from armcell.cli.run_record import RecordingOptions, add_picture_observers, begin_record
+from armcell.cli.script_connections import ScriptConnections
+from armcell.cli.seed_option import SEED, seed_or_default
 from armcell.core import Event, JointTrajectory, Observer, StateSample
 
 
@@ -122,8 +122,10 @@ def run(
     With --unity, --ros1 or --ros2, other programs join the script's cell. With --plan-only as well, the
     script moves the simulator or robot at the other end (such as `armcell sim CELL --connect HOST:PORT`).
     """
-    at = PageAt(host, port, allow_host)
-    wires = ScriptWires(unity, ros1, own_master, ros2, domain, plan_only, naming(ns, remap, None, ros1=False))
+    at = PageAddress(host, port, allow_host)
+    wires = ScriptConnections(
+        unity, ros1, own_master, ros2, domain, plan_only, parse_ros_names(ns, remap, None, ros1=False)
+    )
     if json_file is not None:
         check_writable(json_file)
     if headless and view:
@@ -140,19 +142,19 @@ def run(
             cell,
             in_cell,
             arguments or [],
-            drawn(seed, mode),
+            seed_or_default(seed, mode),
             mode,
             time_scale,
             auto_grip,
             view,
             at,
             without_gate,
-            Kept(None if headless else runs, json_file, frames),
+            RecordingOptions(None if headless else runs, json_file, frames),
             set_,
             wires,
             gains,
         )
-    seed = drawn(seed, mode)
+    seed = seed_or_default(seed, mode)
     if wires.given:
         option = (wires.words() or ["--own-master" if own_master is not None else "--domain"])[0]
         raise typer.BadParameter(
@@ -160,7 +162,7 @@ def run(
         )
     if arguments:
         raise typer.BadParameter(f"unexpected argument {arguments[0]!r}")
-    kept = Kept(None if headless else runs, json_file, frames)
+    kept = RecordingOptions(None if headless else runs, json_file, frames)
     progress = None
     if not headless and errors.is_terminal:
         progress = Progress(
@@ -175,7 +177,7 @@ def run(
                 "loading (the first run on a machine compiles for about half a minute)", total=None
             )
         # imported late: physics and planners load slowly
-        from armcell.cell import announce_code, gains_as_values, load, parsed, run_task, with_values
+        from armcell.cell import announce_code, gains_as_values, load, parse_value, run_task, with_values
         from armcell.cell import health as layers
         from armcell.drivers import drivers
         from armcell.planning import warm_up
@@ -185,13 +187,13 @@ def run(
         stack.callback(_tell_failed_layer, health, headless)
         with health.layer("description"):
             loaded = load(cell)
-            values = {**gains_as_values(loaded, gains), **dict(parsed(one) for one in set_)}
+            values = {**gains_as_values(loaded, gains), **dict(parse_value(one) for one in set_)}
             loaded = with_values(loaded, values)
             layers.check_description(loaded)
         with health.layer("controllers"):
             layers.check_controllers(loaded, mode)
         announce_code(loaded)
-        passed = gate_of(loaded, mode, gate, without_gate)
+        passed = check_gate(loaded, mode, gate, without_gate)
         warm_up()
         scene = loaded.scene(seed)
         observers: list[Observer] = []
@@ -201,7 +203,7 @@ def run(
 
             viewer = stack.enter_context(CellViewer(scene, title=loaded.name, **at._asdict()))
             observers.append(viewer)
-            tell_page(viewer.page)
+            print_page_address(viewer.page)
             time_scale = time_scale or 1.0
         recorder = begin_record(loaded, scene, seed, mode, kept, values, **passed)
         if recorder is not None:
@@ -211,8 +213,8 @@ def run(
             progress.remove_task(loading)
             observers.append(_Bar(progress))
         live = loaded.connect(mode, seed, observers, time_scale)
-        tell_unwatched(live.driver, cell)
-        watch(live, loaded, mode, recorder, kept)
+        warn_without_twin(live.driver, cell)
+        add_picture_observers(live, loaded, mode, recorder, kept)
         with ExitStack() as connected:
             with health.layer("drivers"):
                 connected.enter_context(live)
@@ -222,7 +224,7 @@ def run(
             with health.layer("task"):
                 layers.check_task(loaded)
             if passed:
-                live.ctx.emit("note", gate_words(passed))
+                live.ctx.emit("note", gate_summary(passed))
             result = {**run_task(loaded, live, seed, mode), **passed, "layers": health.now(live)}
         sets = [part for one in set_ for part in ("--set", one)]
         sets += [] if gains is None else ["--gains", gains]
@@ -231,7 +233,7 @@ def run(
         if progress is not None:
             progress.stop()
         _print(result)
-        report = keep_result(recorder, result, json_file)
+        report = write_result_files(recorder, result, json_file)
         if report is not None:
             console.print(f"report: {report}", soft_wrap=True)
         if viewer is not None and sys.stdin.isatty():
@@ -256,7 +258,7 @@ def _tell_failed_layer(health: Any, headless: bool) -> None:
 
 
 def _print(result: dict[str, Any]) -> None:
-    from armcell.cell import complaints
+    from armcell.cell import run_failures
 
     console.print(stage_table(result))
     numbers = [
@@ -275,7 +277,7 @@ def _print(result: dict[str, Any]) -> None:
     console.print(", ".join(n for n in numbers if n))
     ill = [f"{name} {state}" for name, state in result["layers"].items() if state != "ok"]
     console.print("layers: " + ("; ".join(ill) or "all ok"), markup=False, highlight=False)
-    for line in complaints(result):
+    for line in run_failures(result):
         console.print(f"[red]{line}[/red]", highlight=False)
     if result["success"]:
         draw = "things where the cell file says" if result["seed"] is None else f"seed {result['seed']}"

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import typer
 
 from armcell.cli.console import console, err
-from armcell.cli.gating import gate_of_others
-from armcell.cli.page import PageAt, tell_page
-from armcell.cli.recording import Kept, LedRun, in_words
-from armcell.cli.script_wires import ScriptWires
+from armcell.cli.gate_check import require_gate_override
+from armcell.cli.page import PageAddress, print_page_address
+from armcell.cli.run_record import ExternallyControlledRun, RecordingOptions, error_text
+from armcell.cli.script_connections import ScriptConnections
 from armcell.core import InputError
 
 if TYPE_CHECKING:
@@ -25,10 +25,21 @@ if TYPE_CHECKING:
 
 
 def run_script_command(
-    script: str, cell: str | None, arguments: list[str], seed: int | None, mode: str,
-    time_scale: float | None, auto_grip: bool | None, view: bool, at: PageAt, without_gate: str | None,
-    kept: Kept, set_: Sequence[str] = (), wires: ScriptWires = ScriptWires(), gains: str | None = None,
-) -> int:  # fmt: skip
+    script: str,
+    cell: str | None,
+    arguments: list[str],
+    seed: int | None,
+    mode: str,
+    time_scale: float | None,
+    auto_grip: bool | None,
+    view: bool,
+    at: PageAddress,
+    without_gate: str | None,
+    kept: RecordingOptions,
+    set_: Sequence[str] = (),
+    wires: ScriptConnections = ScriptConnections(),
+    gains: str | None = None,
+) -> int:
     """Run a ROS script unchanged in a cell, as the command line requests,
     and return the exit status of the script.
 
@@ -53,14 +64,14 @@ def run_script_command(
                 f"{option} needs a robot in this process", hint="give it to the other end: armcell sim"
             )
         return _run_elsewhere(file, cell, arguments, wires, set_)
-    from armcell.cell import complaints, gains_as_values, load, parsed, with_values
+    from armcell.cell import gains_as_values, load, parse_value, run_failures, with_values
     from armcell.drivers import drivers
     from armcell.moveit import run_script
     from armcell.moveit.lint import closes_gripper_itself
     from armcell.ros import Bus
 
     drivers[mode]  # report an unknown mode first
-    gate = gate_of_others(mode, f"what {file.name} does", without_gate)
+    gate = require_gate_override(mode, f"what {file.name} does", without_gate)
     gripping = auto_grip
     if auto_grip is None:
         auto_grip = not closes_gripper_itself(file)
@@ -72,9 +83,9 @@ def run_script_command(
     _log_warnings()
     with ExitStack() as stack:
         bus = Bus()
-        joins = wires.joins(stack, bus)
+        joins = wires.reserve(stack, bus)
         loaded = load(cell)
-        values = {**gains_as_values(loaded, gains), **dict(parsed(one) for one in set_)}
+        values = {**gains_as_values(loaded, gains), **dict(parse_value(one) for one in set_)}
         loaded = with_values(loaded, values)
         scene = loaded.scene(seed)
         command = ["armcell", "run", script, "--cell", cell, "--mode", mode]
@@ -88,7 +99,9 @@ def run_script_command(
         command += ["--", *arguments] if arguments else []
         by = f"the script {file.name}"
         run = stack.enter_context(
-            LedRun(loaded, scene, seed, mode, kept, values, by, command, script=file, gate=gate)
+            ExternallyControlledRun(
+                loaded, scene, seed, mode, kept, values, by, command, script=file, gate=gate
+            )
         )
         observers = run.observers
         if view:
@@ -96,14 +109,14 @@ def run_script_command(
 
             viewer = stack.enter_context(CellViewer(scene, title=loaded.name, **at._asdict()))
             observers.append(viewer)
-            tell_page(viewer.page)
+            print_page_address(viewer.page)
         live = loaded.connect(mode, seed, observers, time_scale or 1.0)
         run.begin(live)
 
         def ended(status: int, session: Session) -> None:
             why = ", interrupted" if session.interrupted else ""
             failure = f"the script ended with status {status}{why}" if status else ""
-            run.end(session.served.call, live, in_words(session.served.failure) or failure)
+            run.end(session.served.call, live, error_text(session.served.failure) or failure)
 
         status, session = run_script(
             file, live, arguments, auto_grip=auto_grip, ros1=_ros1(wires, arguments), ended=ended,
@@ -111,7 +124,7 @@ def run_script_command(
         )  # fmt: skip
         if session.served.failure is not None:
             raise session.served.failure
-        for line in complaints(run.result) if run.result is not None else ():
+        for line in run_failures(run.result) if run.result is not None else ():
             err(line)
             status = status or 1
     return status
@@ -122,7 +135,7 @@ def _log_warnings() -> None:
     logging.getLogger("armcell").setLevel(logging.WARNING)
 
 
-def _ros1(wires: ScriptWires, arguments: Sequence[str]) -> Ros1Settings | None:
+def _ros1(wires: ScriptConnections, arguments: Sequence[str]) -> Ros1Settings | None:
     if not wires.ros1:
         return None
     from armcell.ros.ros1 import from_environment
@@ -131,12 +144,12 @@ def _ros1(wires: ScriptWires, arguments: Sequence[str]) -> Ros1Settings | None:
 
 
 def _run_elsewhere(
-    file: Path, cell: str, arguments: Sequence[str], wires: ScriptWires, set_: Sequence[str]
+    file: Path, cell: str, arguments: Sequence[str], wires: ScriptConnections, set_: Sequence[str]
 ) -> int:
     """Run a ROS script from the command line that controls an
     external simulator or robot, and record the run.
     """
-    from armcell.cell import load, parsed, with_values
+    from armcell.cell import load, parse_value, with_values
     from armcell.moveit import run_script
     from armcell.moveit.lint import closes_gripper_itself
     from armcell.ros import Bus
@@ -146,8 +159,8 @@ def _run_elsewhere(
         err(f"{file.name} commands no gripper: the other end has to close it (armcell sim --auto-grip)")
     bus = Bus()
     with ExitStack() as stack:
-        joins = wires.joins(stack, bus)
-        loaded = with_values(load(cell), dict(parsed(one) for one in set_))
+        joins = wires.reserve(stack, bus)
+        loaded = with_values(load(cell), dict(parse_value(one) for one in set_))
         return run_script(
             file, loaded, arguments, ros1=_ros1(wires, arguments), bus=bus, names=wires.names.map_for(loaded),
             began=lambda session: wires.open(session, joins),

@@ -17,15 +17,29 @@ from rich.text import Text
 
 from armcell import _interrupts
 from armcell.cli.console import console, err, errors
-from armcell.cli.draw import SEED, drawn
-from armcell.cli.gating import WITHOUT_GATE, gate_of_others
-from armcell.cli.listening import tell_listening
-from armcell.cli.naming import ARGUMENTS, NAMESPACE, REMAP, Naming, naming, unused
-from armcell.cli.recording import RECORD, RUNS, Kept, LedRun, in_words, records_folder
-from armcell.cli.ros1 import OWN_MASTER, ROS1, Join, Wire, check_own_master, reserved
+from armcell.cli.gate_check import WITHOUT_GATE, require_gate_override
+from armcell.cli.ros1 import OWN_MASTER, ROS1, Join, OpenTransport, check_own_master, reserve_transport
 from armcell.cli.ros1 import join as join_ros1
 from armcell.cli.ros2 import DOMAIN, ROS2, check_domain
 from armcell.cli.ros2 import join as join_ros2
+from armcell.cli.ros_name_options import (
+    ARGUMENTS,
+    NAMESPACE,
+    REMAP,
+    RosNameOptions,
+    parse_ros_names,
+    unused_remappings_warning,
+)
+from armcell.cli.run_record import (
+    RECORD,
+    RUNS,
+    ExternallyControlledRun,
+    RecordingOptions,
+    error_text,
+    records_folder,
+)
+from armcell.cli.seed_option import SEED, seed_or_default
+from armcell.cli.server_addresses import print_addresses
 from armcell.core import InputError
 
 REFRESH = 1.0  # [s]
@@ -63,7 +77,7 @@ class _Served:
     seconds: float | None
     runs: Path | None
     without_gate: str | None
-    names: Naming
+    names: RosNameOptions
 
 
 def serve(
@@ -120,7 +134,7 @@ def serve(
             "--plan-only has nothing to record: the simulator is elsewhere", hint="record there: armcell sim"
         )
     check_own_master(ros1, own_master)
-    names = naming(ns, remap, arguments, ros1)
+    names = parse_ros_names(ns, remap, arguments, ros1)
     check_domain(ros2, domain)
     from armcell.perception import load_sensors_3d
     from armcell.ros import Bus, Schema
@@ -154,7 +168,7 @@ class _Wires:
 
     def __init__(self, joins: Sequence[Join]):
         self._joins = joins
-        self._wires: list[Wire] = []
+        self._wires: list[OpenTransport] = []
 
     def open(self, bus: Any = None) -> None:
         """Open the connections of `armcell serve`, and print their addresses."""
@@ -162,19 +176,19 @@ class _Wires:
             wire = join()
             self._wires.append(wire)
             console.print(f"{wire.ready}; Ctrl-C ends it", markup=False, soft_wrap=True)
-            tell_listening(wire.endpoints)
+            print_addresses(wire.endpoints)
 
     def status(self) -> str:
         return "  ".join(wire.status() for wire in self._wires)
 
 
 def serve_unity(stack: ExitStack, bus: Any, bind: str, port: int, protocol: str) -> Join:
-    """Reserve the Unity port of `armcell serve`, and return a
-    function that serves Unity until the stack closes.
+    """Reserve the port for Unity, and return the function that starts to serve Unity on it.
+    `stack` closes the port when `armcell serve` ends.
     """
     from armcell.ros.transports import TcpTransport
 
-    connect = reserved(stack, TcpTransport(bus, f"{bind}:{port}", protocol))
+    connect = reserve_transport(stack, TcpTransport(bus, f"{bind}:{port}", protocol))
     if bind not in ("127.0.0.1", "localhost"):
         err(f"{bind}: every machine in the network can move the cell (no password, no encryption)")
     return connect
@@ -191,7 +205,7 @@ def open_wire(stack: ExitStack, bus: Any, wire: str) -> Join:
     from armcell.ros.transports import transports
 
     name, _, where = wire.partition("=")
-    return reserved(stack, transports[name](bus, where))
+    return reserve_transport(stack, transports[name](bus, where))
 
 
 def sim(
@@ -223,7 +237,7 @@ def sim(
     commands.
     """
     check_own_master(ros1, own_master)
-    names = naming(ns, remap, arguments, ros1)
+    names = parse_ros_names(ns, remap, arguments, ros1)
     check_domain(ros2, domain)
     if (ros1 or ros2) == (connect is not None):
         raise InputError("where to?", hint="give either --connect HOST:PORT, or --ros1 or --ros2")
@@ -247,8 +261,8 @@ def sim(
             return _run(served, bus, wires.status, wires.open, auto_grip=auto_grip)
     from armcell.ros.codec import CODECS
     from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
-    from armcell.ros.nodes.gripping import TOPIC as GRIPPER
-    from armcell.ros.tcp import Bridge, RosTcpClient
+    from armcell.ros.nodes.gripper_node import TOPIC as GRIPPER
+    from armcell.ros.tcp import ForwardedNames, RosTcpClient
     from armcell.ros.transports import losses
 
     host, number = address(connect)
@@ -267,7 +281,7 @@ def sim(
         out = [t for t in topics if t.name in kept or t.name.startswith("/object_pose")]
         into = [t for t in topics if t.name == TRAJECTORY or t.name.endswith(GRIPPER)]
         publish, subscribe = ({inside.full_name(t.name): t.type for t in some} for some in (out, into))
-        client = RosTcpClient(bus, host, number, Bridge(publish, subscribe), protocol)
+        client = RosTcpClient(bus, host, number, ForwardedNames(publish, subscribe), protocol)
         client.start()
 
     def status() -> str:
@@ -302,21 +316,23 @@ def _run(
     from armcell.cell.health import first_layers
     from armcell.ros.nodes import ServedCell
 
-    mode, seed = what.mode, drawn(what.seed, what.mode)
-    gate = gate_of_others(mode, "what clients do", what.without_gate)
+    mode, seed = what.mode, seed_or_default(what.seed, what.mode)
+    gate = require_gate_override(mode, "what clients do", what.without_gate)
     tell = partial(errors.print, markup=False, highlight=False)
     loaded, health = first_layers(what.cell, mode, tell)
     scene = loaded.scene(seed)
     command = ["armcell", *what.command, "--mode", mode, *([] if seed is None else ["--seed", str(seed)])]
     command += [] if what.time_scale == 1.0 else ["--time-scale", f"{what.time_scale:g}"]
     command += [] if what.rate == HERTZ else ["--rate", f"{what.rate:g}"]
-    command += what.names.words
+    command += what.names.command_line
     command += ["--without-gate", str(what.without_gate)] if gate else []
     by = "those who join the cell"
-    with LedRun(loaded, scene, seed, mode, Kept(what.runs), {}, by, command, gate=gate) as run:
+    with ExternallyControlledRun(
+        loaded, scene, seed, mode, RecordingOptions(what.runs), {}, by, command, gate=gate
+    ) as run:
         live = loaded.connect(mode, seed, run.observers, what.time_scale)
         run.begin(live)
-        inside = bus.renamed(what.names.map_for(loaded))
+        inside = bus.with_remapping(what.names.map_for(loaded))
         served = ServedCell(live, inside, what.rate, plan, auto_grip, sensors)
 
         def all_status() -> str:
@@ -341,8 +357,8 @@ def _run(
         finally:
             try:
                 if served.node.ready.is_set():
-                    served.rest()
-                    run.end(served.call, live, in_words(served.failure or failure))
+                    served.stop_motions()
+                    run.end(served.call, live, error_text(served.failure or failure))
             finally:
                 served.close()
         if served.failure is not None:
@@ -353,7 +369,7 @@ def _run(
 def _plan_only(
     cell: str,
     bus: Any,
-    names: Naming,
+    names: RosNameOptions,
     seed: int,
     seconds: float | None,
     status: Callable[[], str],
@@ -364,7 +380,7 @@ def _plan_only(
     from armcell.ros.nodes import ServedPlanner
 
     loaded = load(cell)
-    inside = bus.renamed(names.map_for(loaded))
+    inside = bus.with_remapping(names.map_for(loaded))
     line = _StatusLine(inside, lambda: None, status)
     try:
         with ServedPlanner(loaded, inside, seed, sensors):
@@ -381,7 +397,7 @@ def _plan_only(
 
 
 def _tell_unused(bus: Any) -> None:
-    if odd := unused(bus):
+    if odd := unused_remappings_warning(bus):
         err(odd)
 
 

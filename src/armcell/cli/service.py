@@ -6,7 +6,7 @@ import typer
 import yaml
 
 from armcell.cli.console import console
-from armcell.cli.topic import CONNECT, ROS1, filled, joined_to, plain, yaml_values
+from armcell.cli.topic import CONNECT, ROS1, connected_bus, fill_message, to_plain_data, yaml_values
 from armcell.core import InputError
 
 app = typer.Typer(help="Services of a running endpoint: call.", no_args_is_help=True)
@@ -29,10 +29,12 @@ def call(
     from armcell.ros.bus import ServiceError
 
     request_class, _ = schema().service(type_name)
-    message = filled(request_class(), yaml_values(request))
-    with joined_to(connect, timeout, ros1, use={name: type_name}) as (bus, _):
+    message = fill_message(request_class(), yaml_values(request))
+    with connected_bus(connect, timeout, ros1, use={name: type_name}) as (bus, _):
         try:
             answer = bus.call(name, message)
         except ServiceError as error:
             raise InputError(str(error)) from None
-    console.print(yaml.safe_dump(plain(answer), sort_keys=False), end="", soft_wrap=True, markup=False)
+    console.print(
+        yaml.safe_dump(to_plain_data(answer), sort_keys=False), end="", soft_wrap=True, markup=False
+    )

@@ -15,14 +15,14 @@ from rich.table import Table
 
 from armcell import _interrupts
 from armcell.cli.console import console, errors
-from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAt, tell_page
-from armcell.cli.setup_gripper import HELP, ask, show_grippers, stated, write_pictures
+from armcell.cli.page import ALLOW_HOST, HOST, PORT, PageAddress, print_page_address
+from armcell.cli.setup_gripper import HELP, ask, parse_gripper_facts, show_grippers, write_pictures
 
 if TYPE_CHECKING:
-    from armcell.cell.setup import Proposal
+    from armcell.cell.setup import SetupProposal
     from armcell.collision.self_collision import LinkPair
     from armcell.model.setup import UrdfPart
-    from armcell.model.setup.gripper import StatedGripper
+    from armcell.model.setup.gripper_detection import GripperSpec
 
 EXAMPLES = f"""
 Examples:
@@ -93,7 +93,7 @@ def setup(
     from armcell.model.setup.launch import GUIDE
 
     check_folder(output, force)
-    facts = stated(gripper)
+    facts = parse_gripper_facts(gripper)
     if any(robot.is_dir() for robot in robots):
         if len(robots) > 1 or not is_moveit_config(robots[0]) or prefix or at or rpy_deg:
             raise typer.BadParameter("a MoveIt package (a folder with config/*.srdf) is set up by itself")
@@ -104,7 +104,7 @@ def setup(
     else:
         parts = _parts(robots, prefix, at, rpy_deg)
 
-        def proposed(facts: list[StatedGripper]) -> Proposal:
+        def proposed(facts: list[GripperSpec]) -> SetupProposal:
             with _progress(samples) as tell:
                 return propose(parts, samples, seed, name, tell, facts)
 
@@ -112,7 +112,7 @@ def setup(
         _show(proposal)
         proposal = ask(proposal, proposed)
     if web:
-        proposal_or_none = _in_browser(proposal, PageAt(host, port, allow_host))
+        proposal_or_none = _in_browser(proposal, PageAddress(host, port, allow_host))
         if proposal_or_none is None:
             console.print("nothing written")
             return 1
@@ -141,8 +141,8 @@ def _first_cell(folder: Path) -> None:
 def _parts(robots: list[Path], prefixes: list[str], at: list[str], rpy_deg: list[str]) -> list[UrdfPart]:
     from armcell.model.setup import UrdfPart
 
-    places = [numbers("--at", text) for text in at]
-    turns = [numbers("--rpy-deg", text) for text in rpy_deg]
+    places = [parse_numbers("--at", text) for text in at]
+    turns = [parse_numbers("--rpy-deg", text) for text in rpy_deg]
     for option, values in (("--prefix", prefixes), ("--at", places), ("--rpy-deg", turns)):
         if values and len(values) != len(robots):
             raise typer.BadParameter(f"{len(robots)} robots, but {option} is given {len(values)} times")
@@ -161,7 +161,7 @@ def _parts(robots: list[Path], prefixes: list[str], at: list[str], rpy_deg: list
     ]
 
 
-def numbers(option: str, text: str) -> tuple[float, float, float]:
+def parse_numbers(option: str, text: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(word) for word in text.replace(",", " ").split())
     except ValueError:
@@ -188,7 +188,7 @@ def _progress(samples: int) -> Iterator[Callable[[str, int], None]]:
         yield lambda what, done: bar.update(task, description=what, completed=done)
 
 
-def _show(proposal: Proposal) -> None:
+def _show(proposal: SetupProposal) -> None:
     model = proposal.model
     table = Table(box=None, pad_edge=False, header_style="bold")
     for title in ("group", "joints", "from", "to", "states"):
@@ -204,7 +204,7 @@ def _show(proposal: Proposal) -> None:
     _show_pairs(proposal)
 
 
-def _show_pairs(proposal: Proposal) -> None:
+def _show_pairs(proposal: SetupProposal) -> None:
     if not proposal.pairs:
         return
     total = len(proposal.pairs)
@@ -233,11 +233,11 @@ def _share(pair: LinkPair) -> str:
     return f"{100 * pair.share:.2f} %"
 
 
-def _in_browser(proposal: Proposal, at: PageAt) -> Proposal | None:
+def _in_browser(proposal: SetupProposal, at: PageAddress) -> SetupProposal | None:
     from armcell.viewer.setup_view import SetupView
 
     with SetupView(proposal, **at._asdict()) as view:
-        tell_page(view.page)
+        print_page_address(view.page)
         console.print("'Write' on the page writes the folder, Ctrl-C ends without")
         while not view.done:
             _interrupts.sleep(0.1)

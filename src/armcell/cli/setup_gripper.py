@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from armcell.cli.console import console
 
 if TYPE_CHECKING:
-    from armcell.cell.setup import Proposal
+    from armcell.cell.setup import SetupProposal
     from armcell.model import Gripper, RobotModel
-    from armcell.model.setup.gripper import StatedGripper
+    from armcell.model.setup.gripper_detection import GripperSpec
 
 HINT = "to pick and place, pass --gripper, or describe the gripper in robot.yaml (docs/adding_a_gripper.md)"
 QUESTION = (
@@ -36,16 +36,16 @@ physics. On a terminal, setup asks for these words if it does not recognize a gr
 """
 
 
-def stated(texts: list[str]) -> list[StatedGripper]:
+def parse_gripper_facts(texts: list[str]) -> list[GripperSpec]:
     """Return the facts of `armcell setup --gripper`."""
-    from armcell.model.setup.gripper import StatedGripper
+    from armcell.model.setup.gripper_detection import GripperSpec
 
-    return [StatedGripper.parse(text) for text in texts]
+    return [GripperSpec.parse(text) for text in texts]
 
 
-def show_grippers(proposal: Proposal) -> None:
+def show_grippers(proposal: SetupProposal) -> None:
     """Print the end effectors of a proposal: numbers of their grippers, or the reason why they have none."""
-    from armcell.model.setup.gripper import reasons
+    from armcell.model.setup.gripper_detection import reasons
 
     why = reasons(proposal.model)
     if not proposal.model.end_effectors:
@@ -75,7 +75,7 @@ def _numbers(model: RobotModel, gripper: Gripper) -> dict[str, str]:
 
     g, tree, q = gripper, kinematic_tree(model), model.default_positions()
     palm = g.hand_links[0]
-    T = tree.link_pose(q, palm).inv() @ tree.link_pose(q, g.tcp_link)
+    T = tree.link_pose(q, palm).inverse() @ tree.link_pose(q, g.tcp_link)
     x, y, z = 1000 * T.translation
     along = ", ".join(f"{v + 0.0:.2f}" for v in T.rotation.matrix[:, 1].round(2))
     out = ", ".join(f"{v + 0.0:.2f}" for v in T.rotation.matrix[:, 2].round(2))
@@ -93,7 +93,7 @@ def _numbers(model: RobotModel, gripper: Gripper) -> dict[str, str]:
     }
 
 
-def unsure(proposal: Proposal) -> bool:
+def has_unproven_gripper(proposal: SetupProposal) -> bool:
     """Return whether an end effector of an arm has no gripper that holds a cube in physics."""
     ends = proposal.model.end_effectors.values()
     return any(end.parent_group and end.name not in proposal.model.grippers for end in ends)
@@ -103,7 +103,7 @@ def is_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
-def ask(proposal: Proposal, again: Callable[[list[StatedGripper]], Proposal]) -> Proposal:
+def ask(proposal: SetupProposal, again: Callable[[list[GripperSpec]], SetupProposal]) -> SetupProposal:
     """Ask on a terminal for facts about the gripper until setup recognizes it or the answer is empty.
 
     Args:
@@ -111,12 +111,12 @@ def ask(proposal: Proposal, again: Callable[[list[StatedGripper]], Proposal]) ->
     """
     from armcell.core import InputError
 
-    while unsure(proposal) and is_terminal():
+    while has_unproven_gripper(proposal) and is_terminal():
         console.print(QUESTION, markup=False, soft_wrap=True)
         if not (text := input("--gripper ").strip()):
             break
         try:
-            proposal = again(stated([text]))
+            proposal = again(parse_gripper_facts([text]))
         except InputError as error:
             console.print(str(error), markup=False, soft_wrap=True)
         else:
@@ -124,7 +124,7 @@ def ask(proposal: Proposal, again: Callable[[list[StatedGripper]], Proposal]) ->
     return proposal
 
 
-def write_pictures(proposal: Proposal, folder: Path) -> None:
+def write_pictures(proposal: SetupProposal, folder: Path) -> None:
     """Write a picture of each recognized gripper into the folder that `armcell setup` has written."""
     for gripper in (proof.gripper for proof in proposal.proofs):
         file = folder / f"{gripper.name}.png"

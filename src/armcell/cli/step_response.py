@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from armcell.cli import goals
+from armcell.cli import goal_options
 from armcell.cli.console import check_writable, console, write_json
 
 EXAMPLES = """
@@ -27,8 +27,8 @@ Examples:
 
 
 def step_response(
-    cell: str = goals.CELL,
-    gains: str | None = goals.GAINS,
+    cell: str = goal_options.CELL,
+    gains: str | None = goal_options.GAINS,
     group: str | None = typer.Option(None, help="Joints of this planning group only; all arms by default."),
     size_deg: float = typer.Option(
         5.0,
@@ -39,7 +39,7 @@ def step_response(
     ),
     seconds: float = typer.Option(2.0, min=0.05, max=60, help="How long each joint is watched."),
     plot: Path | None = typer.Option(None, metavar="FILE.png", help="Draw a panel per joint."),
-    json_file: Path | None = goals.JSON,
+    json_file: Path | None = goal_options.JSON,
 ) -> int:
     """Measure the step response of each arm joint in the physics simulation.
     Print the gains, the error and the sag under gravity.
@@ -51,7 +51,7 @@ def step_response(
             check_writable(file)
     from armcell.cell import load
     from armcell.sim.gain_files import with_gains
-    from armcell.sim.joint_gains import arm_joints, joint_drive
+    from armcell.sim.joint_gains import arm_joints, effective_gains
     from armcell.sim.step_response import sag, step_responses
 
     loaded = load(cell)
@@ -60,7 +60,7 @@ def step_response(
     joints = tuple(arm_joints(model))
     if group is not None:
         joints = tuple(j for j in model.group(group).joint_names if j in joints)
-    drives = {joint: joint_drive(model.joint(joint), settings) for joint in joints}
+    drives = {joint: effective_gains(model.joint(joint), settings) for joint in joints}
     sagged = sag(scene, settings)
     found = step_responses(scene, joints, settings, float(np.deg2rad(size_deg)), seconds)
     slides = {joint for joint in joints if model.joint(joint).type == "prismatic"}

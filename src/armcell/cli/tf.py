@@ -40,14 +40,14 @@ def tf(
     if sum((connect is not None, ros1, ros2)) > 1:
         raise InputError("where to listen?", hint="give one of --connect, --ros1, --ros2")
     from armcell.cell import load
-    from armcell.ros.tf_monitor import TfMonitor, watch
+    from armcell.ros.tf_monitor import TfMonitor, subscribe_monitor
 
     loaded = load(cell)
     monitor = TfMonitor(tuple(loaded.model.links))
     with ExitStack() as stack:
         bus = _joined(stack, loaded, connect, ros1, ros2, domain)
         stack.callback(bus.subscribe("/clock", "rosgraph_msgs/Clock", _clock_of(bus)).close)
-        for member in watch(monitor, bus):
+        for member in subscribe_monitor(monitor, bus):
             stack.callback(member.close)
         _interrupts.sleep(seconds)
         now = bus.clock.now()
@@ -76,11 +76,11 @@ def _joined(
     from armcell.ros import Bus
 
     if connect is not None or ros1:
-        from armcell.cli.topic import joined_to
+        from armcell.cli.topic import connected_bus
         from armcell.ros.tf_monitor import TOPICS
 
         wanted = {"/clock": "rosgraph_msgs/Clock", **dict.fromkeys(TOPICS, "tf2_msgs/TFMessage")}
-        return stack.enter_context(joined_to(connect or "", ros1=ros1, subscribe=wanted))[0]
+        return stack.enter_context(connected_bus(connect or "", ros1=ros1, subscribe=wanted))[0]
     bus = Bus()
     if ros2:
         from armcell.cli.ros2 import join

@@ -14,7 +14,7 @@ import yaml
 
 from armcell import _interrupts
 from armcell.cli.console import console, err
-from armcell.cli.ros1_topics import joined_to_graph
+from armcell.cli.ros1_topics import graph_connection
 from armcell.cli.serve import address
 from armcell.core import InputError, UnknownNameError
 
@@ -29,7 +29,7 @@ WAIT = 3.0  # [s] timeout to connect and to list the topics
 @app.command("list")
 def list_topics(connect: str = CONNECT, ros1: bool = ROS1) -> None:
     """List the ROS topics with their message types."""
-    with joined_to(connect, ros1=ros1) as (_, client):
+    with connected_bus(connect, ros1=ros1) as (_, client):
         for name, type_name in sorted(_topics(client).items()):
             console.print(f"{name}  {type_name}", soft_wrap=True, markup=False)
 
@@ -42,7 +42,11 @@ def echo(
     """Print the messages of a ROS topic as YAML. Ctrl-C ends the command."""
     for n, message in enumerate(_messages(topic, type_name, connect, ros1, queue_size=100)):
         console.print(
-            yaml.safe_dump(plain(message), sort_keys=False), "---", sep="", soft_wrap=True, markup=False
+            yaml.safe_dump(to_plain_data(message), sort_keys=False),
+            "---",
+            sep="",
+            soft_wrap=True,
+            markup=False,
         )
         if n + 1 == count:
             return
@@ -82,11 +86,11 @@ def pub(
     """Publish a message on a ROS topic, once or at a rate."""
     from armcell.ros import schema
 
-    message = filled(schema().new(type_name), yaml_values(values))
-    with joined_to(connect, ros1=ros1, publish={topic: type_name}) as (bus, client):
+    message = fill_message(schema().new(type_name), yaml_values(values))
+    with connected_bus(connect, ros1=ros1, publish={topic: type_name}) as (bus, client):
         publisher = bus.advertise(topic, type_name)
         if ros1:
-            client.wait_heard(publisher.topic)
+            client.wait_for_subscribers(publisher.topic)
         n = 0
         while True:
             publisher.publish(message)
@@ -98,16 +102,16 @@ def pub(
         err(f"{n} published")
 
 
-def plain(value: Any) -> Any:
+def to_plain_data(value: Any) -> Any:
     """Convert a message to dicts, lists and numbers, which `armcell topic echo` prints."""
     if hasattr(value, "_fields"):
-        return {name: plain(getattr(value, name)) for name in value._fields}
+        return {name: to_plain_data(getattr(value, name)) for name in value._fields}
     if isinstance(value, np.ndarray):
         return value.tolist()
-    return [plain(v) for v in value] if isinstance(value, list) else value
+    return [to_plain_data(v) for v in value] if isinstance(value, list) else value
 
 
-def filled(message: Any, values: Any) -> Any:
+def fill_message(message: Any, values: Any) -> Any:
     """Fill the message of `armcell topic pub` with the values in a nested mapping, and return it.
 
     Raises:
@@ -119,15 +123,15 @@ def filled(message: Any, values: Any) -> Any:
 
     if not isinstance(values, dict):
         raise InputError(f"{values!r} is no set of fields of {message._type}", hint="{field: value, ...}")
-    nodes = dict(schema().whole(message._type).fields)
+    nodes = dict(schema().merged_definition(message._type).fields)
     for name, value in values.items():
         if name not in nodes:
             raise UnknownNameError(f"field of {message._type}", name, nodes)
         is_message, kind, length = field_parts(nodes[name])
         if is_message and length is None:
-            value = filled(schema().new(kind), value)
+            value = fill_message(schema().new(kind), value)
         elif is_message:
-            value = [filled(schema().new(kind), v) for v in value]
+            value = [fill_message(schema().new(kind), v) for v in value]
         setattr(message, name, value)
     return message
 
@@ -140,7 +144,7 @@ def yaml_values(text: str) -> Any:
 
 
 @contextmanager
-def joined_to(
+def connected_bus(
     connect: str, timeout: float = 10.0, ros1: bool = False, **bridge: dict[str, str]
 ) -> Iterator[tuple[Any, Any]]:
     """Yield a new bus for `armcell topic`, joined to a ROS-TCP endpoint or a ROS 1 graph,
@@ -150,16 +154,16 @@ def joined_to(
         InputError: no endpoint or master answers.
     """
     if ros1:
-        with joined_to_graph() as joined:
+        with graph_connection() as joined:
             yield joined
         return
     from armcell.ros import Bus
-    from armcell.ros.tcp import Bridge, RosTcpClient
+    from armcell.ros.tcp import ForwardedNames, RosTcpClient
 
     host, port = address(connect)
     logging.getLogger("armcell.ros.tcp.client").setLevel(logging.ERROR)  # errors are reported below
     bus = Bus()
-    with RosTcpClient(bus, host, port, Bridge(**bridge), service_timeout=timeout) as client:
+    with RosTcpClient(bus, host, port, ForwardedNames(**bridge), service_timeout=timeout) as client:
         if not client.wait_connected(WAIT):
             raise InputError(
                 f"no ROS-TCP endpoint at {connect}", hint="start one: armcell serve CELL --unity; firewall?"
@@ -179,12 +183,12 @@ def _messages(topic: str, type_name: str | None, connect: str, ros1: bool, queue
 
     topic = resolve(topic)
     if type_name is None:
-        with joined_to(connect, ros1=ros1) as (_, client):
+        with connected_bus(connect, ros1=ros1) as (_, client):
             known = _topics(client)
         if topic not in known:
             raise UnknownNameError("topic", topic, known)
         type_name = known[topic]
-    with joined_to(connect, ros1=ros1, subscribe={topic: type_name}) as (bus, _):
+    with connected_bus(connect, ros1=ros1, subscribe={topic: type_name}) as (bus, _):
         subscription = bus.subscribe(topic, type_name, queue_size=queue_size)
         while True:
             _interrupts.check()

@@ -21,13 +21,13 @@ def twin(
     leaves its thresholds.
     """
     from armcell.cell import load
-    from armcell.cell.twin import bands_file, learn_bands
+    from armcell.cell.twin import learn_thresholds, thresholds_file
     from armcell.core import InputError
     from armcell.drivers.real import kind_of, real_settings
     from armcell.planning import warm_up
 
     loaded = load(cell)
-    target = bands_file(loaded)
+    target = thresholds_file(loaded)
     check_writable(target)
     hosts = [str(arm.get("host", "")) for arm in loaded.spec.real.get("arms", {}).values()]
     if yes and not all(h.startswith("127.") for h in hosts):
@@ -39,7 +39,7 @@ def twin(
             "60 % of their speed. Hand on the emergency stop. Go on?", abort=True,
         )  # fmt: skip
     warm_up()
-    bands = learn_bands(loaded, motions, seed, console.print)
+    bands = learn_thresholds(loaded, motions, seed, console.print)
     bands.save(target)
     settings = real_settings(loaded.spec.real, loaded.model)
     for name, arm in bands.arms.items():

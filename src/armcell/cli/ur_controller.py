@@ -10,7 +10,7 @@ import typer
 
 from armcell.cli.console import console
 from armcell.cli.emulator import run_emulator
-from armcell.cli.listening import tell_listening
+from armcell.cli.server_addresses import print_addresses
 from armcell.core import InputError
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def ur_controller(
 
     Runs with real-time priority if permitted (as root on Linux).
     """
-    from armcell.emulators.ur import ControllerSettings, Rack, RemoteHost, SharedWorld
+    from armcell.emulators.ur import ControllerSettings, RemoteHost, SharedWorld, UrRack
 
     hosts = list(host)
     if len(set(hosts)) != len(hosts):
@@ -111,11 +111,11 @@ def ur_controller(
         for i, (h, s, remote) in enumerate(zip(hosts, serials, remotes))
     ]
     file = trace.open("wb", buffering=0) if trace is not None else None
-    rack = Rack(settings, plants, file, reset_between_runs)
+    rack = UrRack(settings, plants, file, reset_between_runs)
     rack.open()
     for each, controller in zip(settings, rack.controllers, strict=True):
         console.print(f"{each.model} (serial {each.serial}) at {each.host}", soft_wrap=True)
-        tell_listening(controller.network.endpoints)
+        print_addresses(controller.network.endpoints)
         controller.robot.listeners.append(partial(_print_notice, each.host))
     run_emulator(rack, file)
     return 0

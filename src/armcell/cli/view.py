@@ -10,11 +10,11 @@ from typing import Any
 
 import typer
 
-from armcell.cli import goals
+from armcell.cli import goal_options
 from armcell.cli.console import console, errors
-from armcell.cli.gating import WITHOUT_GATE, gate_of_others
+from armcell.cli.gate_check import WITHOUT_GATE, require_gate_override
 from armcell.cli.page import ALLOW_HOST, HOST, OPEN, PORT, serve_page
-from armcell.cli.recording import RECORD, RUNS, Kept, LedRun, records_folder
+from armcell.cli.run_record import RECORD, RUNS, ExternallyControlledRun, RecordingOptions, records_folder
 from armcell.core import Observer
 
 EXAMPLES = """
@@ -32,11 +32,11 @@ the folder where the command was started.
 
 
 def view(
-    cell: str = goals.CELL,
+    cell: str = goal_options.CELL,
     mode: str = typer.Option(
         "fake", help="What 'Execute' moves: fake (follows exactly), sim (physics) or real (the cell's arms)."
     ),
-    seed: int | None = goals.SEED,
+    seed: int | None = goal_options.SEED,
     host: str = HOST,
     port: int = PORT,
     allow_host: list[str] = ALLOW_HOST,
@@ -56,16 +56,16 @@ def view(
     """
     from armcell.cell.health import first_layers
     from armcell.drivers import drivers
-    from armcell.planning import prepare
+    from armcell.planning import prepare_group
     from armcell.viewer import PlanningPanel, PlanningSession
 
     drivers[mode]  # report an unknown mode first
-    gate = gate_of_others(mode, "what is planned in the browser", without_gate)
+    gate = require_gate_override(mode, "what is planned in the browser", without_gate)
     loaded, _ = first_layers(cell, mode, partial(errors.print, markup=False, highlight=False))
     scene = loaded.scene(seed)
     command = ["armcell", "view", cell, "--mode", mode, *([] if seed is None else ["--seed", str(seed)])]
     command += ["--without-gate", str(without_gate)] if gate else []
-    kept = Kept(records_folder(record, mode, runs))
+    kept = RecordingOptions(records_folder(record, mode, runs))
     with ExitStack() as stack:
         recording = stack.enter_context(ExitStack())
 
@@ -74,7 +74,9 @@ def view(
             Every time the user edits the scene, a new cell is needed.
             """
             recording.close()
-            run = LedRun(loaded, now, seed, mode, kept, {}, "the user of the page", command, gate=gate)
+            run = ExternallyControlledRun(
+                loaded, now, seed, mode, kept, {}, "the user of the page", command, gate=gate
+            )
             recording.enter_context(run)
             live = loaded.connect(mode, seed, [*run.observers, *observers], time_scale=1.0, scene=now)
             run.begin(live)
@@ -82,6 +84,6 @@ def view(
 
         session = PlanningSession(scene, connect, seed or 0)
         console.print("loading (the first run on a machine compiles for about a minute)")
-        prepare(scene, session.group)  # so that the first plan is fast
+        prepare_group(scene, session.group)  # so that the first plan is fast
         panel = stack.enter_context(PlanningPanel(session, host, port, loaded.name, names=allow_host))
         serve_page(panel.viewer.page, open_browser)

@@ -26,7 +26,7 @@ MIN_INTERVAL_RAD = 2e-4
 """[rad] Smallest interval of the bisection; a pair that is still uncertified there counts as touching."""
 
 
-class Measures(Protocol):
+class DistanceChecker(Protocol):
     """Interface of a collision checker that certifies motions: it moves bodies to a configuration and
     measures distances between bodies.
     """
@@ -38,7 +38,7 @@ class Measures(Protocol):
     geometries: list[Any]
     pairs: NDArray[np.int64]
 
-    def place(self, q: ArrayLike) -> None: ...
+    def set_configuration(self, q: ArrayLike) -> None: ...
     def pair_gaps(self, pairs: NDArray[np.int64]) -> Array: ...
     def pair_distance(self, a: int, b: int, outer: bool = False) -> float: ...
     def contact_of(self, a: int, b: int) -> Contact: ...
@@ -53,7 +53,7 @@ class MotionBound:
         pairs: (p, 2) indices of geometries; by default all pairs of the checker.
     """
 
-    def __init__(self, checker: Measures, pairs: NDArray[np.int64] | None = None):
+    def __init__(self, checker: DistanceChecker, pairs: NDArray[np.int64] | None = None):
         self.checker = checker
         pairs = checker.pairs if pairs is None else pairs
         wanted = set(pairs.ravel().tolist())
@@ -93,7 +93,7 @@ class MotionBound:
         return self.per_joint[:, moving] @ np.abs(dq)[moving]
 
 
-def certify_path(checker: Measures, waypoints: ArrayLike, slack: ArrayLike | None = None,
+def certify_path(checker: DistanceChecker, waypoints: ArrayLike, slack: ArrayLike | None = None,
                  bound: MotionBound | None = None) -> Certificate:  # fmt: skip
     """Certify that a piecewise linear motion (k, n) is collision-free.
 
@@ -120,7 +120,9 @@ def certify_path(checker: Measures, waypoints: ArrayLike, slack: ArrayLike | Non
     return Certificate(True, 1.0, None, clearance)
 
 
-def _certify_edge(checker: Measures, bound: MotionBound, q0: Array, q1: Array, slack: Array) -> Certificate:
+def _certify_edge(
+    checker: DistanceChecker, bound: MotionBound, q0: Array, q1: Array, slack: Array
+) -> Certificate:
     dq = q1 - q0
     motion = bound.along(dq)
     length = float(np.max(np.abs(dq), initial=0.0))
@@ -128,7 +130,7 @@ def _certify_edge(checker: Measures, bound: MotionBound, q0: Array, q1: Array, s
     stack = [(0.5, 0.5, np.arange(len(checker.pairs)))]  # center, half width, pairs not yet certified
     while stack:
         s, half, left = stack.pop()
-        checker.place(q0 + s * dq)
+        checker.set_configuration(q0 + s * dq)
         need = motion[left] * half + slack[left]
         gaps = checker.pair_gaps(checker.pairs[left])
         open_ = np.flatnonzero(gaps <= need)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.certify import MotionBound
-from armcell.collision.exact import ExactChecker
+from armcell.collision.exact_checker import ExactChecker
 from armcell.core import Contact, InputError, JointTrajectory
 from armcell.scene import MovingObject, PlanningScene
 
@@ -98,7 +98,7 @@ class _Moving:
         for i, g in enumerate(geometries):
             if g.link < 0 and g.body in by_name:
                 item = by_name[g.body]
-                self.parts.append((i, item, item.object.T_world_object.inv() @ g.T_link_solid))
+                self.parts.append((i, item, item.object.T_world_object.inverse() @ g.T_link_solid))
         pairs = [
             (a, b, item)
             for a, g in enumerate(geometries) if g.link >= 0
@@ -109,10 +109,10 @@ class _Moving:
         self.bound = MotionBound(self.checker)
         self.travelled = _travelled(trajectory)
 
-    def place(self, t: float) -> None:
-        self.checker.place(self.trajectory.sample(t - self.start)[0])
+    def set_configuration(self, t: float) -> None:
+        self.checker.set_configuration(self.trajectory.sample(t - self.start)[0])
         for i, item, T in self.parts:
-            self.checker.place_object(i, item.pose(t) @ T)
+            self.checker.set_object_pose(i, item.pose(t) @ T)
 
     def joint_travel(self, a: float, b: float) -> Array:
         """Return upper bounds (n,) on how far each joint moves [rad or m] between two times of a timed
@@ -128,7 +128,7 @@ class _Moving:
         while stack:
             a, b, left = stack.pop()
             middle = (a + b) / 2
-            self.place(middle)
+            self.set_configuration(middle)
             joints = np.maximum(self.joint_travel(a, middle), self.joint_travel(middle, b))
             robot, moved = self.bound.along(joints), {}
             for item in {id(self.items[p]): self.items[p] for p in left}.values():

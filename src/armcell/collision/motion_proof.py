@@ -1,7 +1,7 @@
 """Certification of timed motions against a measured scene and other running motions.
 
 If a motion is not certified collision-free, the result is its first contact with the time. The motion gate
-(`execution/gate.py`) certifies every motion at its start and again when the scene changes.
+(`execution/motion_gate.py`) certifies every motion at its start and again when the scene changes.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision.arms import ARM_JOINTS, Arms
 from armcell.collision.certificate import Certificate
-from armcell.collision.displaced import displacement
+from armcell.collision.displacement_bound import displacement
+from armcell.collision.inter_arm_checker import ARM_JOINTS, InterArmChecker
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import certify_from_rest
+from armcell.collision.resting_contact import certify_from_rest
 from armcell.core import Contact, JointTrajectory
 from armcell.core.checks import require
 from armcell.scene import PlanningScene
@@ -33,7 +33,7 @@ DISPLACED = 4e-3
 scene; smaller than the padding of planners."""
 
 LONGEST = 0.05  # [s] longest piece of the path, so also the precision of the reported contact time
-SAMPLES = 0.01  # [s] time between the samples among which `passed_at` searches the nearest state
+SAMPLES = 0.01  # [s] time between the samples among which `elapsed_at` searches the nearest state
 SAME = 2e-3  # [rad or m] samples that exceed the smallest distance by at most this count as equally near
 
 
@@ -53,7 +53,7 @@ class Conflict:
 
 
 @dataclass(frozen=True, eq=False)
-class Moving:
+class ActiveMotion:
     """Timed motion that the motion proof certifies: a trajectory of which a part may already be executed.
 
     The methods count times from now, so they describe the remaining part.
@@ -102,8 +102,8 @@ class Moving:
 
 def first_conflict(
     scene: PlanningScene,
-    motion: Moving,
-    others: Sequence[Moving] = (),
+    motion: ActiveMotion,
+    others: Sequence[ActiveMotion] = (),
     shift: float = 0.0,
     planned: PlanningScene | None = None,
 ) -> Conflict | None:
@@ -149,7 +149,7 @@ def _free(checker: KernelChecker, points: Array, room: Array, distance: float = 
 
 
 def _conflict(
-    checker: KernelChecker, here: Array, motion: Moving, others: Sequence[Moving], late: float
+    checker: KernelChecker, here: Array, motion: ActiveMotion, others: Sequence[ActiveMotion], late: float
 ) -> Conflict | None:
     for error in ERRORS:
         times, points, room = _timed(here, motion, others, late, error)
@@ -185,7 +185,7 @@ def _earliest(checker: KernelChecker, points: Array, room: Array, proof: Certifi
 
 
 def _timed(
-    here: Array, motion: Moving, others: Sequence[Moving], late: float, error: float
+    here: Array, motion: ActiveMotion, others: Sequence[ActiveMotion], late: float, error: float
 ) -> tuple[Array, Array, Array]:
     """Return the path to be proven free: piecewise linear,
     from the measured joint positions through all running motions.
@@ -201,7 +201,7 @@ def _timed(
 
 
 def _pieces(
-    motion: Moving, others: Sequence[Moving], late: float, error: float
+    motion: ActiveMotion, others: Sequence[ActiveMotion], late: float, error: float
 ) -> tuple[Array, Array, Array]:
     """Convert running motions to one piecewise linear path and bound its deviation from these motions,
     to prove them collision-free.
@@ -224,7 +224,7 @@ def _pieces(
     return times, points, most * float(np.diff(times).max(initial=0.0)) ** 2 / 8
 
 
-def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) -> bool:
+def conflict_at_any_pace(scene: PlanningScene, motion: ActiveMotion, other: ActiveMotion) -> bool:
     """Return whether two arms could touch if their motions ran at arbitrary times and speeds.
 
     A speed slider or a pause can slow down real arms at any time, so their relative timing is unknown. The
@@ -238,10 +238,10 @@ def conflict_at_any_pace(scene: PlanningScene, motion: Moving, other: Moving) ->
         return True
     a, room_a = _of_group(scene, motion, mine)
     b, room_b = _of_group(scene, other, theirs)
-    return not Arms(scene, (mine, theirs)).keeps_clearance_at_any_pace(a, room_a, b, room_b, 0.0)
+    return not InterArmChecker(scene, (mine, theirs)).keeps_clearance_at_any_pace(a, room_a, b, room_b, 0.0)
 
 
-def _of_group(scene: PlanningScene, motion: Moving, group: str) -> tuple[Array, Array]:
+def _of_group(scene: PlanningScene, motion: ActiveMotion, group: str) -> tuple[Array, Array]:
     """Return a piecewise linear path (k, n) of a group that approximates a timed motion, and the largest
     deviation (n,) [rad or m] of each joint from this path.
 
@@ -267,7 +267,7 @@ def _arm_of(scene: PlanningScene, joint_names: Iterable[str]) -> str | None:
     return min(groups, key=lambda g: len(g.joint_names)).name if groups else None
 
 
-def passed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
+def elapsed_at(trajectory: JointTrajectory, q: ArrayLike, most: float) -> float:
     """Return the time [s] on the trajectory that corresponds to the measured joint positions q (n,).
     A motion can run slower than planned.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from armcell.core import Octree, PointCloud
 
 if TYPE_CHECKING:
-    from armcell.collision.shapes import Solid
+    from armcell.collision.coal_shapes import CoalGeometry
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -95,19 +95,23 @@ class PrimitiveSet:
 
 
 def _near(
-    solid: Solid, T: coal.Transform3s, primitives: PrimitiveSet, T_primitives: coal.Transform3s, within: float
+    solid: CoalGeometry,
+    T: coal.Transform3s,
+    primitives: PrimitiveSet,
+    T_primitives: coal.Transform3s,
+    within: float,
 ) -> tuple[Array, Index]:
     back = T_primitives.getRotation().T
     R, t = back @ T.getRotation(), back @ (T.getTranslation() - T_primitives.getTranslation())
     return primitives.near(solid.center, solid.half, R, t, within)
 
 
-def _holds(solid: Solid, T: coal.Transform3s, part: coal.Transform3s) -> bool:
+def _holds(solid: CoalGeometry, T: coal.Transform3s, part: coal.Transform3s) -> bool:
     """Return whether a nonconvex mesh contains the center of a sphere or cube that belongs to the set."""
     return solid.holds(T.getRotation().T @ (part.getTranslation() - T.getTranslation()))
 
 
-def touches_primitives(solid: Solid, T: coal.Transform3s,
+def touches_primitives(solid: CoalGeometry, T: coal.Transform3s,
                        primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                  request: coal.CollisionRequest, result: coal.CollisionResult) -> bool:  # fmt: skip
     """Return whether any sphere or cube of a set is closer to a solid
@@ -120,7 +124,7 @@ def touches_primitives(solid: Solid, T: coal.Transform3s,
     )
 
 
-def distance_to_primitives(solid: Solid, T: coal.Transform3s,
+def distance_to_primitives(solid: CoalGeometry, T: coal.Transform3s,
                            primitives: PrimitiveSet, T_primitives: coal.Transform3s,
                      request: coal.DistanceRequest, result: coal.DistanceResult,
                      outer: bool = False) -> float:  # fmt: skip

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.exact import ExactChecker
+from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.pair_samples import PairSampler
 from armcell.model import RobotModel
@@ -142,7 +142,7 @@ class _Survey:
             proven = pair not in unproven
             count, samples = touching.get(pair, (0, self.samples))
             if self.rigid(a, b):
-                self.exact.place(self.model.neutral())
+                self.exact.set_configuration(self.model.neutral())
                 count = samples if self._distance(a, b) <= 0 else 0
             if pair in self.adjacent:
                 reason = "Adjacent"
@@ -172,10 +172,12 @@ class _Survey:
         sampler = PairSampler(KernelChecker(self.scene))
         numbers, names = np.arange(len(sampler.pairs)), [frozenset(pair) for pair in sampler.pairs]
         first = self.states[:FIRST]
-        close = list(sampler.close(numbers, first, progress=progress))
+        close = list(sampler.contact_masks(numbers, first, progress=progress))
         further = numbers[[rows.mean() <= OFTEN for rows in close]]
         tell = progress and (lambda done: progress(len(first) + done))
-        for n, rows in zip(further, sampler.close(further, self.states[FIRST:], progress=tell), strict=True):
+        for n, rows in zip(
+            further, sampler.contact_masks(further, self.states[FIRST:], progress=tell), strict=True
+        ):
             close[n] = np.concatenate([close[n], rows])
         counts = np.array([rows.sum() for rows in close], dtype=int)
         for n, (a, b) in enumerate(sampler.pairs):
@@ -188,7 +190,7 @@ class _Survey:
             elif counts[n] == len(close[n]):
                 counts[n] -= not all(self._touch(a, b, q) for q in states[:EVERY])
         never = numbers[counts == 0]
-        near = sampler.close(never, self.states, NEAR)
+        near = sampler.contact_masks(never, self.states, NEAR)
         unproven = dict.fromkeys(names, np.zeros((0, self.model.dof)))
         for n, rows in zip(never, near, strict=True):
             unproven[names[n]] = self.states[np.flatnonzero(rows)]
@@ -205,7 +207,7 @@ class _Survey:
             links = set(model.groups[group].link_names)
             for state in model.named_states.get(group, {}):
                 at = self.scene.with_state(model.named_state(group, state)).positions
-                self.exact.place(at)
+                self.exact.set_configuration(at)
                 found |= {
                     frozenset((a, b))
                     for a, b in every
@@ -242,7 +244,7 @@ class _Survey:
         return most
 
     def _touch(self, a: str, b: str, q: Array) -> bool:
-        self.exact.place(q)
+        self.exact.set_configuration(q)
         pairs = self._solid_pairs(a, b)
         near = pairs[self.exact.pair_gaps(pairs) <= 0]
         return any(self.exact.pair_touches(i, j) for i, j in near.tolist())
@@ -263,13 +265,13 @@ class _Survey:
         starts = near[self.rng.permutation(len(near))[:STARTS]]
         for start in starts:
             q, step = start.copy(), 0.2
-            self.exact.place(q)
+            self.exact.set_configuration(q)
             best = self._distance(a, b)
             for _ in range(STEPS):
                 trial = q.copy()
                 move = self.rng.normal(size=len(columns)) * (self.rng.random(len(columns)) < 0.6)
                 trial[columns] = np.clip(q[columns] + step * move, low, high)
-                self.exact.place(trial)
+                self.exact.set_configuration(trial)
                 distance = self._distance_below(a, b, best)
                 if distance <= 0:
                     return True

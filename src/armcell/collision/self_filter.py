@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision.kernel.pieces import convex_parts
+from armcell.collision.kernel.convex_pieces import convex_parts
 from armcell.core import (
     SE3,
     Box,
@@ -34,7 +34,7 @@ PADDING = 0.02
 """[m] Distance around the shapes that covers the errors of the depth camera and the robot's calibration."""
 
 
-def without_robot(
+def remove_robot_points(
     scene: PlanningScene, points: ArrayLike, padding: float = PADDING, objects: Iterable[str] = ()
 ) -> Array:
     """Remove points on the robot and on held objects from a point cloud.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armcell.collision.exact import ExactChecker
+from armcell.collision.exact_checker import ExactChecker
 from armcell.core import InputError
 from armcell.scene import PlanningScene
 
@@ -25,7 +25,7 @@ def touching_links(scene: PlanningScene, name: str, within: float = NEAR) -> tup
         raise InputError(f"within is {within:g}, it must be a number of meters >= 0")
     scene.object(name)
     checker = ExactChecker(scene)
-    checker.place(scene.positions)
+    checker.set_configuration(scene.positions)
     of_object = [i for i, g in enumerate(checker.geometries) if g.body == name]
     of_links = [i for i, g in enumerate(checker.geometries) if g.body in scene.model.links]
     pairs = np.array([(i, j) for i in of_links for j in of_object], dtype=np.int64).reshape(-1, 2)

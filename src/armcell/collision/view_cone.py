@@ -8,7 +8,7 @@ import coal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.collision.shapes import convex_hull, solid
+from armcell.collision.coal_shapes import convex_hull, solid
 from armcell.core import SE3
 from armcell.core.checks import float_array, is_number, require
 from armcell.kinematics import kinematic_tree
@@ -64,7 +64,7 @@ def link_hull_distances(
             result.clear()
             there = coal.Transform3s(T.rotation.matrix, T.translation)
             distance = float(coal.distance(shape.exact, there, hull, here, request, result))
-            if distance > 0 and shape.holds(T.inv().apply(corners[0])):
+            if distance > 0 and shape.holds(T.inverse().apply(corners[0])):
                 distance = -distance  # the hull is completely inside a nonconvex mesh
             found[link.name] = min(found.get(link.name, np.inf), distance)
     return found

@@ -51,8 +51,8 @@ class Suggestion:
         return {
             "text": self.text,
             "change": name,
-            "arguments": plain(self.arguments),
-            "effort": plain(self.effort),
+            "arguments": to_json_types(self.arguments),
+            "effort": to_json_types(self.effort),
             "works": self.works,
         }
 
@@ -97,14 +97,14 @@ class Explanation:
             "summary": self.summary,
             "details": list(self.details),
             "suggestions": [s.as_dict() for s in self.suggestions],
-            "contacts": plain(self.contacts),
-            "state": plain(self.state),
-            "nearest": plain(self.nearest),
-            "data": plain(self.data),
+            "contacts": to_json_types(self.contacts),
+            "state": to_json_types(self.state),
+            "nearest": to_json_types(self.nearest),
+            "data": to_json_types(self.data),
         }
 
 
-def plain(value: Any) -> Any:
+def to_json_types(value: Any) -> Any:
     """Convert a value from an explanation to JSON types.
 
     Non-finite numbers become None, and a pose becomes a mapping of position and quaternion.
@@ -122,13 +122,13 @@ def plain(value: Any) -> Any:
     if isinstance(value, SO3):
         return value.quat_xyzw.tolist()
     if isinstance(value, JointState):
-        return plain(value.as_dict())
+        return to_json_types(value.as_dict())
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: to_json_types(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): to_json_types(v) for k, v in value.items()}
     if isinstance(value, Iterable):
-        return [plain(v) for v in _items(value)]
+        return [to_json_types(v) for v in _items(value)]
     return str(value)
 
 

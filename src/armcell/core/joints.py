@@ -64,7 +64,7 @@ class JointState:
             object.__setattr__(self, label, values)
 
     @staticmethod
-    def trusted(
+    def unchecked(
         joint_names: Names, positions: Array, velocities: Array | None = None, efforts: Array | None = None,
         time: float = 0.0,
     ) -> JointState:  # fmt: skip

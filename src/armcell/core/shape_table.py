@@ -106,7 +106,7 @@ class ShapeKind:
     def from_named(
         self, number: Callable[[str], float], vector: Callable[[str, int], Sequence[float]]
     ) -> Shape:
-        """Create a shape from its row in the shape table; the given functions read its sizes by name.
+        """Create a shape of this kind from sizes that two functions look up by their names, such as `radius`.
 
         Args:
             number: reads one number by name.

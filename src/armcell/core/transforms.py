@@ -184,7 +184,7 @@ class SO3:
             return 2.0 * v
         return 2.0 * np.arctan2(n, q[0]) / n * v
 
-    def inv(self) -> SO3:
+    def inverse(self) -> SO3:
         return SO3(self.matrix.T)
 
     def __matmul__(self, other: SO3) -> SO3:
@@ -288,7 +288,7 @@ class SE3:
     def quat_xyzw(self) -> Array:
         return self.rotation.quat_xyzw
 
-    def inv(self) -> SE3:
+    def inverse(self) -> SE3:
         R = self.rotation.matrix.T
         return SE3(SO3(R), -R @ self.translation)
 
@@ -311,7 +311,7 @@ class SE3:
         """Return the distance between the positions of two poses (SE3) [m] and the angle between their
         orientations [rad].
         """
-        angle = _length((self.rotation.inv() @ other.rotation).log())
+        angle = _length((self.rotation.inverse() @ other.rotation).log())
         return _length(self.translation - other.translation), angle
 
     def isclose(self, other: SE3, position: float = 1e-9, rotation: float = 1e-9) -> bool:
@@ -329,7 +329,7 @@ class SE3:
         which is faster than one call per fraction.
         """
         fractions = float_array(list(fractions), (None,), "fractions")
-        rotvec = (self.rotation.inv() @ other.rotation).log()
+        rotvec = (self.rotation.inverse() @ other.rotation).log()
         turns = float(np.linalg.norm(rotvec)) > 1e-12  # less is rounding
         return [
             SE3(

@@ -10,7 +10,7 @@ from armcell.drivers.driver import (
     WeldRecord,
     drivers,
 )
-from armcell.drivers.following import Following
+from armcell.drivers.execution_handle import ExecutionHandle
 from armcell.drivers.proxy import DriverProxy
 from armcell.drivers.safety import Fault, SafetyEvent, Supervisor
 from armcell.drivers.ur.dashboard import DashboardClient
@@ -22,8 +22,8 @@ __all__ = [
     "Driver",
     "DriverOptions",
     "DriverProxy",
+    "ExecutionHandle",
     "Fault",
-    "Following",
     "GripperReading",
     "SafetyEvent",
     "Supervisor",

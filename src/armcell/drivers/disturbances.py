@@ -25,7 +25,7 @@ class Push:
 
 
 @dataclass(frozen=True)
-class Move:
+class Displacement:
     """Disturbance of a simulated cell that displaces an object during a run.
     Only cameras can observe the displacement.
 
@@ -58,7 +58,7 @@ class Disturbances:
     joint_noise: float = 0.0
     latency: float = 0.0
     pushes: tuple[Push, ...] = ()
-    moves: tuple[Move, ...] = ()
+    moves: tuple[Displacement, ...] = ()
 
     def __bool__(self) -> bool:
         of_the_arm = any(self.joint_offsets.values()) or self.joint_noise or self.latency

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, Contact, InputError, JointState, JointTrajectory, Outcome, Playback, Registry
 from armcell.core.checks import checked
-from armcell.drivers.following import Following
-from armcell.drivers.guarding import MotionGuard, Watch
+from armcell.drivers.execution_handle import ExecutionHandle
+from armcell.drivers.motion_guard import ExecutionMonitor, MotionGuard
 from armcell.drivers.safety import Fault, SafetyEvent
 from armcell.scene import PlanningScene
 from armcell.sim import SimWorld
@@ -257,7 +257,7 @@ class Driver(ABC):
         return np.zeros(6)
 
     # --- whole trajectories: Capability.PLAY_TRAJECTORY ---
-    def follow(self, trajectory: JointTrajectory) -> Following:
+    def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
         """Start a trajectory that the driver's robot plays itself, and return a handle for it.
 
         Raises:
@@ -283,11 +283,11 @@ class Driver(ABC):
         raise self._incapable(Capability.PLAY_PARTS)
 
     # --- dry runs: Capability.DRY_RUN ---
-    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+    def dry_run(self, trajectory: JointTrajectory) -> Outcome | None:
         """Let a driver dry-run a trajectory in simulation. Return the reason not to execute it, or None."""
         raise self._incapable(Capability.DRY_RUN)
 
-    def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
+    def monitor_execution(self, trajectory: JointTrajectory, forced: bool) -> ExecutionMonitor:
         """Return a driver's monitor that compares a streamed motion with the most recent dry run.
 
         Args:
@@ -304,7 +304,7 @@ class Driver(ABC):
         raise self._incapable(Capability.ROBOT_CLOCK)
 
     @property
-    def tick(self) -> float:
+    def next_command_time(self) -> float:
         """Return the driver's time [s] for the next command,
         which is the total duration passed to `advance`.
         """

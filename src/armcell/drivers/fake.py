@@ -88,7 +88,7 @@ class FakeDriver(Driver):
         return GripperReading(width, force if held else 0.0, item)
 
     def resume(self) -> None:
-        """Do nothing to resume the fake robot, because no event ever stops it."""
+        """Do nothing: a fake robot never stops by itself, so there is nothing to resume."""
 
     def wrench(self, gripper: str) -> Array:
         self._model.gripper(gripper)
@@ -118,7 +118,7 @@ class FakeDriver(Driver):
     def _take(self, gripper: str) -> None:
         """Let a fake gripper hold the object between its fingers or under its cups, if there is one."""
         if item := self._between(gripper):
-            self._held[gripper] = (item, self._tcp(gripper).inv() @ self._poses[item])
+            self._held[gripper] = (item, self._tcp(gripper).inverse() @ self._poses[item])
 
     def _between(self, gripper: str) -> str | None:
         """Return the object that a fake gripper would grasp because
@@ -131,7 +131,7 @@ class FakeDriver(Driver):
             points = [T.apply((0.0, 0.0, cup.stroke)) for T, cup in zip(cups, g.cups, strict=True)]
         for name, pose in self._poses.items():
             low, high = self._scene.object(name).bounds()
-            local = pose.inv().apply(np.array(points))
+            local = pose.inverse().apply(np.array(points))
             if np.any(np.all((local >= low) & (local <= high), axis=1)):
                 return name
         return None
@@ -143,7 +143,7 @@ class FakeDriver(Driver):
         item = self._held[gripper][0] if gripper in self._held else self._between(gripper)
         if item is None:
             return 0.0
-        axis = (self._poses[item].rotation.inv() @ self._tcp(gripper).rotation).matrix[:, 1]
+        axis = (self._poses[item].rotation.inverse() @ self._tcp(gripper).rotation).matrix[:, 1]
         return self._scene.object(item).extent(axis)
 
     def stop(self) -> None:

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from armcell.core import SE3, Contact, JointState, JointTrajectory, Outcome, Playback
 from armcell.drivers.driver import Array, Capability, ContactRecord, Driver, GripperReading, WeldRecord
-from armcell.drivers.following import Following
-from armcell.drivers.guarding import MotionGuard, Watch
+from armcell.drivers.execution_handle import ExecutionHandle
+from armcell.drivers.motion_guard import ExecutionMonitor, MotionGuard
 from armcell.drivers.safety import Fault, SafetyEvent
 from armcell.sim import SimWorld
 
@@ -148,7 +148,7 @@ class DriverProxy(Driver):
         return self._driver.wrench(gripper)
 
     # --- trajectories ---
-    def follow(self, trajectory: JointTrajectory) -> Following:
+    def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
         return self._driver.follow(trajectory)
 
     def play(
@@ -156,11 +156,11 @@ class DriverProxy(Driver):
     ) -> tuple[float, int]:
         return self._driver.play(joint_names, playback, began, until, tolerance)
 
-    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
-        return self._driver.rehearse(trajectory)
+    def dry_run(self, trajectory: JointTrajectory) -> Outcome | None:
+        return self._driver.dry_run(trajectory)
 
-    def watch(self, trajectory: JointTrajectory, forced: bool) -> Watch:
-        return self._driver.watch(trajectory, forced)
+    def monitor_execution(self, trajectory: JointTrajectory, forced: bool) -> ExecutionMonitor:
+        return self._driver.monitor_execution(trajectory, forced)
 
     # --- real arms ---
     @property
@@ -168,8 +168,8 @@ class DriverProxy(Driver):
         return self._driver.latency
 
     @property
-    def tick(self) -> float:
-        return self._driver.tick
+    def next_command_time(self) -> float:
+        return self._driver.next_command_time
 
     @property
     def speed_fraction(self) -> float:

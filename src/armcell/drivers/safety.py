@@ -59,7 +59,7 @@ class SafetyEvent:
     text: str
 
 
-class Supervised(Protocol):
+class SupervisedArm(Protocol):
     """Interface of an arm as the safety supervisor needs it."""
 
     def fault(self) -> Fault | None:
@@ -79,7 +79,7 @@ class Supervisor:
     Call `check` often: on every state, and periodically.
     """
 
-    def __init__(self, arms: Mapping[str, Supervised], on_trip: Callable[[Fault], None] | None = None):
+    def __init__(self, arms: Mapping[str, SupervisedArm], on_trip: Callable[[Fault], None] | None = None):
         self._arms, self._on_trip = dict(arms), on_trip
         self._lock = threading.RLock()
         self.tripped: Fault | None = None

@@ -21,7 +21,7 @@ from armcell.drivers.driver import (
     drivers,
 )
 from armcell.scene import PlanningScene
-from armcell.sim import Pacer, PhysicsSettings, SimWorld, Targets
+from armcell.sim import JointTargets, Pacer, PhysicsSettings, SimWorld
 
 PERIOD = 0.004  # [s] between commands, rounded to whole physics steps
 
@@ -74,7 +74,7 @@ class SteppedSim(Driver):
     ) -> JointState:
         self.world.set_arm_target(joint_names, positions, velocities)
         q, v = np.array(positions, dtype=float), np.array(velocities, dtype=float)
-        return JointState.trusted(joint_names, q, v, time=self.now)  # validated by the world
+        return JointState.unchecked(joint_names, q, v, time=self.now)  # validated by the world
 
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
         self.world.set_gripper_target(gripper, width, force)
@@ -144,7 +144,9 @@ class SimDriver(SteppedSim):
 
     def __init__(self, scene: PlanningScene, options: DriverOptions):
         super().__init__(scene, options)
-        self._played: tuple[Playback, float, Targets] | None = None  # playback, start time [s], its targets
+        self._played: tuple[Playback, float, JointTargets] | None = (
+            None  # playback, start time [s], its targets
+        )
 
     def play(
         self, joint_names: tuple[str, ...], playback: Playback, began: float, until: float, tolerance: float
@@ -158,14 +160,14 @@ class SimDriver(SteppedSim):
         self._pacer.wait_until(self.world.time)
         return found
 
-    def _targets_of(self, playback: Playback, began: float) -> Targets:
+    def _targets_of(self, playback: Playback, began: float) -> JointTargets:
         period, duration = self.period, playback.duration
 
         def wanted(times: Array) -> tuple[Array, Array]:
             return playback.at_times(np.minimum(times - began + period, duration))
 
         timestep = self._settings.timestep
-        return Targets(wanted, timestep, round(period / timestep))
+        return JointTargets(wanted, timestep, round(period / timestep))
 
 
 drivers.register("sim")(SimDriver)  # not a decorator: type checkers would lose the class

@@ -1,5 +1,5 @@
 """Emulated robot controllers that speak the vendors' own network protocols."""
 
-from armcell.emulators.ur import ControllerSettings, Rack
+from armcell.emulators.ur import ControllerSettings, UrRack
 
-__all__ = ["ControllerSettings", "Rack"]
+__all__ = ["ControllerSettings", "UrRack"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from armcell.core import ArmcellError
-from armcell.core.endpoints import Endpoint, listen, reserve
+from armcell.core.network_endpoints import Endpoint, listen, reserve
 
 BACKLOG = 8  # largest number of connections waiting to be accepted
 MAX_BEHIND = 1 << 15  # unsent bytes per client above which state messages are skipped
@@ -20,7 +20,7 @@ MAX_WAITING = 1 << 20  # unsent bytes per client above which the client is disco
 
 
 @dataclass
-class Faults:
+class NetworkFaults:
     """Faults injected into the network of an emulated controller. All times are on the monotonic clock."""
 
     frozen_until: float = 0.0  # no data is sent or received
@@ -38,7 +38,7 @@ class Faults:
         return time.monotonic() < self.refused_until
 
 
-class Link:
+class TcpConnection:
     """TCP connection in the network of an emulated controller, with buffers for received and unsent data."""
 
     def __init__(self, sock: socket.socket, network: Network):
@@ -50,7 +50,7 @@ class Link:
         self._waiting = 0
 
     @property
-    def behind(self) -> bool:
+    def is_lagging(self) -> bool:
         """Return whether a client in an emulated controller's network
         reads too slowly to receive every state.
         """
@@ -169,17 +169,21 @@ class Network:
     """
 
     def __init__(self, selector: selectors.BaseSelector):
-        self.faults = Faults()
+        self.faults = NetworkFaults()
         self._selector = selector
         self._ports: dict[socket.socket, Callable[[], None]] = {}  # port -> accepting function
         self.endpoints: list[Endpoint] = []
-        self.links: dict[Link, Callable[[Link], None] | None] = {}
+        self.links: dict[TcpConnection, Callable[[TcpConnection], None] | None] = {}
         self._datagrams: list[Datagrams] = []
 
     def listen(
-        self, host: str, port: int, begin: Callable[[Link], None], on_data: Callable[[Link], None],
+        self,
+        host: str,
+        port: int,
+        begin: Callable[[TcpConnection], None],
+        on_data: Callable[[TcpConnection], None],
         service: str,
-    ) -> int:  # fmt: skip
+    ) -> int:
         """Reserve a network port of an emulated controller and return its number.
         Connections are accepted once `open` is called.
 
@@ -207,7 +211,7 @@ class Network:
             if self.faults.refusing:
                 connection.close()
                 return
-            link = Link(connection, self)
+            link = TcpConnection(connection, self)
             self._add(link, on_data)
             begin(link)
 
@@ -229,7 +233,7 @@ class Network:
             listen(sock, BACKLOG)
             self._selector.register(sock, selectors.EVENT_READ, accept)
 
-    def connect(self, host: str, port: int) -> Link | None:
+    def connect(self, host: str, port: int) -> TcpConnection | None:
         """Open an outgoing network connection for the URScript function socket_open.
         Return None if the host does not answer.
         """
@@ -237,11 +241,11 @@ class Network:
             sock = socket.create_connection((host, port), timeout=0.05)
         except OSError:
             return None
-        link = Link(sock, self)
+        link = TcpConnection(sock, self)
         self._add(link, None)
         return link
 
-    def _add(self, link: Link, on_data: Callable[[Link], None] | None) -> None:
+    def _add(self, link: TcpConnection, on_data: Callable[[TcpConnection], None] | None) -> None:
         self.links[link] = on_data
 
         def ready() -> None:
@@ -253,7 +257,7 @@ class Network:
 
         self._selector.register(link.socket, selectors.EVENT_READ, ready)
 
-    def forget(self, link: Link) -> None:
+    def forget(self, link: TcpConnection) -> None:
         if self.links.pop(link, "gone") != "gone":
             self._selector.unregister(link.socket)
 

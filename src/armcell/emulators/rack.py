@@ -15,7 +15,7 @@ IDLE = 1.0  # [s] without a client before a run counts as ended
 MAX_LAG = 1.0  # [s] largest delay behind wall time that is caught up; a larger delay is lost
 
 
-class Controller(Protocol):
+class EmulatedController(Protocol):
     """Interface of an emulated controller with its ports, which a rack runs.
 
     Attributes:
@@ -61,7 +61,7 @@ def selector() -> selectors.BaseSelector:
     return selectors.SelectSelector()
 
 
-AnyController = TypeVar("AnyController", bound=Controller)
+AnyController = TypeVar("AnyController", bound=EmulatedController)
 
 
 class Rack(Generic[AnyController]):

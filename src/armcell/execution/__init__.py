@@ -2,7 +2,7 @@
 
 from armcell.execution.admittance import Admittance, AdmittanceSettings
 from armcell.execution.executor import ExecutionSteps, execute, execute_coupled, execution_steps
-from armcell.execution.gate import (
+from armcell.execution.motion_gate import (
     NOT_STARTED,
     SCENE_INVALIDATED,
     DriverWorld,

@@ -17,7 +17,7 @@ import numpy as np
 
 from armcell.core import ErrorCode, ExecutionResult, JointState, JointTrajectory, Outcome
 from armcell.drivers import Capability, Driver
-from armcell.execution.gate import NOT_STARTED, Executable, executable
+from armcell.execution.motion_gate import NOT_STARTED, Executable, executable
 from armcell.execution.setpoints import (
     CANCEL_TIME,
     Correction,
@@ -198,7 +198,7 @@ class _Execution:
         motion, else None.
         """
         dry_runs = Capability.DRY_RUN in self.driver.capabilities
-        refused = self.driver.rehearse(self.trajectory) if dry_runs else None
+        refused = self.driver.dry_run(self.trajectory) if dry_runs else None
         return None if refused is None else self._result(refused.code, refused.message, refused.evidence)
 
     # --- the motion ---

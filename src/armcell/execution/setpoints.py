@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import ErrorCode, JointTrajectory, Outcome, Playback
-from armcell.drivers import Capability, Driver, Following
-from armcell.drivers.guarding import Watch
+from armcell.drivers import Capability, Driver, ExecutionHandle
+from armcell.drivers.motion_guard import ExecutionMonitor
 from armcell.execution.settings import ExecutionSettings
 
 Array = NDArray[np.float64]
@@ -174,7 +174,7 @@ class RobotPlayback(SetpointSource):
     def __init__(self, driver: Driver, trajectory: JointTrajectory, settings: ExecutionSettings):
         super().__init__(driver, trajectory, settings)
         self._first = float(trajectory.times[0])
-        self._handle: Following | None = None
+        self._handle: ExecutionHandle | None = None
         self._furthest = 0.0  # [s] on the trajectory
         self._advanced_at = driver.now  # [s] of the last progress
 
@@ -191,7 +191,7 @@ class RobotPlayback(SetpointSource):
 
     def tracking_error(self) -> tuple[float, int] | None:
         handle = self._playing()
-        t = handle.clock()
+        t = handle.trajectory_time()
         if t is None:
             self.clock = min(self.driver.now - self._advanced_at, self.duration)
             return None
@@ -210,7 +210,7 @@ class RobotPlayback(SetpointSource):
             return state
         self.complete = state == "done"
         stalled = self.driver.now - self._advanced_at > self.settings.stall_time
-        if state == "running" and stalled and self._playing().clock() is not None:
+        if state == "running" and stalled and self._playing().trajectory_time() is not None:
             text = (
                 f"no progress for {self.settings.stall_time:g} s at {self.clock:.2f} of {self.duration:.2f} s"
             )
@@ -230,7 +230,7 @@ class RobotPlayback(SetpointSource):
         self.over = isinstance(state, Outcome)
         return self.over or (state != "running" and max_speed(self.driver, self.columns) < AT_REST)
 
-    def _playing(self) -> Following:
+    def _playing(self) -> ExecutionHandle:
         if self._handle is None:
             raise RuntimeError("the robot has no trajectory yet")
         return self._handle
@@ -262,13 +262,13 @@ class CoupledSetpoints(SetpointSource):
         self._playback = Playback(trajectory)
         self._scale, self._tick = 1.0, 0.0
         self._recent = _RecentSetpoints(driver.latency if self._has_clock else 0.0)
-        self._monitor: Watch | None = None  # compares the arms with the dry run
+        self._monitor: ExecutionMonitor | None = None  # compares the arms with the dry run
 
     def start(self, blend: JointTrajectory | None) -> Outcome | None:
         if Capability.DRY_RUN in self.driver.capabilities:
-            self._monitor = self.driver.watch(self.trajectory, self._correct is not None)
+            self._monitor = self.driver.monitor_execution(self.trajectory, self._correct is not None)
         if self._has_clock:
-            self._tick = self.driver.tick
+            self._tick = self.driver.next_command_time
         return None
 
     def send(self) -> bool:
@@ -279,13 +279,13 @@ class CoupledSetpoints(SetpointSource):
             q, v = self._correct(self.clock, q, v)
         self.driver.command(self.names, q, v)
         if self._monitor is not None:
-            self._monitor.sent(self.clock, q - planned)
+            self._monitor.record_setpoint(self.clock, q - planned)
         self.goal = q
         return True
 
     def tracking_error(self) -> tuple[float, int] | None:
         if self._monitor is not None:
-            self._monitor.look()
+            self._monitor.check()
         self.complete = not self.clock < self.duration
         q = self.driver.joint_state().positions[self.columns]
         return largest(np.abs(q - self._recent.nearest(q, self.goal, self.driver.now)))
@@ -308,7 +308,7 @@ class CoupledSetpoints(SetpointSource):
         )
         passed = period
         if self._has_clock:  # real time passes on its own: a late program must not cause a jump
-            tick = self.driver.tick
+            tick = self.driver.next_command_time
             passed, self._tick = min(tick - self._tick, CATCH_UP * period), tick
         self.clock, self._scale = min(self.clock + scale * passed, self.duration), scale
         return scale

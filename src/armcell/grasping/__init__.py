@@ -4,17 +4,16 @@ import armcell.grasping.generators  # noqa: F401  registers them
 from armcell.grasping.candidates import Proposals, generator_for, generators, grasp_candidates
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import LIFT_ACCELERATION, grip_force, needed_force, pair_friction
-from armcell.grasping.from_above import AboveSettings, HeapGrasp, grasps_from_above
-from armcell.grasping.grasp import Grasp, Rejection, how_near, nearest_miss
+from armcell.grasping.grasp import Grasp, Rejection, nearest_miss, rejection_sort_key
 from armcell.grasping.hand import Hand, hand_of, pre_opening
-from armcell.grasping.placing import (
+from armcell.grasping.placements import (
     FRICTION_MARGIN,
     RELEASE_GAP,
     Placement,
     place_candidates,
     placement_axis,
+    rotated_placement,
     surface_for,
-    turned,
 )
 from armcell.grasping.quality import (
     Noise,
@@ -24,15 +23,15 @@ from armcell.grasping.quality import (
     hull_quality,
     robustness,
 )
-from armcell.grasping.stability import Rest, resting_now, rests
+from armcell.grasping.stability import StablePose, resting_now, stable_poses
 from armcell.grasping.support import support_surface, tilt_of
 from armcell.grasping.surface import Surface, cloud_surface, surface_of
+from armcell.grasping.top_down import HeapGrasp, TopDownGraspSettings, top_down_grasps
 
 __all__ = [
     "FRICTION_MARGIN",
     "LIFT_ACCELERATION",
     "RELEASE_GAP",
-    "AboveSettings",
     "Grasp",
     "Hand",
     "HeapGrasp",
@@ -42,18 +41,17 @@ __all__ = [
     "Proposals",
     "Quality",
     "Rejection",
-    "Rest",
+    "StablePose",
     "Surface",
+    "TopDownGraspSettings",
     "cloud_surface",
     "contact_wrenches",
     "generator_for",
     "generators",
     "grasp_candidates",
     "grasp_quality",
-    "grasps_from_above",
     "grip_force",
     "hand_of",
-    "how_near",
     "hull_quality",
     "nearest_miss",
     "needed_force",
@@ -61,12 +59,14 @@ __all__ = [
     "place_candidates",
     "placement_axis",
     "pre_opening",
+    "rejection_sort_key",
     "resting_now",
-    "rests",
     "robustness",
+    "rotated_placement",
+    "stable_poses",
     "support_surface",
     "surface_for",
     "surface_of",
     "tilt_of",
-    "turned",
+    "top_down_grasps",
 ]

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3, Box, Capsule, Cylinder, Registry, Sphere
-from armcell.grasping import kernel
+from armcell.grasping import hand_fit_kernel
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import SAFETY, firm_force, holding_factor, needed_force
 from armcell.grasping.grasp import APPROACH, Grasp, Rejection
 from armcell.grasping.hand import Hand
-from armcell.grasping.suction import Seals, find_seals, judge_suction
+from armcell.grasping.suction import SuctionCandidates, evaluate_suction_grasps, find_seals
 from armcell.grasping.surface import Surface, surface_of
 from armcell.model import Gripper, SuctionGripper
 from armcell.scene import CollisionObject
@@ -86,8 +86,8 @@ def grasp_candidates(
     """
     up = item.T_world_object.rotation.matrix[2]  # world z in the object's frame
     fitted = _fitted(item, hand, generator or generator_for(item, hand.gripper), up, on_support)
-    if isinstance(fitted, Seals):
-        return judge_suction(item, hand, fitted, up)
+    if isinstance(fitted, SuctionCandidates):
+        return evaluate_suction_grasps(item, hand, fitted, up)
     return _judged(item, hand, fitted, up)
 
 
@@ -101,17 +101,17 @@ class _Fitted:
     names: tuple[str, ...]
     poses: Array  # (k, 4, 4)
     verdict: NDArray[np.int64]
-    measures: Array  # (k, 3): see kernel.fit
+    measures: Array  # (k, 3): see hand_fit_kernel.fit
     contacts: Array  # (k, 2, 8)
     surface: Surface
 
 
-_kept: OrderedDict[tuple, _Fitted | Seals] = OrderedDict()
+_kept: OrderedDict[tuple, _Fitted | SuctionCandidates] = OrderedDict()
 
 
 def _fitted(
     item: CollisionObject, hand: Hand, generator: str, up: Array, on_support: bool
-) -> _Fitted | Seals:
+) -> _Fitted | SuctionCandidates:
     make = generators[generator]
     surface = surface_of(item)
     key = (surface.key, id(hand), generator, (up.round(3) + 0.0).tobytes(), on_support)
@@ -124,12 +124,14 @@ def _fitted(
     return _kept[key]
 
 
-def _fit(proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool) -> _Fitted | Seals:
+def _fit(
+    proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool
+) -> _Fitted | SuctionCandidates:
     if isinstance(hand.gripper, SuctionGripper):
         return find_seals(tuple(proposals.names), proposals.poses, surface, hand, up, on_support)
     poses = np.array(proposals.poses, dtype=float).reshape(-1, 4, 4)
     floor = float((surface.points @ up).min()) if on_support else -np.inf
-    found = kernel.fit(
+    found = hand_fit_kernel.fit_hand(
         poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
         hand.gripper.max_width, np.ascontiguousarray(up), floor, APPROACH,
     )  # fmt: skip
@@ -142,10 +144,10 @@ def _judged(
 ) -> tuple[list[Grasp], list[Rejection]]:
     friction, gripper = max(item.material.friction, 1e-3), hand.gripper
     force = needed_force(item)
-    good = np.flatnonzero(fitted.verdict == kernel.FREE)
+    good = np.flatnonzero(fitted.verdict == hand_fit_kernel.FREE)
     rejected = [
         Rejection(fitted.names[i], *_why(int(fitted.verdict[i]), fitted.measures[i], hand))
-        for i in np.flatnonzero(fitted.verdict != kernel.FREE)
+        for i in np.flatnonzero(fitted.verdict != hand_fit_kernel.FREE)
     ]
     R, at = fitted.poses[good, :3, :3], fitted.poses[good, :3, 3]
     contacts, width = fitted.contacts[good], fitted.measures[good, 0]
@@ -202,7 +204,7 @@ def _judged(
             rejected.append(Rejection(name, f"{text} {gripper.max_force:.0f} N", 4, excess))
         else:
             opening = float(fitted.measures[good[i], 1])
-            pose = SE3(SO3(R[i]), at[i]) @ hand.gripper.grip_center(float(width[i]), opening).inv()
+            pose = SE3(SO3(R[i]), at[i]) @ hand.gripper.grip_center(float(width[i]), opening).inverse()
             pads = (PadContact.of(contacts[i, 0]), PadContact.of(contacts[i, 1]))
             hold = firm_force(float(needed[i]), gripper)
             found.append(Grasp(name, pose, float(width[i]), opening, hold, float(score[i]), contacts=pads))
@@ -216,12 +218,12 @@ def _why(verdict: int, measures: Array, hand: Hand) -> tuple[str, int, float]:
     by, opens = float(measures[2]), hand.gripper.max_width
     mm = 1000 * by
     match verdict:
-        case kernel.TOO_WIDE:
+        case hand_fit_kernel.TOO_WIDE:
             return f"{mm:.0f} mm wide, the gripper opens {opens * 1000:.0f} mm", 1, by - opens
-        case kernel.HAND_HITS:
+        case hand_fit_kernel.HAND_HITS:
             return f"the hand would be {mm:.0f} mm inside the object", 2, by
-        case kernel.SUPPORT_HIT:
+        case hand_fit_kernel.SUPPORT_HIT:
             return f"the hand would be {mm:.0f} mm inside what the object stands on", 2, by
-        case kernel.TOO_FLAT:
+        case hand_fit_kernel.TOO_FLAT:
             return f"too flat: {mm:.0f} mm off, to keep the hand clear, the pads miss it", 2, by
     return "nothing is between the pads", 0, np.inf

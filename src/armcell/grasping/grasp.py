@@ -53,10 +53,10 @@ def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
 
     Among equals, the candidate with the smallest excess wins.
     """
-    return min(rejected, key=how_near, default=None)
+    return min(rejected, key=rejection_sort_key, default=None)
 
 
-def how_near(rejection: Rejection) -> tuple[int, float]:
+def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:
     """Return a sort key for rejected grasp candidates: first the number of passed checks,
     then how far the next check was missed.
     """

@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.convex import convex_pieces
+from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import InputError, Mesh
 from armcell.core.geometry import local_bounds
-from armcell.grasping.kernel import MARGIN, WIDER
+from armcell.grasping.hand_fit_kernel import MARGIN, WIDER
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel, SuctionGripper
 
@@ -62,7 +62,7 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
     width = gripper.max_width / 2 if gripper.curve else 0.0
     for column in model.columns(gripper.joint_names):
         q[column] = gripper.joint_position(width)
-    T_tcp_world = gripper.center(width).inv() @ tree.link_pose(q, gripper.tcp_link).inv()
+    T_tcp_world = gripper.center(width).inverse() @ tree.link_pose(q, gripper.tcp_link).inverse()
     sides = {gripper.finger_links[0]: "left", gripper.finger_links[-1]: "right"} if gripper.curve else {}
     groups: dict[str, list[Array]] = {"palm": [], "left": [], "right": []}
     for name in gripper.hand_links:

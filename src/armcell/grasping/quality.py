@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
 from armcell.core.checks import checked, float_array
-from armcell.grasping import kernel
+from armcell.grasping import hand_fit_kernel
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import LIFT_ACCELERATION, holding_factor
 from armcell.grasping.grasp import Grasp
@@ -124,7 +124,7 @@ def grasp_quality(item: CollisionObject, grasp: Grasp) -> Quality:
     force closure, epsilon and volume.
     """
     surface = surface_of(item)
-    about = grasp.T_object_tcp.inv().apply(surface.center_of_mass)
+    about = grasp.T_object_tcp.inverse().apply(surface.center_of_mass)
     low, high = surface.bounds
     size = float(np.linalg.norm(high - low)) / 2
     return hull_quality(contact_wrenches(grasp.contacts, about, size, item.material))
@@ -140,15 +140,15 @@ def robustness(
     """
     rng, surface = np.random.default_rng(seed), surface_of(item)
     moved = noise.poses(trials, rng)
-    poses = np.array([(T.inv() @ grasp.T_object_tcp).matrix for T in moved])
+    poses = np.array([(T.inverse() @ grasp.T_object_tcp).matrix for T in moved])
     up = np.ascontiguousarray(item.T_world_object.rotation.matrix[2])
-    verdict, _, contacts = kernel.fit(
+    verdict, _, contacts = hand_fit_kernel.fit_hand(
         poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
         hand.gripper.max_width, up, -np.inf, grasp.shortest_approach,
     )  # fmt: skip
     holds = 0
     for i, other in enumerate(noise.materials(item, trials, rng)):
-        if verdict[i] != kernel.FREE:
+        if verdict[i] != hand_fit_kernel.FREE:
             continue
         a, b = (PadContact.of(row) for row in contacts[i])
         friction = other.material.friction

@@ -21,7 +21,7 @@ NARROW = 5e-4  # [m] assumed half width of the contact line or point of a round 
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
+class StablePose:
     """Stable resting pose of an object, with its up direction (3,), support polygon and stability margin.
 
     All are in the object's frame.
@@ -37,10 +37,10 @@ class Rest:
         return -float(self.foot[0] @ self.up)
 
 
-_kept: OrderedDict[tuple, tuple[Rest, ...]] = OrderedDict()
+_kept: OrderedDict[tuple, tuple[StablePose, ...]] = OrderedDict()
 
 
-def rests(item: CollisionObject) -> tuple[Rest, ...]:
+def stable_poses(item: CollisionObject) -> tuple[StablePose, ...]:
     """Return the sides of an object's convex hull on which the object can rest stably, most stable first.
 
     Round shapes are approximated by polygons and rest on their narrow sides, with almost no margin.
@@ -53,7 +53,7 @@ def rests(item: CollisionObject) -> tuple[Rest, ...]:
     return _kept[surface.key]
 
 
-def _rests(surface: Surface) -> list[Rest]:
+def _rests(surface: Surface) -> list[StablePose]:
     from scipy.spatial import ConvexHull, QhullError
 
     corners = surface.triangles.reshape(-1, 3) if len(surface.triangles) else surface.points
@@ -72,7 +72,7 @@ def _rests(surface: Surface) -> list[Rest]:
         ring = polygon(foot, -down)
         margin = margin_of(ring, -down, surface.center_of_mass)
         if margin >= 0:
-            found.append(Rest(-down, ring, margin))
+            found.append(StablePose(-down, ring, margin))
     return sorted(found, key=lambda r: -r.margin)
 
 
@@ -115,7 +115,7 @@ def margin_of(corners: Array, up: Array, point: Array) -> float:
     return float(np.einsum("ij,ij->i", inwards, point - corners).min())
 
 
-def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8) -> Rest | None:
+def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8) -> StablePose | None:
     """Return the stable resting pose of an object that is nearest to the object's present orientation.
 
     A stable resting pose is preferred to one on which the object rolls.
@@ -125,7 +125,7 @@ def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8)
         within: [rad] maximum angle to a preferred stable resting pose.
     """
     now = item.T_world_object.rotation.matrix[2]
-    all_ = rests(item)
+    all_ = stable_poses(item)
     if not all_:
         return None
     nearest = max(all_, key=lambda r: float(r.up @ now))
@@ -136,7 +136,7 @@ def resting_now(item: CollisionObject, firm: float = 0.003, within: float = 0.8)
     return _rolled(item, now, best) or best
 
 
-def _rolled(item: CollisionObject, now: Array, nearest: Rest) -> Rest | None:
+def _rolled(item: CollisionObject, now: Array, nearest: StablePose) -> StablePose | None:
     """Return the stable resting pose of a body that rolls: a sphere, or a lying cylinder or capsule.
 
     The body keeps its present orientation. The result is None for other objects.
@@ -157,4 +157,4 @@ def _rolled(item: CollisionObject, now: Array, nearest: Rest) -> Rest | None:
     foot = np.array(
         [line + sx * (half + NARROW) * x + sy * NARROW * y for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     )
-    return Rest(up, foot, 0.0)
+    return StablePose(up, foot, 0.0)

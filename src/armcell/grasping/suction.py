@@ -25,7 +25,7 @@ from armcell.grasping.contact import PadContact
 from armcell.grasping.force import LIFT_ACCELERATION
 from armcell.grasping.grasp import APPROACH, Grasp, Rejection
 from armcell.grasping.hand import Hand
-from armcell.grasping.kernel import CLEARANCE, GAP
+from armcell.grasping.hand_fit_kernel import CLEARANCE, GAP
 from armcell.grasping.surface import Surface
 from armcell.model import SuctionGripper
 from armcell.scene import CollisionObject
@@ -44,7 +44,7 @@ CORNER = np.cos(np.pi / 8)  # physics supports a ring at eight points
 
 
 @dataclass(frozen=True, eq=False)
-class Seals:
+class SuctionCandidates:
     """Suction grasps with the gap around each cup. They do not depend on mass and friction."""
 
     names: tuple[str, ...]
@@ -58,7 +58,7 @@ class Seals:
 
 def find_seals(
     names: tuple[str, ...], poses: Sequence[Array], surface: Surface, hand: Hand, up: Array, on_support: bool
-) -> Seals:
+) -> SuctionCandidates:
     """Place suction grasps on a surface, and measure the gaps around their cups by rays."""
     gripper = hand.gripper
     assert isinstance(gripper, SuctionGripper)
@@ -88,7 +88,7 @@ def find_seals(
             hits[i] = max(hits[i], float(depth[at[:, 2] > box[2] - APPROACH].max(initial=0.0)))
         lowest = float(((corners.reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]) @ up).min())
         low[i] = max(floor + CLEARANCE - lowest, 0.0)
-    return Seals(names, T, gaps.reshape(-1, count), bulges, hits, low, surface)
+    return SuctionCandidates(names, T, gaps.reshape(-1, count), bulges, hits, low, surface)
 
 
 def _heights(T: Array, surface: Surface, hand: Hand, gripper: SuctionGripper) -> Array:
@@ -166,8 +166,8 @@ def _cup_hits(origins, dx, dy, dz, radius, triangles, middles, reaches, found):
                 found[r] = distance
 
 
-def judge_suction(
-    item: CollisionObject, hand: Hand, seals: Seals, up: Array
+def evaluate_suction_grasps(
+    item: CollisionObject, hand: Hand, seals: SuctionCandidates, up: Array
 ) -> tuple[list[Grasp], list[Rejection]]:
     """Return the suction grasps that seal and carry an object, best first, and the others with reasons."""
     gripper = hand.gripper

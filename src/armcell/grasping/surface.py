@@ -123,7 +123,7 @@ def _solid_surface(item: CollisionObject, key: tuple) -> Surface:
         outside = np.ones(len(found), dtype=bool)
         for k, (shape, T) in enumerate(item.shapes):
             if k != i and outside.any():
-                outside &= ~_inside(shape, T.inv().apply(found))
+                outside &= ~_inside(shape, T.inverse().apply(found))
         points.append(found[outside])
         normals.append(ways[outside])
     movable = [(s, T) for s, T in item.shapes if not isinstance(s, Plane)]

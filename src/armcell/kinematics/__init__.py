@@ -7,9 +7,9 @@ from armcell.kinematics.ik import (
     IKSettings,
     IKSolver,
     NumericIK,
+    free_axis_angles,
     ik_solver,
     ik_solvers,
-    spin_angles,
 )
 from armcell.kinematics.tree import KinematicTree, kinematic_tree
 
@@ -21,8 +21,8 @@ __all__ = [
     "InverseDynamics",
     "KinematicTree",
     "NumericIK",
+    "free_axis_angles",
     "ik_solver",
     "ik_solvers",
     "kinematic_tree",
-    "spin_angles",
 ]

@@ -215,7 +215,7 @@ class InverseDynamics:
         """
         return self.model.limits(self.joint_names, "effort")
 
-    def rows(self, positions: Array, first: Array, second: Array) -> Array:
+    def torque_coefficients(self, positions: Array, first: Array, second: Array) -> Array:
         """Return coefficients of the joint torques along a path, computed by inverse dynamics:
         `tau = a u + b x + c`, with path acceleration u and squared path speed x.
 

@@ -4,11 +4,11 @@ The package also contains the library of robots that `load_robot` finds by name.
 """
 
 from armcell.model.assets import find_file
-from armcell.model.compose import Part, compose, prefixed
-from armcell.model.grippers import Cup, Gripper, SuctionGripper
+from armcell.model.grippers import Gripper, SuctionCup, SuctionGripper
 from armcell.model.hand import hand_alone
 from armcell.model.known_robots import KnownRobot, installed_robots, known_robot, robot_names
 from armcell.model.loader import load_robot
+from armcell.model.multi_robot import MountedRobot, compose, prefixed
 from armcell.model.robot import (
     Collision,
     EndEffector,
@@ -26,7 +26,6 @@ from armcell.model.urdf import load_urdf, parse_urdf
 
 __all__ = [
     "Collision",
-    "Cup",
     "EndEffector",
     "Gripper",
     "Group",
@@ -36,9 +35,10 @@ __all__ = [
     "KnownRobot",
     "Link",
     "Mimic",
+    "MountedRobot",
     "MoveItConfig",
-    "Part",
     "RobotModel",
+    "SuctionCup",
     "SuctionGripper",
     "UrdfPart",
     "Visual",

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell._array_store import keep, key_of, recall
 from armcell.core import InputError, Mesh
-from armcell.model.files import read_text
-from armcell.model.options import package_folder
+from armcell.model.command_line_options import package_folder
+from armcell.model.untrusted_files import read_text
 
 if TYPE_CHECKING:
     import trimesh

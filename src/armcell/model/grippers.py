@@ -129,7 +129,7 @@ class Gripper:
         return SE3.from_xyz(0.0, float(opened[1]), float(closed[2]))
 
     @property
-    def scale(self) -> float:
+    def finger_travel_per_joint(self) -> float:
         """How far a gripper's finger moves when the driven joint moves by one unit.
         It is 1 for symmetric sliding fingers.
         """
@@ -138,7 +138,7 @@ class Gripper:
 
 @dataclass(frozen=True)
 @checked()
-class Cup:
+class SuctionCup:
     """Suction cup of a gripper, on a link of the robot.
 
     The z axis of the cup's frame points out of the cup. Its origin is the center of the ring on which a held
@@ -177,7 +177,7 @@ class SuctionGripper(Gripper):
     plane of the cups' rings. `max_force` is the mean holding force of a cup.
     """
 
-    cups: tuple[Cup, ...]
+    cups: tuple[SuctionCup, ...]
     vacuum: float = 60.0  # [kPa] below ambient pressure
     evacuation: float = 0.1  # [s] time constant with which a sealed cup reaches its vacuum
     safety: float = 2.0  # factor on the load for which grasps are planned
@@ -209,6 +209,6 @@ class SuctionGripper(Gripper):
         cups = tuple(replace(cup, link=prefix + cup.link) for cup in self.cups)
         return replace(super().prefixed(prefix), cups=cups)
 
-    def force(self, cup: Cup) -> float:
+    def force(self, cup: SuctionCup) -> float:
         """Return the largest force [N] with which the vacuum of a cup pulls: pressure times area."""
         return 1000.0 * self.vacuum * cup.area

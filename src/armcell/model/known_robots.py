@@ -7,7 +7,7 @@ from pathlib import Path
 
 from armcell.core import InputError
 from armcell.model.assets import resolve_uri
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 
 LIBRARY = Path(__file__).parent / "library"
 ROBOT_FILE = "robot.yaml"

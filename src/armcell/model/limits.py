@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from armcell.core import InputError, UnknownNameError
-from armcell.model.files import read_yaml
 from armcell.model.robot import RobotModel
+from armcell.model.untrusted_files import read_yaml
 
 _FIELDS = {
     "max_velocity": "velocity",

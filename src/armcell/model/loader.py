@@ -13,18 +13,18 @@ import numpy as np
 
 from armcell.core import SE3, InputError, UnknownNameError
 from armcell.model.assets import resolve_uri
-from armcell.model.compose import Part, compose
-from armcell.model.composite import with_composites
-from armcell.model.files import parse_xml, read_text, read_yaml
-from armcell.model.grippers import Cup, Gripper, SuctionGripper
+from armcell.model.composite_groups import with_composite_groups
+from armcell.model.grippers import Gripper, SuctionCup, SuctionGripper
 from armcell.model.known_robots import LIBRARY, ROBOT_FILE, known_robot, robot_names
 from armcell.model.limits import with_joint_limits
+from armcell.model.multi_robot import MountedRobot, compose
 from armcell.model.robot import RobotModel
-from armcell.model.setup.chains import with_groups
+from armcell.model.setup.arm_detection import with_groups
 from armcell.model.setup.frames import with_frame
-from armcell.model.setup.gripper import find_grippers
+from armcell.model.setup.gripper_detection import find_grippers
 from armcell.model.setup.moveit_config import MoveItConfig, is_moveit_config
 from armcell.model.srdf import with_srdf
+from armcell.model.untrusted_files import parse_xml, read_text, read_yaml
 from armcell.model.urdf import load_urdf
 
 XacroArgs = Mapping[str, str] | None
@@ -170,7 +170,7 @@ def load_folder(folder: Path, allow_env: bool | None = None, xacro_args: XacroAr
         model = replace(with_srdf(model, folder / str(data["srdf"])), grippers=grippers)
     if "joint_limits" in data:
         model = with_joint_limits(model, folder / str(data["joint_limits"]))
-    model = with_composites(model, data.get("groups"), data.get("states"), file)
+    model = with_composite_groups(model, data.get("groups"), data.get("states"), file)
     model = _with_ik_solvers(model, data.get("ik_solvers") or {}, file)
     grippers = dict(model.grippers)
     for name, entry in (data.get("grippers") or {}).items():
@@ -254,7 +254,7 @@ def _source_path(data: dict[str, Any], key: str, folder: Path, file: Path) -> Pa
         raise InputError(error.reason, file=file, element=key, hint=hint or error.hint) from None
 
 
-def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> Part:
+def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> MountedRobot:
     if not isinstance(entry, dict) or not isinstance(entry.get("robot"), str):
         raise InputError("each of 'parts' needs a 'robot': a name or a path", file=file, element="parts")
     for key in entry:
@@ -262,7 +262,7 @@ def _part(entry: Any, folder: Path, file: Path, allow_env: bool | None) -> Part:
             raise UnknownNameError(
                 "key", key, ["robot", "prefix", "parent_link", "pose"], file=file, element="parts"
             )
-    return Part(
+    return MountedRobot(
         _part_robot(entry["robot"], folder, file, allow_env),
         str(entry.get("prefix") or ""),
         str(entry.get("parent_link", "world")),
@@ -341,11 +341,11 @@ def _gripper(model: RobotModel, name: str, entry: Any, file: Path) -> Gripper:
     return gripper
 
 
-def _cups(rows: Any, where: dict[str, Any]) -> tuple[Cup, ...]:
+def _cups(rows: Any, where: dict[str, Any]) -> tuple[SuctionCup, ...]:
     """Read the cups of a suction gripper from its entry in robot.yaml."""
     if not isinstance(rows, tuple) or not all(isinstance(row, dict) for row in rows):
         raise InputError("cups must be a list of mappings", **where)
-    known = {f.name for f in fields(Cup)}
+    known = {f.name for f in fields(SuctionCup)}
     cups = []
     for row in rows:
         for key in row:
@@ -353,7 +353,7 @@ def _cups(rows: Any, where: dict[str, Any]) -> tuple[Cup, ...]:
                 raise UnknownNameError("key of a cup", key, known, **where)
         values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
         try:
-            cups.append(Cup(**values))
+            cups.append(SuctionCup(**values))
         except TypeError as error:
             raise InputError(f"a cup is incomplete: {error}", **where) from None
         except InputError as error:

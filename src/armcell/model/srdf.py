@@ -10,8 +10,8 @@ from pathlib import Path
 from lxml import etree
 
 from armcell.core import InputError, UnknownNameError
-from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import EndEffector, Group, JointLimits, RobotModel
+from armcell.model.untrusted_files import parse_xml, read_text
 
 logger = logging.getLogger(__name__)
 

@@ -17,9 +17,9 @@ from lxml import etree
 
 from armcell.core import SE3, Format, InputError, Mesh, Shape, named_shapes
 from armcell.model.assets import load_mesh, package_above, resolve_uri
-from armcell.model.files import parse_xml, read_text
 from armcell.model.robot import Collision, Inertial, Joint, JointLimits, Link, Mimic, RobotModel, Visual
-from armcell.model.xacro import Place, expand_with_places, expand_xacro
+from armcell.model.untrusted_files import parse_xml, read_text
+from armcell.model.xacro import Place, expand_with_source_locations, expand_xacro
 
 logger = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ def load_urdf(
     """
     path = Path(path)
     if path.suffix == ".xacro":
-        text, places = expand_with_places(path, xacro_args, allow_env, home)
+        text, places = expand_with_source_locations(path, xacro_args, allow_env, home)
         return _Reader(path, parse_xml(text, path), places).robot()
     return parse_urdf(read_text(path), path)
 

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from armcell.moveit import matrix
+from armcell.moveit import allowed_collision_matrix
 from armcell.moveit.ros_time import Duration, Time
 from armcell.ros.definitions import PLACEHOLDER, field_parts
 from armcell.ros.messages import python_name
@@ -92,7 +92,7 @@ class MessageClasses:
         return self._classes[name]
 
     def _make(self, name: str) -> type:
-        definition = self.schema.whole(name)
+        definition = self.schema.merged_definition(name)
         specs: list[Any] = [
             (python_name(field), Any, dataclasses.field(default_factory=self._default(node)))
             for field, node in definition.fields
@@ -108,8 +108,8 @@ class MessageClasses:
             "__module__": f"{name.split('/')[0]}.msg",
             PLACEHOLDER: 0,
         }
-        if name == matrix.MATRIX:
-            namespace |= matrix.METHODS
+        if name == allowed_collision_matrix.MATRIX:
+            namespace |= allowed_collision_matrix.METHODS
         return dataclasses.make_dataclass(
             name.split("/")[1], specs, bases=(ScriptMessage,), namespace=namespace,
             eq=False, repr=False, slots=True,
@@ -137,7 +137,7 @@ class MessageClasses:
         if name in STAMPS:
             return STAMPS[name](message.sec, message.nanosec)
         copy = self[name]()
-        for field, node in self.schema.whole(name).fields:
+        for field, node in self.schema.merged_definition(name).fields:
             if field == PLACEHOLDER:
                 continue
             attribute = python_name(field)

@@ -11,9 +11,9 @@ from pathlib import Path
 from armcell import _interrupts
 from armcell.cell import Cell, LiveCell
 from armcell.core import InputError
-from armcell.moveit.install import installed
+from armcell.moveit.install_shims import shims_installed
+from armcell.moveit.missing_imports import missing_import
 from armcell.moveit.session import Session
-from armcell.moveit.tutorial_names import missing_import
 from armcell.ros import Bus, NameMap, Ros1Settings
 
 
@@ -49,7 +49,7 @@ def run_script(
     session = Session(live, rate, auto_grip, quiet, ros1, bus, names)
     argv, path, modules = sys.argv, list(sys.path), set(sys.modules)
     folder = script.resolve().parent
-    with session, installed(session.messages) as hidden:
+    with session, shims_installed(session.messages) as hidden:
         if hidden:
             session.hint("hidden", f"the installed {', '.join(hidden)} are not used in this run")
         began(session)
@@ -59,7 +59,7 @@ def run_script(
             with _interrupts.owned(session.interrupt):
                 status = _status(script, session)
             session.hint_at_gripper()
-            session.served.rest()
+            session.served.stop_motions()
             ended(status, session)
             return status, session
         finally:
@@ -119,7 +119,7 @@ def _finish(session: Session) -> None:
     The script may have caught the Ctrl-C and ended normally.
     """
     if not session.interrupted:
-        session.finish()
+        session.wait_for_motions()
 
 
 def _said(text: object) -> int:

@@ -15,10 +15,10 @@ from armcell.model import RobotModel
 from armcell.moveit.message_classes import MessageClasses
 from armcell.ros import ActionClient, Bus, NameMap, Ros1Graph, Ros1Settings
 from armcell.ros.nodes import ServedCell, ServedPlanner
-from armcell.ros.nodes.description import NAME
+from armcell.ros.nodes.robot_description import NAME
 
 logger = logging.getLogger(__name__)
-RECENT = 5  # log lines that `has_said` searches
+RECENT = 5  # log lines that `has_logged` searches
 SILENT = 5.0  # [s, wall clock] without joint states after which the user gets a hint
 CHECK = 0.1  # [s] between two checks for the end of the session
 T = TypeVar("T")
@@ -46,7 +46,7 @@ class Session:
     ):  # fmt: skip
         if bus is None:
             bus = Bus()
-        self.bus = bus.renamed(names)
+        self.bus = bus.with_remapping(names)
         self.graph: Ros1Graph | None = None
         if ros1 is not None:
             self.graph = Ros1Graph(bus, ros1, self.shut_down, (self.bus.full_name(NAME),))
@@ -121,7 +121,7 @@ class Session:
         self.interrupted = True
         self.shutting_down.set()
 
-    def own(self, member: T) -> T:
+    def close_on_shutdown(self, member: T) -> T:
         """Register an object that a ROS script has created, such as a subscriber,
         so that it is closed together with the session.
         """
@@ -157,7 +157,7 @@ class Session:
         if not self._quiet:
             print(line, file=sys.stderr, flush=True)  # noqa: T201  (a script's log is output for its user)
 
-    def has_said(self, text: str) -> bool:
+    def has_logged(self, text: str) -> bool:
         """Return whether a text occurs in the most recent log lines of a ROS script."""
         return any(text in line for line in self.lines[-RECENT:])
 
@@ -177,28 +177,28 @@ class Session:
         """Log a hint if a log line of a ROS script says that the gripper closes,
         but the script has never commanded the gripper.
         """
-        if self.claims_to_close and not self.served.has_closed:
+        if self.claims_to_close and not self.served.has_closed_gripper:
             self.hint(
                 "auto-grip", "the script logs that it closes the gripper, but never closes it: publish to "
                 "/gripper_command, use the gripper's group, or run with --auto-grip",
             )  # fmt: skip
 
-    def watch_other_end(self) -> None:
+    def hint_at_missing_joint_states(self) -> None:
         """Log a hint for the ROS script if the external simulator or robot has stopped sending joint states.
         The hint appears only once.
         """
-        if isinstance(self.served, ServedPlanner) and self.served.driver.silence > SILENT:
+        if isinstance(self.served, ServedPlanner) and self.served.driver.time_since_joint_states > SILENT:
             self.hint(
                 "silent", f"no /joint_states for {SILENT:g} s: the simulator or robot has ended or lost its "
                 "connection, its clock stands still, and the script waits; Ctrl-C ends it",
             )  # fmt: skip
 
-    def finish(self) -> None:
+    def wait_for_motions(self) -> None:
         """Wait at the end of the session for motions of the ROS script that are still running."""
-        goals = [goal for client in self.clients.values() for goal in client.unfinished]
+        goals = [goal for client in self.clients.values() for goal in client.unfinished_goals]
         while self._goes_on() and not all(goal.wait(CHECK) for goal in goals):
             pass
-        while self._goes_on() and (works := self.served.cell.works()):
+        while self._goes_on() and (works := self.served.cell.motions()):
             works[0].wait(CHECK)
 
     def _goes_on(self) -> bool:

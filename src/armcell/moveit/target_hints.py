@@ -45,7 +45,9 @@ def closed_on_nothing(scene: PlanningScene, gripper: Gripper) -> str:
     movable object.
     """
     T = scene.frame_pose(gripper.tcp_link)
-    found = [(T.inv().apply(o.T_world_object.translation), n) for n, o in scene.objects.items() if o.movable]
+    found = [
+        (T.inverse().apply(o.T_world_object.translation), n) for n, o in scene.objects.items() if o.movable
+    ]
     if not found:
         return ""
     at, name = min(found, key=lambda item: float(np.linalg.norm(item[0])))

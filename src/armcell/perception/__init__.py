@@ -5,22 +5,28 @@ The package is independent of tasks and physics.
 
 from armcell.perception.bag import CameraRecord, cloud_points, depth_pixels, load_record
 from armcell.perception.camera_info import CameraInfo, load_camera_info, rectified, save_camera_info
-from armcell.perception.cloud import organized
+from armcell.perception.camera_map import CameraMap, MapSettings, MapUpdate
+from armcell.perception.cloud import organized_cloud
 from armcell.perception.colors import color_distance, color_name
-from armcell.perception.draw import drawn
-from armcell.perception.files import cloud_image, load_image, save_image
+from armcell.perception.draw import draw_detections
 from armcell.perception.hand_eye import HandEye, calibrate_hand_eye
-from armcell.perception.heights import height_map, pieces
-from armcell.perception.known import closest_equivalent, pose_error
-from armcell.perception.look import LookSettings, SeenObject, Sight, look, unusable
-from armcell.perception.mapping import CameraMap, MapSettings, MapUpdate
+from armcell.perception.height_maps import height_map, label_pieces
+from armcell.perception.image_files import cloud_image, load_image, save_image
+from armcell.perception.known_object_pose import closest_equivalent, pose_error
 from armcell.perception.markers import (
     FAMILIES,
-    MarkerSight,
-    SeenMarker,
+    DetectedMarker,
+    MarkerDetections,
     find_markers,
     marker_picture,
     picture_size,
+)
+from armcell.perception.object_detection import (
+    DetectedObject,
+    DetectionResult,
+    LookSettings,
+    check_image,
+    look,
 )
 from armcell.perception.plane import SupportPlane, find_plane
 from armcell.perception.sensor_map import SensorMap
@@ -31,41 +37,41 @@ __all__ = [
     "CameraInfo",
     "CameraMap",
     "CameraRecord",
+    "DetectedMarker",
+    "DetectedObject",
+    "DetectionResult",
     "HandEye",
     "LookSettings",
     "MapSettings",
     "MapUpdate",
-    "MarkerSight",
-    "SeenMarker",
-    "SeenObject",
+    "MarkerDetections",
     "Sensor3d",
     "SensorMap",
     "Sensors3d",
-    "Sight",
     "SupportPlane",
     "calibrate_hand_eye",
+    "check_image",
     "closest_equivalent",
     "cloud_image",
     "cloud_points",
     "color_distance",
     "color_name",
     "depth_pixels",
-    "drawn",
+    "draw_detections",
     "find_markers",
     "find_plane",
     "height_map",
+    "label_pieces",
     "load_camera_info",
     "load_image",
     "load_record",
     "load_sensors_3d",
     "look",
     "marker_picture",
-    "organized",
+    "organized_cloud",
     "picture_size",
-    "pieces",
     "pose_error",
     "rectified",
     "save_camera_info",
     "save_image",
-    "unusable",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, CameraImage, InputError, Pinhole
-from armcell.model.files import Bounded
+from armcell.model.untrusted_files import BoundedReader
 from armcell.perception.camera_info import rectified
 from armcell.perception.cloud import meters
 
@@ -88,7 +88,7 @@ def load_record(path: str | Path) -> CameraRecord:
     found, count = CameraRecord(file), 0
     try:
         with file.open("rb") as stream:
-            for schema, channel, message in make_reader(cast(Any, Bounded(stream))).iter_messages():
+            for schema, channel, message in make_reader(cast(Any, BoundedReader(stream))).iter_messages():
                 put = _READERS.get(schema.name if schema else "")
                 if put is None or channel.message_encoding != "cdr":
                     continue

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from armcell.core import CameraImage, InputError, Pinhole
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 
 MODELS = ("plumb_bob", "")
 

@@ -24,7 +24,7 @@ def meters(depth: ArrayLike) -> F32:
     return np.where(np.isfinite(z) & (z > 0), z, np.float32(0.0))
 
 
-def organized(depth: ArrayLike, pinhole: Pinhole) -> F64:
+def organized_cloud(depth: ArrayLike, pinhole: Pinhole) -> F64:
     """Convert a depth image to an organized point cloud (h, w, 3) [m, camera frame].
 
     Pixels without depth yield NaN.

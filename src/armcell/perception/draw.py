@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, CameraImage, Pinhole, Shape
-from armcell.perception.look import Sight
-from armcell.perception.markers import SeenMarker
+from armcell.perception.markers import DetectedMarker
+from armcell.perception.object_detection import DetectionResult
 from armcell.perception.solids import surface_mesh
 
 F64 = NDArray[np.float64]
@@ -18,8 +18,8 @@ _KNOWN, _GUESSED, _MARKER = (40, 200, 60), (255, 150, 20), (230, 60, 220)
 _AXES = ((235, 50, 50), (50, 190, 50), (60, 90, 250))
 
 
-def drawn(
-    image: CameraImage, sight: Sight | None = None, markers: tuple[SeenMarker, ...] = ()
+def draw_detections(
+    image: CameraImage, sight: DetectionResult | None = None, markers: tuple[DetectedMarker, ...] = ()
 ) -> NDArray[np.uint8]:
     """Return the image (h, w, 3) with the perceived objects and markers drawn over it.
 
@@ -30,7 +30,7 @@ def drawn(
 
     canvas = Image.fromarray(_background(image))
     pen = ImageDraw.Draw(canvas)
-    T_camera_world = image.T_world_camera.inv()
+    T_camera_world = image.T_world_camera.inverse()
     for item in sight.objects if sight is not None else ():
         if item.T_world_object is None:
             middle = T_camera_world.apply(item.points.mean(axis=0))

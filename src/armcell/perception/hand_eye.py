@@ -77,10 +77,10 @@ def calibrate_hand_eye(
     if refused:
         return HandEye(ErrorCode.FAILURE, refused, {"views": len(hands)}, mount=mount)
     # in hand: base_hand X = base_marker; to hand: hand_base X camera_marker = hand_marker
-    A = list(hands) if mount == IN_HAND else [T.inv() for T in hands]
+    A = list(hands) if mount == IN_HAND else [T.inverse() for T in hands]
     X = _park_martin(A, list(markers))
     X, Y = _refined(A, list(markers), X)
-    errors = [(Y.inv() @ a @ X @ b) for a, b in zip(A, markers, strict=True)]
+    errors = [(Y.inverse() @ a @ X @ b) for a, b in zip(A, markers, strict=True)]
     p = tuple(float(np.linalg.norm(e.translation)) for e in errors)
     r = tuple(float(np.linalg.norm(e.rotation.log())) for e in errors)
     score = np.array(p) + LEVER * np.array(r)
@@ -106,7 +106,7 @@ def _refused(hands: Sequence[SE3]) -> str:
     """
     if len(hands) < LEAST_POSES:
         return f"{len(hands)} views are too few (take {LEAST_POSES} or more, better 10 to 15)"
-    turns = [(a.rotation.inv() @ b.rotation).log() for a, b in combinations(hands, 2)]
+    turns = [(a.rotation.inverse() @ b.rotation).log() for a, b in combinations(hands, 2)]
     angles = np.linalg.norm(turns, axis=1)
     if angles.max() < LEAST_TURN:
         return (
@@ -129,7 +129,7 @@ def _park_martin(A: list[SE3], B: list[SE3]) -> SE3:
     """Solve the hand-eye equation A_i^-1 A_k X = X B_i B_k^-1 in closed form:
     first for the rotation, then for the translation.
     """
-    pairs = [(A[i].inv() @ A[k], B[i] @ B[k].inv()) for i, k in combinations(range(len(A)), 2)]
+    pairs = [(A[i].inverse() @ A[k], B[i] @ B[k].inverse()) for i, k in combinations(range(len(A)), 2)]
     turns = [(b.rotation.log(), a.rotation.log()) for a, b in pairs]
     clear = [t for t in turns if np.linalg.norm(t, axis=1).max() < HALF_TURN]
     M = np.zeros((3, 3))
@@ -156,7 +156,7 @@ def _refined(A: list[SE3], B: list[SE3], X: SE3) -> tuple[SE3, SE3]:
         return SE3(T.rotation @ SO3.exp(by[:3]), T.translation + by[3:])
 
     def residuals(p: F64) -> F64:
-        x, y = moved(X, p[:6]), moved(Y, p[6:]).inv()
+        x, y = moved(X, p[:6]), moved(Y, p[6:]).inverse()
         errors = [y @ a @ x @ b for a, b in zip(A, B, strict=True)]
         return np.concatenate([np.r_[LEVER * e.rotation.log(), e.translation] for e in errors])
 

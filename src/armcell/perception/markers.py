@@ -19,7 +19,7 @@ from armcell.core import (
     Outcome,
     UnknownNameError,
 )
-from armcell.perception.usable import stale
+from armcell.perception.image_checks import check_image_age
 
 F64 = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ CROOKED_PX = 0.3  # [px] minimum median distance from its line of a partly hidde
 
 
 @dataclass(frozen=True, eq=False)
-class SeenMarker:
+class DetectedMarker:
     """A detected ArUco marker or AprilTag, with its number and pose.
 
     The marker's frame has its origin in the center, x right, y up, z out of the marker.
@@ -58,14 +58,14 @@ class SeenMarker:
 
 
 @dataclass(frozen=True)
-class MarkerSight(Outcome):
+class MarkerDetections(Outcome):
     """The ArUco markers or AprilTags detected in one camera image."""
 
-    markers: tuple[SeenMarker, ...] = ()
+    markers: tuple[DetectedMarker, ...] = ()
     missing: tuple[int, ...] = ()  # wanted but not visible
     time: float = 0.0  # [s] time of the image
 
-    def __getitem__(self, number: int) -> SeenMarker:
+    def __getitem__(self, number: int) -> DetectedMarker:
         for marker in self.markers:
             if marker.id == number:
                 return marker
@@ -79,7 +79,7 @@ def find_markers(
     wanted: Iterable[int] = (),
     now: float | None = None,
     max_age: float = 0.5,
-) -> MarkerSight:
+) -> MarkerDetections:
     """Detect the markers of an ArUco or AprilTag family in a color image.
 
     Args:
@@ -101,11 +101,11 @@ def find_markers(
     cv2, dictionary = _dictionary(family)
     expected = tuple(sorted(set(wanted)))
     name = f"camera {image.camera!r}"
-    old = stale(image, max_age, now)
+    old = check_image_age(image, max_age, now)
     if old is not None:
-        return MarkerSight(old.code, old.message, old.evidence, missing=expected, time=image.time)
+        return MarkerDetections(old.code, old.message, old.evidence, missing=expected, time=image.time)
     if image.rgb is None:
-        return MarkerSight(
+        return MarkerDetections(
             ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, f"{name} gave no color, markers need it",
             missing=expected, time=image.time,
         )  # fmt: skip
@@ -124,14 +124,14 @@ def find_markers(
     found.sort(key=lambda marker: marker.id)
     missing = tuple(n for n in expected if n not in {m.id for m in found})
     ok = bool(found) and not missing
-    return MarkerSight(
+    return MarkerDetections(
         ErrorCode.SUCCESS if ok else ErrorCode.FAILURE,
         "" if ok else _why(name, family, missing, found, len(rejected)),
         markers=tuple(found), missing=missing, time=image.time,
     )  # fmt: skip
 
 
-def _why(name: str, family: str, missing: tuple[int, ...], found: list[SeenMarker], rejected: int) -> str:
+def _why(name: str, family: str, missing: tuple[int, ...], found: list[DetectedMarker], rejected: int) -> str:
     what = f"marker {', '.join(map(str, missing))}" if missing else "no marker"
     seen = ", ".join(str(m.id) for m in found) or "none"
     return (
@@ -231,7 +231,9 @@ def _line(points: F64) -> tuple[F64, float]:
     return normal, float(normal @ center)
 
 
-def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float, hidden: bool) -> SeenMarker:
+def _pose(
+    cv2: Any, image: CameraImage, number: int, corners: F64, size: float, hidden: bool
+) -> DetectedMarker:
     """Estimate an ArUco marker's pose with the method IPPE (Collins
     and Bartoli, IJCV 109, 2014) and refine it.
     """
@@ -251,4 +253,4 @@ def _pose(cv2: Any, image: CameraImage, number: int, corners: F64, size: float, 
         other < AMBIGUOUS * error + CORNER_PX and T.distance_to(T_other)[1] > 0.1
         for other, T_other in found[1:]
     )
-    return SeenMarker(number, image.T_world_camera @ T, T, corners, error, ambiguous, hidden)
+    return DetectedMarker(number, image.T_world_camera @ T, T, corners, error, ambiguous, hidden)

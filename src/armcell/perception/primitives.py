@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, Box, Cylinder, Shape, Sphere
-from armcell.perception import fit as F
-from armcell.perception.fit import Evidence, Fit, fit
+from armcell.perception import solid_fit as F
+from armcell.perception.solid_fit import CameraEvidence, Fit, fit_solid
 from armcell.perception.solids import BOX, CYLINDER, SPHERE, primitive
 
 F64 = NDArray[np.float64]
@@ -66,7 +66,7 @@ def footprint(points: F64) -> Footprint:
 
 
 @dataclass(frozen=True, eq=False)
-class Guess:
+class PrimitiveFit:
     """Primitive shape that was fitted to a point cluster, with its pose in the frame of the support."""
 
     shape: Shape
@@ -79,7 +79,7 @@ class Guess:
         return type(self.shape).__name__.lower()
 
 
-def fit_primitives(evidence: Evidence) -> list[Guess]:
+def fit_primitives(evidence: CameraEvidence) -> list[PrimitiveFit]:
     """Fit boxes, cylinders and spheres that rest on the plane z = 0 to a cluster of points.
     The best fit comes first.
     """
@@ -98,9 +98,9 @@ def _cost(found: Fit) -> float:
     return found.cost
 
 
-def _tried(evidence: Evidence, mode: int, start: F64, iterations: int) -> Fit:
+def _tried(evidence: CameraEvidence, mode: int, start: F64, iterations: int) -> Fit:
     kind = {F.BOX_STANDS: BOX, F.BALL_LIES: SPHERE}.get(mode, CYLINDER)
-    return fit(evidence, primitive(kind, (0.05, 0.05, 0.05)), mode, start, SE3.identity(), iterations)
+    return fit_solid(evidence, primitive(kind, (0.05, 0.05, 0.05)), mode, start, SE3.identity(), iterations)
 
 
 def _starts(points: F64) -> list[tuple[int, F64]]:
@@ -132,7 +132,7 @@ def _ball(points: F64) -> tuple[float, float, float] | None:
     return (float(a), float(b), float(r)) if rank == 4 and 0.003 < r < 1.0 else None
 
 
-def _guess(found: Fit) -> Guess:
+def _guess(found: Fit) -> PrimitiveFit:
     a, b, c = (float(v) for v in found.size)
     match found.mode:
         case F.BOX_STANDS:
@@ -141,4 +141,4 @@ def _guess(found: Fit) -> Guess:
             shape = Sphere(a)
         case _:
             shape = Cylinder(a, 2 * b)
-    return Guess(shape, found.T, found.cost, found.rms)
+    return PrimitiveFit(shape, found.T, found.cost, found.rms)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision import object_mask, robot_mask
 from armcell.core import SE3, ErrorCode
-from armcell.perception.mapping import MapUpdate
+from armcell.perception.camera_map import MapUpdate
 from armcell.perception.sensors_3d import RESOLUTION, Sensor3d
 from armcell.scene import OCTOMAP, OccupancyMap, PlanningScene, with_octomap
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from armcell.core import InputError, UnknownNameError
 from armcell.core.checks import checked, settings_from
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 
 RESOLUTION = 0.05  # [m] default of the file's value
 CLOUD, DEPTH = "PointCloudOctomapUpdater", "DepthImageOctomapUpdater"

@@ -7,11 +7,21 @@ Other packages import from here, from `armcell.planning.planners` (to add or run
 from armcell.planning.adapters import adapter_names
 from armcell.planning.arm_clearance import ArmClearance, achievable_arm_clearance
 from armcell.planning.cartesian import plan_cartesian, waypoints_by_offsets
-from armcell.planning.constraints.evaluation import constraint_errors, satisfied, violations
-from armcell.planning.diagnosis import Branch, PoseExplanation, explain_misuse, explain_pose, explain_start
+from armcell.planning.constraints.evaluation import (
+    constraint_errors,
+    describe_violations,
+    satisfies_constraints,
+)
+from armcell.planning.diagnosis import (
+    IKBranch,
+    PoseExplanation,
+    explain_invalid_request,
+    explain_pose,
+    explain_start,
+)
 from armcell.planning.diagnosis.explain import explain, solve_ik
 from armcell.planning.goals.targets import Target, goal_of
-from armcell.planning.moving_obstacles import plan_among_moving
+from armcell.planning.moving_obstacles import plan_around_moving_obstacles
 from armcell.planning.multi_arm import (
     CarriedObject,
     RunningMotion,
@@ -31,12 +41,12 @@ from armcell.planning.planners.registry import (
     pipelines,
     planner_defaults,
 )
-from armcell.planning.warm_up import prepare, warm_up
+from armcell.planning.warm_up import prepare_group, warm_up
 
 __all__ = [
     "ArmClearance",
-    "Branch",
     "CarriedObject",
+    "IKBranch",
     "LibraryStatistics",
     "PlanLibrary",
     "PlannerResult",
@@ -48,8 +58,9 @@ __all__ = [
     "achievable_arm_clearance",
     "adapter_names",
     "constraint_errors",
+    "describe_violations",
     "explain",
-    "explain_misuse",
+    "explain_invalid_request",
     "explain_pose",
     "explain_start",
     "find_planner",
@@ -57,19 +68,18 @@ __all__ = [
     "normalized_planner_id",
     "pipelines",
     "plan",
-    "plan_among_moving",
     "plan_around_moving_arms",
+    "plan_around_moving_obstacles",
     "plan_carry",
     "plan_cartesian",
     "plan_sequence",
     "plan_synchronized",
     "planner_defaults",
-    "prepare",
+    "prepare_group",
     "sampling_bounds",
-    "satisfied",
+    "satisfies_constraints",
     "solve_ik",
     "synchronized_profile",
-    "violations",
     "warm_up",
     "waypoints_by_offsets",
 ]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import touching
+from armcell.collision.resting_contact import resting_contacts
 from armcell.core import (
     WORLD,
     ConstraintGoal,
@@ -144,7 +144,7 @@ def fix_start_state_collision(validated: ValidatedRequest) -> ValidatedRequest |
         return validated
     found = find_departure(checker, start, validated.request.seed, np.inf)
     if found is None:
-        contacts = touching(checker, start)
+        contacts = resting_contacts(checker, start)
         what = "; ".join(c.describe() for c in contacts[:3])
         text = f"start in collision: {what}; no free state within {REPAIR_RADII[-1]:g} rad was found"
         return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, {"contacts": contacts})

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import nearest_between, sides_of
+from armcell.collision.inter_arm_checker import nearest_between, sides_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Contact
 from armcell.scene import PlanningScene

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision import Certificate
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import certify_from_rest, clearance_from_rest
+from armcell.collision.resting_contact import certify_from_rest, clearance_from_rest
 from armcell.core import SE3, ErrorCode, InputError, JointTrajectory, Outcome
 from armcell.kinematics import InverseDynamics
 from armcell.model import Inertial, RobotModel
@@ -28,10 +28,10 @@ from armcell.timing import (
     TorqueLimitError,
     TorqueModel,
     checked_limits,
-    concatenated,
+    concatenate_trajectories,
     jerk_limited,
     parameterize,
-    smoothing_departure,
+    smoothing_deviation,
 )
 
 Array = NDArray[np.float64]
@@ -47,7 +47,8 @@ PADDED_ROUNDINGS = (
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
-    """Certified motion with timing, or the certificate that reports a contact on the planned path."""
+    """Result of the proof of a planned path: the timed motion if the path is collision-free, else only the
+    certificate, which names the contact."""
 
     certificate: Certificate
     trajectory: JointTrajectory | None = None
@@ -113,7 +114,7 @@ def certify_and_time(
     # deviation that smoothing the accelerations causes.
     slack = np.full(len(names), SAGITTA)
     if not jerk_limits:
-        slack += smoothing_departure(acceleration, timing)
+        slack += smoothing_deviation(acceleration, timing)
     shares = ROUNDINGS if len(points) > 2 else ROUNDINGS[:1]
     rounded: dict[float, tuple[BlendedPath, Array]] = {}
 
@@ -222,7 +223,7 @@ def complete_motion(
             note = "the motion begins at the start within limits; the lead-in to it is not free"
         else:
             waypoints = np.vstack([validated.lead_in[:-1], waypoints])
-            trajectory = concatenated(lead, trajectory)
+            trajectory = concatenate_trajectories(lead, trajectory)
             note = contact_note(validated)
     elif "start_repaired" in validated.evidence:
         note = "the motion begins at the repaired start, not where the robot is"
@@ -234,7 +235,7 @@ def complete_motion(
 
 
 def contact_note(validated: ValidatedRequest) -> str:
-    """Return a note that names the contacts that the motion leaves at its start.
+    """Return a note for motions that start in contact: it names the contacts that end when the motion begins.
 
     The note is part of the plan's message. It is empty if the start was not in contact.
     """

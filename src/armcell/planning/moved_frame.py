@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from armcell.core import SE3, InputError, JointTrajectory, UnknownNameError
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
-from armcell.timing import stretched
+from armcell.timing import slow_down
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class MovedFrame:
                 known = [*scene.model.links, *scene.attached]
                 raise UnknownNameError("link", name, known)
             self.link = scene.attached[body].link
-            self.T_link_point = scene.frame_pose(self.link).inv() @ scene.frame_pose(name)
+            self.T_link_point = scene.frame_pose(self.link).inverse() @ scene.frame_pose(name)
 
     def full(self, q: ArrayLike) -> Array:
         """Return the robot's joint positions (dof,) in the scene, with the planning group at q (n,)."""
@@ -53,12 +53,12 @@ class MovedFrame:
         return positions
 
     def pose(self, q: ArrayLike) -> SE3:
-        """Compute the pose T_world_name of a moved frame at joint positions q (n,) of its group."""
+        """Compute the pose of this frame in the world for joint positions q (n,) of its group."""
         return self.tree.link_pose(self.full(q), self.link) @ self.T_link_point
 
     def link_target(self, T_world_name: SE3) -> SE3:
         """Convert a target pose for a moved frame to the target pose for the link that carries it."""
-        return T_world_name @ self.T_link_point.inv()
+        return T_world_name @ self.T_link_point.inverse()
 
     def velocity(self, q: ArrayLike, qd: ArrayLike) -> Array:
         """Compute the velocity (3,) [m/s] of the origin of a moved frame in the world."""
@@ -92,7 +92,7 @@ def limit_cartesian_speed(
     trajectory: JointTrajectory, moved_frame: MovedFrame, speed: float
 ) -> JointTrajectory:
     """Slow down a trajectory so that the origin of a moved frame never exceeds `speed` [m/s]."""
-    return stretched(trajectory, max(1.0, peak_cartesian_speed(trajectory, moved_frame) / speed))
+    return slow_down(trajectory, max(1.0, peak_cartesian_speed(trajectory, moved_frame) / speed))
 
 
 def peak_cartesian_speed(trajectory: JointTrajectory, moved_frame: MovedFrame) -> float:

@@ -18,12 +18,12 @@ from armcell.collision.certify_timed import TimedCertificate, certify_timed
 from armcell.core import ErrorCode, InputError, JointTrajectory, PlanRequest, PlanResult
 from armcell.planning.pipeline import plan
 from armcell.scene import MovingObject, PlanningScene
-from armcell.timing import delayed, resting
+from armcell.timing import delay_trajectory, stationary_trajectory
 
 WAIT_STEP = 0.1  # [s] increment of waits
 
 
-def plan_among_moving(
+def plan_around_moving_obstacles(
     scene: PlanningScene,
     request: PlanRequest,
     moving: Sequence[MovingObject],
@@ -88,7 +88,7 @@ def _waiting(
 ) -> tuple[float, JointTrajectory] | None:  # fmt: skip
     """Find the shortest wait after which a motion avoids the moving obstacles; return the delayed motion."""
     last = max(float(item.times[-1]) for item in moving)
-    standing = resting(trajectory.joint_names, trajectory.positions[0])
+    standing = stationary_trajectory(trajectory.joint_names, trajectory.positions[0])
     stay: TimedCertificate = certify_timed(scene, standing, moving, start_time, clearance, until=last)
     longest = (last if stay.free else stay.time) - start_time
     steps = int(np.ceil(longest / WAIT_STEP)) if stay.free else int(longest / WAIT_STEP)
@@ -96,7 +96,7 @@ def _waiting(
         wait = k * WAIT_STEP
         if time.monotonic() > deadline:
             return None
-        later = delayed(trajectory, wait)
+        later = delay_trajectory(trajectory, wait)
         if certify_timed(scene, later, moving, start_time, clearance).free:
             return wait, later
     return None

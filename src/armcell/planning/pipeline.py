@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import arms_of
+from armcell.collision.inter_arm_checker import arms_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
     ConstraintGoal,

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import arms_of
+from armcell.collision.inter_arm_checker import arms_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
     ADAPTERS,

@@ -16,7 +16,7 @@ import armcell.planning.planners  # noqa: F401  (registers the planners)
 from armcell.core import ConstraintGoal, InputError, JointGoal, Outcome, PlanRequest, PlanResult, PoseGoal
 from armcell.planning.constraints.constraint_validation import check_constraints
 from armcell.planning.moved_frame import MovedFrame, check_cartesian_speed
-from armcell.planning.planners.configs import PlannerChoice, choose_planner
+from armcell.planning.planners.planner_configs import PlannerChoice, choose_planner
 from armcell.planning.planners.registry import first_use_hooks
 from armcell.scene import PlanningScene
 from armcell.timing import check_scaling

@@ -13,9 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.exact import ExactChecker
+from armcell.collision.exact_checker import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import RESTING, TOUCH, Pair, certify_from_rest, resting_pairs, touching
+from armcell.collision.resting_contact import (
+    RESTING,
+    TOUCH,
+    Pair,
+    certify_from_rest,
+    resting_contacts,
+    resting_pairs,
+)
 from armcell.core import Contact, ErrorCode, Outcome
 from armcell.planning.constraints.manifold import ConstraintManifold
 from armcell.planning.constraints.planner import warm_up_constraints
@@ -73,10 +80,10 @@ def find_departure(
         deepest: depth [m] of the deepest contact that may be left.
         keeps: returns whether a motion (k, n) satisfies the other requirements of the request.
     """
-    contacts = touching(checker, start)
+    contacts = resting_contacts(checker, start)
     blocked: Contact | None = None
     for distance in DISTANCES:
-        points = _pushed(checker, start, distance)
+        points = _separate_bodies(checker, start, distance)
         if points is None:
             continue
         for way in (np.vstack([points[0], points[-1]]), points):
@@ -100,7 +107,7 @@ def leave_start_contact(validated: ValidatedRequest, checker: KernelChecker) -> 
     `start_repaired` in the evidence reports the distance between the old and the new start.
     """
     start = validated.scene.positions[checker.columns]
-    contacts = touching(checker, start)
+    contacts = resting_contacts(checker, start)
     if (refusal := reject_deep_contacts(contacts)) is not None:
         return refusal
     what = "; ".join(c.describe() for c in contacts[:3])
@@ -195,7 +202,7 @@ def _refused(what: str, contacts: list[Contact], found: Departure | None) -> Out
     return Outcome(ErrorCode.START_STATE_IN_COLLISION, text, evidence)
 
 
-def _pushed(checker: KernelChecker, start: Array, distance: float) -> Array | None:
+def _separate_bodies(checker: KernelChecker, start: Array, distance: float) -> Array | None:
     """Push the bodies that touch each other at the start of a plan apart, to a distance [m] between them.
 
     Return the configurations (k, n) of this motion, beginning with the start. Return None if no bodies touch
@@ -260,7 +267,7 @@ def _rates(exact: ExactChecker, q: Array, bodies: Sequence[Pair]) -> Array:
         for sign in (1.0, -1.0):
             moved = q.copy()
             moved[j] += sign * DIFFERENCE
-            exact.place(moved)
+            exact.set_configuration(moved)
             ends.append([min(exact.pair_distance(a, b) for a, b in rows[pair]) for pair in bodies])
         rates[:, j] = (np.array(ends[0]) - np.array(ends[1])) / (2 * DIFFERENCE)
     return rates

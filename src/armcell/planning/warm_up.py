@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from armcell.collision.kernel import block
 from armcell.collision.kernel.block import check_address
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import clearance_from_rest
+from armcell.collision.resting_contact import clearance_from_rest
 from armcell.kinematics import ik_solver
 from armcell.model import RobotModel, load_robot
 from armcell.planning import first_compile
@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 BOUNDS = np.array([0.0]), np.array([0.05])  # joint limits of the gripper in the warm-up problem
 
 
-def prepare(scene: PlanningScene, group: str) -> None:
+def prepare_group(scene: PlanningScene, group: str) -> None:
     """Prepare a planning group before its first plan (warm-up): compute the data that all its plans share.
 
     The data are collision covers, pairs of links that can collide, and the inverse kinematics.
@@ -72,7 +72,7 @@ def warm_up() -> float:
         return time.monotonic() - began
     with first_compile.progress_line("compiling the planner, once on this machine"):
         with first_compile.in_another_process(
-            "from armcell.planning.warm_up import compile_rest", "compile_rest()"
+            "from armcell.planning.warm_up import compile_planner_kernels", "compile_planner_kernels()"
         ):
             check_address()
         _plan_small_problem()
@@ -83,7 +83,7 @@ def warm_up() -> float:
     return seconds
 
 
-def compile_rest() -> None:
+def compile_planner_kernels() -> None:
     """Compile all planner kernels except collision checking, in a separate process during the warm-up.
 
     Planners call the collision check by its address, so a check that reports every configuration as free

@@ -41,7 +41,7 @@ class FirstDivergence:
 
 
 @dataclass(frozen=True)
-class Distance:
+class Deviation:
     """Largest deviation of one joint or object between two compared runs."""
 
     what: str  # joint or object
@@ -58,7 +58,7 @@ class Comparison:
     states: int  # number of compared states
     same_states: int  # number of bit-identical states from the start
     state: FirstDivergence | None
-    distances: tuple[Distance, ...]  # deviations, largest first
+    distances: tuple[Deviation, ...]  # deviations, largest first
     event: FirstDivergence | None
     plan: FirstDivergence | None
     outcome: FirstDivergence | None
@@ -194,7 +194,7 @@ def _known(value: Any) -> str:
     return "not recorded" if value is None or len(value) == 0 else "recorded"
 
 
-def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distance, ...]:
+def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Deviation, ...]:
     """Return the deviation of each joint and object that differs
     between two compared runs, largest deviation first.
     """
@@ -213,7 +213,7 @@ def _distances(pairs: list[tuple[RecordedState, RecordedState]]) -> tuple[Distan
         at, largest = max(course, key=lambda row: row[1])
         if largest > 0:
             reached = ((x, next((t for t, d in course if d > x), None)) for x in THRESHOLDS)
-            rows.append(Distance(name, largest, at, tuple((x, t) for x, t in reached if t is not None)))
+            rows.append(Deviation(name, largest, at, tuple((x, t) for x, t in reached if t is not None)))
     return tuple(sorted(rows, key=lambda row: -row.largest))
 
 

@@ -27,7 +27,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from armcell.core import SE3, SO3, Contact, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
-from armcell.records.shapes import object_data, pose_data
+from armcell.records.object_data import object_data, pose_data
 from armcell.records.write_behind import WriteBehindFile
 from armcell.scene import WORLD, CollisionObject, PlanningScene
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from armcell.cell import Cell, cell_names, content_hashes, load
-from armcell.cell.identity import versions
+from armcell.cell.cell_hashes import versions
 from armcell.cell.schema import validated
 from armcell.core import InputError
 

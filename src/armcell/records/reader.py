@@ -15,11 +15,11 @@ from mcap import records
 from numpy.typing import NDArray
 
 from armcell.core import SE3, Contact, Event, InputError, JointState, JointTrajectory, StateSample
-from armcell.model.files import Bounded
+from armcell.model.untrusted_files import BoundedReader
 from armcell.records.mcap_writer import ABOUT, NANO, RESULT, typestore
 from armcell.records.metadata import checked_metadata
+from armcell.records.object_data import object_of
 from armcell.records.recorder import MCAP_FILE
-from armcell.records.shapes import object_of
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
@@ -167,7 +167,7 @@ class _Reading:
         try:
             with self.file.open("rb") as stream:
                 for record in StreamReader(
-                    cast(Any, Bounded(stream)), validate_crcs=True, record_size_limit=LARGEST_RECORD
+                    cast(Any, BoundedReader(stream)), validate_crcs=True, record_size_limit=LARGEST_RECORD
                 ).records:
                     self._take(record)
         except InvalidMagic:

@@ -5,31 +5,32 @@ The package needs no ROS installation.
 
 from typing import TYPE_CHECKING, Any
 
-from armcell.ros.actions import ActionClient, ActionServer, Done, State
+from armcell.ros.actions import ActionClient, ActionOutcome, ActionServer, GoalState
 from armcell.ros.bus import Bus, Publisher, ServiceError, Subscription
-from armcell.ros.codec import Codec, WireError, cdr
+from armcell.ros.codec import Codec, WireError, cdr_codec
 from armcell.ros.messages import Message
 from armcell.ros.names import NameMap
 from armcell.ros.ros1 import Ros1Graph, Ros1Master, Ros1Settings
 from armcell.ros.schema import Schema, schema
-from armcell.ros.tcp import Bridge, RosTcpClient, RosTcpServer, ServerSettings
+from armcell.ros.tcp import ForwardedNames, RosTcpClient, RosTcpServer, ServerSettings
 
 if TYPE_CHECKING:
     from armcell.ros.nodes import CellNode, ServedCell, ServedPlanner
-    from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
+    from armcell.ros.ros2 import DomainScope, Ros2Bridge, Ros2Settings
 
 __all__ = [
     "ActionClient",
+    "ActionOutcome",
     "ActionServer",
-    "Bridge",
     "Bus",
     "CellNode",
     "Codec",
-    "Done",
+    "DomainScope",
+    "ForwardedNames",
+    "GoalState",
     "Message",
     "NameMap",
     "Publisher",
-    "Reach",
     "Ros1Graph",
     "Ros1Master",
     "Ros1Settings",
@@ -42,10 +43,9 @@ __all__ = [
     "ServedPlanner",
     "ServerSettings",
     "ServiceError",
-    "State",
     "Subscription",
     "WireError",
-    "cdr",
+    "cdr_codec",
     "schema",
 ]
 
@@ -56,7 +56,7 @@ def __getattr__(name: str) -> Any:
         from armcell.ros import nodes
 
         return getattr(nodes, name)
-    if name in ("Reach", "Ros2Bridge", "Ros2Settings"):
+    if name in ("DomainScope", "Ros2Bridge", "Ros2Settings"):
         from armcell.ros import ros2
 
         return getattr(ros2, name)

@@ -19,8 +19,8 @@ from typing import Any
 
 from armcell.core import ArmcellError, ErrorCode, InputError
 from armcell.ros.bus import Bus
+from armcell.ros.failure_responses import write_failure
 from armcell.ros.names import resolve
-from armcell.ros.reasons import failed
 
 logger = logging.getLogger(__name__)
 STATUS_PERIOD = 0.2  # [s] actionlib's status_frequency is 5 Hz
@@ -31,7 +31,7 @@ CANCELED, REPLACED = "canceled by a client", "preempted by a newer goal"
 MAX_GOALS = 32  # unfinished goals; the server rejects further goals
 
 
-class State(IntEnum):
+class GoalState(IntEnum):
     """States of a ROS 1 action goal, as defined in actionlib_msgs/GoalStatus. Only clients use the state
     LOST.
     """
@@ -48,22 +48,29 @@ class State(IntEnum):
     LOST = 9
 
     @classmethod
-    def _missing_(cls, value: object) -> State:
+    def _missing_(cls, value: object) -> GoalState:
         return cls.LOST  # a received number that is not a valid state
 
     @property
-    def is_over(self) -> bool:
+    def is_terminal(self) -> bool:
         return self in _OVER
 
 
-_OVER = (State.PREEMPTED, State.SUCCEEDED, State.ABORTED, State.REJECTED, State.RECALLED, State.LOST)
+_OVER = (
+    GoalState.PREEMPTED,
+    GoalState.SUCCEEDED,
+    GoalState.ABORTED,
+    GoalState.REJECTED,
+    GoalState.RECALLED,
+    GoalState.LOST,
+)
 
 
 @dataclass(frozen=True)
-class Done:
+class ActionOutcome:
     """Outcome of a ROS action goal: its final state, its result message and its status text."""
 
-    state: State
+    state: GoalState
     result: Any  # the action's Result message
     text: str = ""
 
@@ -74,7 +81,7 @@ class Goal:
     def __init__(self, server: ActionServer, goal_id: Any, message: Any):
         self._server = server
         self.id, self.message = goal_id, message
-        self.state, self.text = State.PENDING, ""
+        self.state, self.text = GoalState.PENDING, ""
         self.cancel = threading.Event()
         """Set when a cancel message or a newer goal requires this goal to stop."""
         self.why_stopped = ""
@@ -100,7 +107,7 @@ class Goal:
         )
 
 
-Execute = Callable[[Goal], Done]
+Execute = Callable[[Goal], ActionOutcome]
 
 
 class ActionServer:
@@ -173,13 +180,16 @@ class ActionServer:
         with self._lock:
             if goal_id.id in self._goals:
                 return  # as in actionlib, a repeated goal id is ignored
-            others = [g for g in self._goals.values() if not g.state.is_over]
+            others = [g for g in self._goals.values() if not g.state.is_terminal]
             self._goals[goal_id.id] = goal
         if 0 < stamp <= self._cancelled_until:
             goal.why_stopped = CANCELED
             goal.cancel.set()
         if len(others) >= MAX_GOALS:
-            self._finish(goal, Done(State.REJECTED, self._empty_result(), f"{MAX_GOALS} goals wait already"))
+            self._finish(
+                goal,
+                ActionOutcome(GoalState.REJECTED, self._empty_result(), f"{MAX_GOALS} goals wait already"),
+            )
             return
         if not self._concurrent:
             for other in others:
@@ -194,7 +204,7 @@ class ActionServer:
         """
         stamp = message.stamp.to_nsec()
         with self._lock:
-            goals = [g for g in self._goals.values() if not g.state.is_over]
+            goals = [g for g in self._goals.values() if not g.state.is_terminal]
             self._cancelled_until = max(self._cancelled_until, stamp)
         everything = not message.id and not stamp
         for goal in goals:
@@ -204,7 +214,7 @@ class ActionServer:
     def _ask_to_stop(self, goal: Goal, why: str) -> None:
         with self._lock:
             goal.why_stopped = goal.why_stopped or why
-            after = {State.PENDING: State.RECALLING, State.ACTIVE: State.PREEMPTING}
+            after = {GoalState.PENDING: GoalState.RECALLING, GoalState.ACTIVE: GoalState.PREEMPTING}
             goal.state = after.get(goal.state, goal.state)
         goal.cancel.set()
         self._publish_status()
@@ -219,7 +229,7 @@ class ActionServer:
 
     def _run(self, goal: Goal) -> None:
         if goal.cancel.is_set():
-            done = Done(State.RECALLED, self._empty_result(), "cancelled before it began")
+            done = ActionOutcome(GoalState.RECALLED, self._empty_result(), "cancelled before it began")
         else:
             if self._accepts:
                 self._accept(goal)
@@ -229,10 +239,12 @@ class ActionServer:
                 done = self._execute(goal)
             except ArmcellError as error:  # an expected failure: the result states the reason
                 logger.warning("action %s: %s", self.name, error)
-                done = Done(State.ABORTED, self._empty_result(), str(error))
+                done = ActionOutcome(GoalState.ABORTED, self._empty_result(), str(error))
             except Exception as error:
                 logger.exception("action %s failed", self.name)
-                done = Done(State.ABORTED, self._empty_result(), f"{type(error).__name__}: {error}")
+                done = ActionOutcome(
+                    GoalState.ABORTED, self._empty_result(), f"{type(error).__name__}: {error}"
+                )
         self._finish(goal, done)
 
     def _empty_result(self) -> Any:
@@ -243,11 +255,11 @@ class ActionServer:
             if goal.accepted:
                 return
             goal.accepted = True
-            after = {State.PENDING: State.ACTIVE, State.RECALLING: State.PREEMPTING}
+            after = {GoalState.PENDING: GoalState.ACTIVE, GoalState.RECALLING: GoalState.PREEMPTING}
             goal.state = after.get(goal.state, goal.state)
         self._publish_status()
 
-    def _finish(self, goal: Goal, done: Done) -> None:
+    def _finish(self, goal: Goal, done: ActionOutcome) -> None:
         """Publish the final state of a ROS action goal.
         A state that actionlib does not allow is replaced by one that it does allow.
 
@@ -258,10 +270,12 @@ class ActionServer:
             done = _explained(done, goal.why_stopped)
         state = done.state
         if goal.accepted:
-            state = {State.REJECTED: State.ABORTED, State.RECALLED: State.PREEMPTED}.get(state, state)
-        elif state is State.PREEMPTED:
-            state = State.RECALLED
-        elif state not in (State.REJECTED, State.RECALLED):
+            state = {GoalState.REJECTED: GoalState.ABORTED, GoalState.RECALLED: GoalState.PREEMPTED}.get(
+                state, state
+            )
+        elif state is GoalState.PREEMPTED:
+            state = GoalState.RECALLED
+        elif state not in (GoalState.REJECTED, GoalState.RECALLED):
             self._accept(goal)
         with self._lock:
             goal.state, goal.text = state, done.text
@@ -298,20 +312,20 @@ class ActionServer:
             self._publish_status()
 
 
-def _explained(done: Done, why_stopped: str) -> Done:
+def _explained(done: ActionOutcome, why_stopped: str) -> ActionOutcome:
     """Return the outcome of an action goal. If the goal failed, the reason is copied into the result
     message.
     """
-    if done.state is State.SUCCEEDED:
+    if done.state is GoalState.SUCCEEDED:
         return done
-    stopped = done.state in (State.PREEMPTED, State.RECALLED)
+    stopped = done.state in (GoalState.PREEMPTED, GoalState.RECALLED)
     why = why_stopped if stopped and why_stopped not in done.text else ""
     text = ": ".join(part for part in (why, done.text) if part)
     code = ErrorCode.PREEMPTED if stopped else ErrorCode.FAILURE
-    return Done(done.state, failed(done.result, text, code), text)
+    return ActionOutcome(done.state, write_failure(done.result, text, code), text)
 
 
-class SentGoal:
+class ClientGoalHandle:
     """Goal that a ROS action client has sent, with the state, status text and result that the server
     reports.
     """
@@ -319,7 +333,7 @@ class SentGoal:
     def __init__(self, client: ActionClient, goal_id: Any, on_feedback: Callable[[Any], None] | None):
         self._client, self._on_feedback = client, on_feedback
         self.id = goal_id
-        self.state, self.text, self.result = State.PENDING, "", None
+        self.state, self.text, self.result = GoalState.PENDING, "", None
         self._over = threading.Event()
 
     def wait(self, timeout: float | None = None) -> bool:
@@ -338,7 +352,7 @@ class ActionClient:
     def __init__(self, bus: Bus, name: str, type_name: str):
         self.bus, self.name = bus, resolve(name)
         self.type = bus.schema.action(type_name)
-        self._goals: dict[str, SentGoal] = {}
+        self._goals: dict[str, ClientGoalHandle] = {}
         self._lock = threading.Lock()
         self._goal = bus.advertise(f"{self.name}/goal", f"{self.type}ActionGoal")
         self._cancel = bus.advertise(f"{self.name}/cancel", "actionlib_msgs/GoalID")
@@ -377,7 +391,7 @@ class ActionClient:
                 return False
             self.bus.wait_change(version, left)
 
-    def send(self, goal: Any, on_feedback: Callable[[Any], None] | None = None) -> SentGoal:
+    def send_goal(self, goal: Any, on_feedback: Callable[[Any], None] | None = None) -> ClientGoalHandle:
         """Send a Goal message to the action server and return a handle with which the client follows the
         goal.
 
@@ -388,7 +402,7 @@ class ActionClient:
         schema, stamp = self.bus.schema, self.bus.stamp()
         text = f"/armcell-{os.getpid()}-{next(self._numbers)}-{stamp.to_sec():.9f}"
         goal_id = schema.new("actionlib_msgs/GoalID", stamp=stamp, id=text)
-        sent = SentGoal(self, goal_id, on_feedback)
+        sent = ClientGoalHandle(self, goal_id, on_feedback)
         with self._lock:
             self._goals[text] = sent
         message = schema.new(f"{self.type}ActionGoal", header=self.bus.header(), goal_id=goal_id, goal=goal)
@@ -396,7 +410,7 @@ class ActionClient:
         return sent
 
     @property
-    def unfinished(self) -> list[SentGoal]:
+    def unfinished_goals(self) -> list[ClientGoalHandle]:
         """Return the goals that this action client has sent and that still have no result."""
         with self._lock:
             return list(self._goals.values())
@@ -416,8 +430,8 @@ class ActionClient:
     def _on_status(self, message: Any) -> None:
         for status in message.status_list:
             sent = self._goals.get(status.goal_id.id)
-            state = State(status.status)
-            if sent is not None and not sent._over.is_set() and state is not State.LOST:
+            state = GoalState(status.status)
+            if sent is not None and not sent._over.is_set() and state is not GoalState.LOST:
                 sent.state, sent.text = state, status.text
 
     def _on_feedback(self, message: Any) -> None:
@@ -429,6 +443,6 @@ class ActionClient:
         with self._lock:
             sent = self._goals.pop(message.status.goal_id.id, None)
         if sent is not None:
-            sent.state, sent.text = State(message.status.status), message.status.text
+            sent.state, sent.text = GoalState(message.status.status), message.status.text
             sent.result = message.result
             sent._over.set()

@@ -21,7 +21,7 @@ from armcell.core.checks import require
 from armcell.ros.clock import Clock
 from armcell.ros.definitions import plain_name
 from armcell.ros.names import NameMap, resolve
-from armcell.ros.parameters import Parameters, RenamedParameters
+from armcell.ros.parameters import Parameters, RemappedParameters
 from armcell.ros.schema import Schema
 from armcell.ros.schema import schema as built_in
 
@@ -71,7 +71,7 @@ class Bus:
         self._changed = threading.Condition(self._lock)
         self._versions = [0]  # counts changes of publishers, subscribers and services; shared by all views
 
-    def renamed(self, names: NameMap | None) -> Bus:
+    def with_remapping(self, names: NameMap | None) -> Bus:
         """Return a view of the message bus that applies the namespace and name remappings of a program.
 
         Transports use the bus itself, so that a namespace or remapping has the same effect on all of them.
@@ -88,7 +88,7 @@ class Bus:
     @property
     def parameters(self) -> Parameters:
         found = self._root._parameters
-        return found if self._names is None else RenamedParameters(found, self._names)
+        return found if self._names is None else RemappedParameters(found, self._names)
 
     @parameters.setter
     def parameters(self, parameters: Parameters) -> None:
@@ -240,12 +240,12 @@ class Bus:
             self._has_changed()
         return service
 
-    def find_elsewhere(self, finder: Finder) -> None:
+    def add_service_finder(self, finder: Finder) -> None:
         """Register a function that finds services elsewhere if the message bus has no server for them."""
         with self._lock:
             self._finders.append(finder)
 
-    def forget_elsewhere(self, finder: Finder) -> None:
+    def remove_service_finder(self, finder: Finder) -> None:
         with self._lock:
             self._finders.remove(finder)
 

@@ -56,7 +56,7 @@ class Codec:
             InputError: the value of a field does not fit its type.
         """
         name = message._type
-        tidy = self.schema.tidy(name)
+        tidy = self.schema.array_converter(name)
         message = tidy(message) if tidy.needed else message
         run = self._store.serialize_cdr if self._cdr else self._store.serialize_ros1
         try:
@@ -142,14 +142,14 @@ def _codec(name: str, schema: Schema) -> Codec:
     return Codec(name, schema)
 
 
-def ros1(schema: Schema | None = None) -> Codec:
+def ros1_codec(schema: Schema | None = None) -> Codec:
     """Return the codec that reads and writes ROS 1 serialization for a schema, by default the built-in
     schema.
     """
     return _codec("ros1", schema or built_in())
 
 
-def cdr(schema: Schema | None = None) -> Codec:
+def cdr_codec(schema: Schema | None = None) -> Codec:
     """Return the codec that reads and writes little-endian CDR with a 4-byte header, the encoding of ROS 2.
 
     Args:
@@ -158,5 +158,5 @@ def cdr(schema: Schema | None = None) -> Codec:
     return _codec("cdr", schema or built_in())
 
 
-CODECS = {"ROS1": ros1, "ROS2": cdr}
+CODECS = {"ROS1": ros1_codec, "ROS2": cdr_codec}
 """Codec factories by the protocol name in the handshake of ROS-TCP."""

@@ -12,7 +12,7 @@ from armcell.core import SE3, InputError, JointState, JointTrajectory, Pinhole, 
 from armcell.model import RobotModel
 from armcell.ros.schema import Schema
 from armcell.ros.units import unit_fault
-from armcell.timing import started_from
+from armcell.timing import with_start_state
 
 TIME_GAP = 1e-9  # [s] points less than a nanosecond apart count as simultaneous
 
@@ -173,7 +173,7 @@ def trajectory_from_message(message: Any, model: RobotModel, now: JointState) ->
         accelerations = None  # interpolation cannot use accelerations without velocities
     trajectory = JointTrajectory(names, times, positions, velocities, accelerations)
     if times[0] > TIME_GAP:
-        return started_from(now, trajectory)
+        return with_start_state(now, trajectory)
     return trajectory
 
 

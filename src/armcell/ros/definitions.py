@@ -90,7 +90,7 @@ def field_parts(node: Any) -> tuple[bool, str, int | None]:
     return False, inner[0], length
 
 
-def noetic() -> Interfaces:
+def noetic_definitions() -> Interfaces:
     """Return the message definitions of the common packages in ROS Noetic, as rosbags contains them."""
     store = get_typestore(Stores.ROS1_NOETIC)
     messages = {
@@ -195,7 +195,7 @@ def _sections(text: str, name: str, count: int) -> list[str]:
     return sections
 
 
-def nested(definition: Definition) -> Iterator[str]:
+def nested_types(definition: Definition) -> Iterator[str]:
     """Yield the names of the message types that occur directly in the fields of a ROS message."""
     for _, node in definition.fields:
         is_message, name, _ = field_parts(node)

@@ -51,7 +51,7 @@ def distro_from_environment() -> str:
 
 
 @cache
-def layouts(distro: str) -> Interfaces:
+def distro_definitions(distro: str) -> Interfaces:
     """Return all message definitions of a ROS 2 distribution by `pkg/Name`, with the field layouts of ROS 2.
 
     Raises:

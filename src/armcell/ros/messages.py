@@ -56,7 +56,7 @@ def _equal(a: Any, b: Any) -> bool:
     return a == b
 
 
-class Stamp:
+class TimeMessage:
     """Base class of the ROS messages for times and durations, which converts between their fields and
     seconds.
     """
@@ -115,7 +115,7 @@ def make_class(name: str, definition: Definition, find: Callable[[str], type]) -
         "__module__": f"{package}.msg",
         PLACEHOLDER: 0,  # the CDR encoder reads this attribute if the message has no fields
     }
-    bases = (Stamp, Message) if name in STAMPS else (Message,)
+    bases = (TimeMessage, Message) if name in STAMPS else (Message,)
     return dataclasses.make_dataclass(item, specs, bases=bases, namespace=namespace, eq=False, slots=True)
 
 
@@ -135,15 +135,15 @@ def _several(make: Callable[[], Any], count: int) -> list[Any]:
     return [make() for _ in range(count)]
 
 
-class Tidy:
+class ArrayConverter:
     """Converter that turns the lists in a ROS message into arrays of the type that the encoder needs.
 
     The original message does not change, and valid fields are not copied.
     """
 
-    def __init__(self, definition: Definition, find: Callable[[str], Tidy]):
+    def __init__(self, definition: Definition, find: Callable[[str], ArrayConverter]):
         self._arrays: list[tuple[str, Any]] = []
-        self._nested: list[tuple[str, bool, Tidy]] = []
+        self._nested: list[tuple[str, bool, ArrayConverter]] = []
         for field, node in definition.fields:
             is_message, kind, length = field_parts(node)
             if is_message:

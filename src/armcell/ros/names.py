@@ -35,7 +35,7 @@ def resolve(name: str, namespace: str = "/") -> str:
     return "/" + "/".join(parts)
 
 
-def resolved(name: str, node: str, namespace: str) -> str:
+def resolve_program_name(name: str, node: str, namespace: str) -> str:
     """Resolve a ROS name in the source of a program, which may be absolute, private or relative, to a full
     ROS name.
 
@@ -74,13 +74,13 @@ class NameMap:
         self._there: dict[str, str] = {}
         self._back: dict[str, str] = {}
         for before, after in (remap or {}).items():
-            one, other = (resolved(name, self.node, namespace) for name in (before, after))
+            one, other = (resolve_program_name(name, self.node, namespace) for name in (before, after))
             if other in self._back:
                 raise InputError(f"{self._back[other]} and {one} are both remapped to {other}")
             self._there[one], self._back[other] = other, one
 
     @property
-    def remapped(self) -> list[str]:
+    def remappings(self) -> list[str]:
         """Return the remappings of the ROS names that the program uses."""
         return [self.to_bus(self._there[name]) for name in self._there]
 

@@ -78,7 +78,7 @@ class Parameters:
         return bool(gone)
 
 
-class RenamedParameters(Parameters):
+class RemappedParameters(Parameters):
     """View of the ROS parameters for a program that runs in a namespace or with remapped names."""
 
     def __init__(self, parameters: Parameters, names: NameMap):

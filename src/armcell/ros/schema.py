@@ -22,13 +22,13 @@ from armcell.ros.definitions import (
     Definition,
     Interfaces,
     field_parts,
-    nested,
-    noetic,
+    nested_types,
+    noetic_definitions,
     plain_name,
     read_folder,
 )
-from armcell.ros.distros import DISTROS, PLUMBING, layouts
-from armcell.ros.messages import Message, Tidy, make_class
+from armcell.ros.distros import DISTROS, PLUMBING, distro_definitions
+from armcell.ros.messages import ArrayConverter, Message, make_class
 
 ROS1_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duration": "duration"}
 ACTION_PARTS = ("Goal", "Result", "Feedback")
@@ -48,7 +48,7 @@ class Schema:
         self.definitions: dict[str, Definition] = {}
         self.services: list[str] = []
         self.actions: list[str] = []
-        for found in (noetic(), read_folder(FOLDER)):
+        for found in (noetic_definitions(), read_folder(FOLDER)):
             self._add(found)
         built_in = set(self.definitions)
         for folder in folders:
@@ -59,11 +59,11 @@ class Schema:
         self._add_ros2()
         self.ros2_only = frozenset(self.definitions.keys() - ros1)
         for name in self.definitions:
-            for inner in nested(self.whole(name)):
+            for inner in nested_types(self.merged_definition(name)):
                 if inner not in self.definitions:
                     raise InputError(f"{name} uses {inner}, which is not defined", hint="add its .msg file")
         self._classes: dict[str, type] = {}
-        self._tidies: dict[str, Tidy] = {}
+        self._tidies: dict[str, ArrayConverter] = {}
         self._texts: dict[str, str] = {}
 
     def _add(self, found: Interfaces) -> None:
@@ -78,11 +78,11 @@ class Schema:
         Newer distributions take precedence.
         """
         for distro in reversed(DISTROS):
-            found = layouts(distro)
+            found = distro_definitions(distro)
             for name, definition in found.messages.items():
                 if name.split("/")[0] in PLUMBING or name in self.own:
                     continue
-                known = self.whole(name) if name in self.definitions else None
+                known = self.merged_definition(name) if name in self.definitions else None
                 if known is None:
                     self.definitions[name] = definition
                 elif (merged := _merged(known, definition)) != known:
@@ -104,7 +104,7 @@ class Schema:
         except KeyError:
             raise UnknownNameError("message type", name, self.definitions) from None
 
-    def whole(self, name: str) -> Definition:
+    def merged_definition(self, name: str) -> Definition:
         """Return the definition of a message type in the schema: its ROS 1 fields,
         followed by the fields that only ROS 2 has.
 
@@ -125,7 +125,7 @@ class Schema:
         """
         name = plain_name(name)
         if name not in self._classes:  # if two threads create the class, both use the first result
-            self._classes.setdefault(name, make_class(name, self.whole(name), self.message))
+            self._classes.setdefault(name, make_class(name, self.merged_definition(name), self.message))
         return self._classes[name]
 
     def new(self, name: str, /, *values: Any, **fields: Any) -> Any:
@@ -158,10 +158,10 @@ class Schema:
             raise UnknownNameError("action type", name, self.actions)
         return plain
 
-    def tidy(self, name: str) -> Tidy:
+    def array_converter(self, name: str) -> ArrayConverter:
         """Return the converter with which the schema prepares messages of one type for encoding."""
         if name not in self._tidies:
-            self._tidies.setdefault(name, Tidy(self.whole(name), self.tidy))
+            self._tidies.setdefault(name, ArrayConverter(self.merged_definition(name), self.array_converter))
         return self._tidies[name]
 
     # --- texts and sums ---
@@ -178,7 +178,7 @@ class Schema:
         name = plain_name(name)
         seen: list[str] = [name]
         for outer in seen:  # the loop appends nested types to this list
-            seen += [n for n in nested(self.definition(outer)) if n not in seen and n not in ROS1_TIMES]
+            seen += [n for n in nested_types(self.definition(outer)) if n not in seen and n not in ROS1_TIMES]
         rest = (f"{'=' * 80}\nMSG: {inner}\n{self.text(inner)}" for inner in seen[1:])
         return self.text(name) + "".join(rest)
 
@@ -200,7 +200,7 @@ class Schema:
     def _md5_text(self, name: str) -> str:
         if name not in self._texts:
             definition = self.definition(name)
-            sums = {inner: _md5(self._md5_text(inner)) for inner in nested(definition)}
+            sums = {inner: _md5(self._md5_text(inner)) for inner in nested_types(definition)}
             self._texts[name] = "\n".join(self._lines(definition, sums))
         return self._texts[name]
 

@@ -150,7 +150,7 @@ class TfMonitor:
         return found
 
 
-def watch(monitor: TfMonitor, bus: Any) -> list[Any]:
+def subscribe_monitor(monitor: TfMonitor, bus: Any) -> list[Any]:
     """Subscribe a TF monitor to the topics /tf and /tf_static of a bus.
 
     Returns:

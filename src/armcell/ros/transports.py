@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 from armcell.core import InputError, Registry
-from armcell.core.endpoints import Endpoint
+from armcell.core.network_endpoints import Endpoint
 from armcell.ros.bus import Bus
 from armcell.ros.ros1 import Ros1Graph, Ros1Settings
 from armcell.ros.tcp import RosTcpServer, ServerSettings
@@ -49,7 +49,7 @@ class Transport(Protocol):
         """
         ...
 
-    def ready(self) -> str:
+    def ready_message(self) -> str:
         """Return the line to print after the transport has started. It contains the address to which other
         programs connect.
         """
@@ -112,7 +112,7 @@ class TcpTransport:
         self.reserve, self.start, self.close = self._server.reserve, self._server.start, self._server.close
         self.endpoints = self._server.endpoints
 
-    def ready(self) -> str:
+    def ready_message(self) -> str:
         return f"Unity can connect to {self._where()}"
 
     def status_text(self) -> str:
@@ -140,7 +140,7 @@ class Ros1Transport:
     def __init__(
         self, bus: Bus, address: str = "", settings: Ros1Settings | None = None, keep: tuple[str, ...] = ()
     ):
-        from armcell.ros.nodes.description import NAME
+        from armcell.ros.nodes.robot_description import NAME
         from armcell.ros.ros1 import from_environment
 
         settings = settings or from_environment("armcell", bind=address or None)
@@ -148,7 +148,7 @@ class Ros1Transport:
         self.reserve, self.start, self.close = self._graph.reserve, self._graph.start, self._graph.close
         self.endpoints = self._graph.endpoints
 
-    def ready(self) -> str:
+    def ready_message(self) -> str:
         own = "its own master" if self._graph.master else "the master"
         return f"ROS 1: node {self._graph.node.name} at {own}, {self._graph.node.master}"
 
@@ -199,7 +199,7 @@ class Ros2Transport:
         DDS chooses its ports when it starts.
         """
 
-    def ready(self) -> str:
+    def ready_message(self) -> str:
         reach = self._settings.reach
         peers = f", peers {' '.join(reach.peers)}" if reach.peers else ""
         where = f"domain {reach.domain}, {reach.range}{peers}, {self._settings.distro}"

@@ -38,7 +38,7 @@ def unit_fault(model: RobotModel, names: Iterable[str], positions: Sequence[floa
     return None
 
 
-def check_near(T: SE3) -> None:
+def check_in_meters(T: SE3) -> None:
     """Check that a pose is in meters. A pose more than 100 m from the origin is probably in millimeters.
 
     Raises:

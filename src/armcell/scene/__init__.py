@@ -1,13 +1,11 @@
 """The planning scene: robot state, collision objects and allowed collisions, all immutable."""
 
-from armcell.scene.changed import new_obstacles, scene_changes
-from armcell.scene.cloud_file import load_obstacle, load_points
 from armcell.scene.depth import depth_points
 from armcell.scene.diff import (
     OCTOMAP,
     AddObject,
-    Allow,
-    AllowByDefault,
+    AllowCollision,
+    AllowCollisionByDefault,
     AppendShapes,
     AttachObject,
     DetachObject,
@@ -24,47 +22,50 @@ from armcell.scene.diff import (
     with_octomap,
 )
 from armcell.scene.extent import extent
-from armcell.scene.geometry_file import load_scene_file, save_scene_file
 from armcell.scene.inertia import solid_inertia
-from armcell.scene.library import Kind, library, library_object, object_names
 from armcell.scene.mesh_object import MeshFacts, check_mesh, mesh_facts, mesh_object
-from armcell.scene.moving import MovingObject
+from armcell.scene.moving_object import MovingObject
+from armcell.scene.object_library import ObjectKind, library, library_object, object_names
 from armcell.scene.objects import (
     DEFAULT_DENSITY,
     CollisionObject,
     Material,
     ObjectType,
-    Thread,
+    ScrewThread,
     shape_volume,
 )
 from armcell.scene.octomap import OccupancyMap, SensorModel
 from armcell.scene.octree_file import load_octree, octree_from_bytes
 from armcell.scene.octree_writer import octree_bytes, save_octree
+from armcell.scene.point_cloud_file import load_obstacle, load_points
 from armcell.scene.scene import WORLD, AttachedBody, PlanningScene
+from armcell.scene.scene_changes import new_obstacles, scene_changes
+from armcell.scene.scene_file import load_scene_file, save_scene_file
 
 __all__ = [
     "DEFAULT_DENSITY",
     "OCTOMAP",
     "WORLD",
     "AddObject",
-    "Allow",
-    "AllowByDefault",
+    "AllowCollision",
+    "AllowCollisionByDefault",
     "AppendShapes",
     "AttachObject",
     "AttachedBody",
     "CollisionObject",
     "DetachObject",
-    "Kind",
     "Material",
     "MeshFacts",
     "MoveObject",
     "MovingObject",
+    "ObjectKind",
     "ObjectType",
     "OccupancyMap",
     "PlanningScene",
     "RemoveAllObjects",
     "RemoveObject",
     "SceneDiff",
+    "ScrewThread",
     "SensorModel",
     "SetColor",
     "SetFixedFrame",
@@ -72,7 +73,6 @@ __all__ = [
     "SetPadding",
     "SetState",
     "SetType",
-    "Thread",
     "check_mesh",
     "depth_points",
     "extent",

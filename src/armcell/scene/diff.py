@@ -228,7 +228,7 @@ class DetachObject:
 
 # --- allowed collisions and padding ---
 @dataclass(frozen=True)
-class Allow:
+class AllowCollision:
     """A change in a scene diff that allows or forbids contact between two bodies."""
 
     a: str
@@ -240,7 +240,7 @@ class Allow:
 
 
 @dataclass(frozen=True)
-class AllowByDefault:
+class AllowCollisionByDefault:
     """A change in a scene diff that sets whether a body may touch all other bodies by default.
 
     None removes the body's default.

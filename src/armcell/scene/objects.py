@@ -91,7 +91,7 @@ class ObjectType:
 
 @dataclass(frozen=True)
 @checked()
-class Thread:
+class ScrewThread:
     """Screw thread of a collision object.
     The object can only turn about its own z axis and moves along this axis as it turns.
 
@@ -151,7 +151,7 @@ class CollisionObject:
     material: Material = Material()
     subframes: Mapping[str, SE3] = field(default_factory=dict)  # T_object_subframe by name
     type: ObjectType = ObjectType()
-    thread: Thread | None = None  # screw connection to another object, in physics
+    thread: ScrewThread | None = None  # screw connection to another object, in physics
     belt: tuple[float, float, float] | None = None  # [m/s, object frame] surface velocity of a fixed object
 
     def __post_init__(self) -> None:

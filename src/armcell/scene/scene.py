@@ -14,7 +14,7 @@ from armcell.core import SE3, InputError, JointState, UnknownNameError
 from armcell.core.checks import checked, float_array
 from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
-from armcell.scene.allowing import expanded, forgotten
+from armcell.scene.allowed_collisions import explicit_allowed_pairs, without_allowed_entries
 from armcell.scene.objects import CLOUDS_STAND, USE_A_SOLID, CollisionObject
 
 if TYPE_CHECKING:
@@ -157,7 +157,9 @@ class PlanningScene:
         """
         if name not in self.objects:
             raise UnknownNameError("object", name, self.objects)
-        return forgotten(replace(self, objects={k: v for k, v in self.objects.items() if k != name}), name)
+        return without_allowed_entries(
+            replace(self, objects={k: v for k, v in self.objects.items() if k != name}), name
+        )
 
     def with_attached(self, name: str, link: str, touch_links: Iterable[str] = ()) -> PlanningScene:
         """Return the planning scene with a world object attached to a link at its current pose.
@@ -179,7 +181,7 @@ class PlanningScene:
         item = self.objects[name]
         if item.has_cloud:
             raise InputError(f"object {name!r}: {CLOUDS_STAND}", hint=USE_A_SOLID)
-        T_link_object = self.frame_pose(link).inv() @ item.T_world_object
+        T_link_object = self.frame_pose(link).inverse() @ item.T_world_object
         body = AttachedBody(item, link, T_link_object, touches)
         rest = {k: v for k, v in self.objects.items() if k != name}
         return replace(self, objects=rest, attached={**self.attached, name: body})
@@ -242,7 +244,7 @@ class PlanningScene:
 
         Per-body defaults are expanded to pairs.
         """
-        return expanded(self) if self.allowed_defaults else self.allowed_pairs
+        return explicit_allowed_pairs(self) if self.allowed_defaults else self.allowed_pairs
 
     def is_allowed(self, a: str, b: str) -> bool:
         """Return whether collision checks ignore contact between two bodies of the planning scene."""
@@ -350,7 +352,7 @@ class PlanningScene:
         """Return the transform T_target_source between two frames of the planning scene, like TF's
         `lookup_transform`.
         """
-        return self.frame_pose(target).inv() @ self.frame_pose(source)
+        return self.frame_pose(target).inverse() @ self.frame_pose(source)
 
     # --- many changes at once ---
     def apply(self, diff: SceneDiff) -> PlanningScene:

@@ -10,18 +10,18 @@ with silent_helpers():  # mujoco imports glfw, which starts a process that reads
     import mujoco as _mujoco  # noqa: F401
 # isort: on
 
-from armcell.collision.convex import convex_pieces
+from armcell.collision.convex_decomposition import convex_pieces
 from armcell.sim.build import build
-from armcell.sim.built import BuiltModel, GripperIndex
+from armcell.sim.built_model import BuiltModel, GripperIndex
 from armcell.sim.camera import Camera, DepthNoise, look_at
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, UnwantedContact
 from armcell.sim.decals import Decal
-from armcell.sim.grip import GripperState, WeldEvent
-from armcell.sim.hand_trials import Trial, TrialResult, TrialSettings, run_trials
+from armcell.sim.grasp_trials import GraspTrial, TrialResult, TrialSettings, run_trials
+from armcell.sim.gripper_servos import GripperState, WeldEvent
+from armcell.sim.joint_targets import JointTargets
 from armcell.sim.pace import Pacer
 from armcell.sim.render import has_gl, render_depth, render_rgb, take_image
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.targets import Targets
 from armcell.sim.world import SimWorld, WorldSnapshot
 
 __all__ = [
@@ -30,14 +30,14 @@ __all__ = [
     "ContactMonitor",
     "Decal",
     "DepthNoise",
+    "GraspTrial",
     "GripperIndex",
     "GripperState",
+    "JointTargets",
     "Pacer",
     "PhysicsContact",
     "PhysicsSettings",
     "SimWorld",
-    "Targets",
-    "Trial",
     "TrialResult",
     "TrialSettings",
     "UnwantedContact",

@@ -16,7 +16,7 @@ from armcell.core import InputError
 from armcell.model import SuctionGripper
 from armcell.model.mjcf.spec import UNSAVED, log_mujoco_warnings
 from armcell.scene import CollisionObject, PlanningScene
-from armcell.sim.built import BuiltModel, indexed
+from armcell.sim.built_model import BuiltModel, indexed
 from armcell.sim.cups import add_cups
 from armcell.sim.decals import Decal, add_decals
 from armcell.sim.objects import add_object, weld_name
@@ -54,9 +54,9 @@ def same_build(a: PlanningScene, b: PlanningScene) -> bool:
             return False
         if new.thread is not None:
             into = new.thread.into
-            was = olds[into].T_world_object.inv() @ old.T_world_object
+            was = olds[into].T_world_object.inverse() @ old.T_world_object
             if new.thread != old.thread or not was.isclose(
-                news[into].T_world_object.inv() @ new.T_world_object
+                news[into].T_world_object.inverse() @ new.T_world_object
             ):
                 return False
         if not free and not old.T_world_object.isclose(new.T_world_object, 0.0, 0.0):

@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from armcell.core import UnknownNameError
-from armcell.sim.built import BuiltModel
+from armcell.sim.built_model import BuiltModel
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.model import Cup, RobotModel, SuctionGripper
+from armcell.model import RobotModel, SuctionCup, SuctionGripper
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ BEAD = 0.001  # [m] radius of the spheres
 class CupIndex:
     """Indices of one suction cup in a MuJoCo model built from a scene."""
 
-    cup: Cup
+    cup: SuctionCup
     gripper: str
     body: int
     ctrl: int
@@ -44,7 +44,7 @@ def add_cups(spec: mujoco.MjSpec, bodies: dict[str, Any], gripper: SuctionGrippe
         actuator.ctrllimited, actuator.ctrlrange = True, [0.0, 1.0]
 
 
-def ring_points(cup: Cup, count: int) -> Array:
+def ring_points(cup: SuctionCup, count: int) -> Array:
     """Return points (count, 2) [m] on the ring of a suction cup, in the cup's frame."""
     angle = 2 * np.pi * (np.arange(count) + 0.5) / count
     return cup.radius * np.column_stack([np.cos(angle), np.sin(angle)])

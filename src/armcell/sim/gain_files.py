@@ -11,7 +11,7 @@ from typing import Any
 from armcell.core import InputError, UnknownNameError
 from armcell.core.checks import settings_from
 from armcell.model import RobotModel
-from armcell.model.files import read_yaml
+from armcell.model.untrusted_files import read_yaml
 from armcell.sim.joint_gains import GainTable, check_joint_gains
 from armcell.sim.ros_control import controller_gains, is_controllers
 from armcell.sim.settings import PhysicsSettings

@@ -117,7 +117,7 @@ def gains_of(entry: Any, what: str) -> JointGains:
         raise InputError(text, hint=error.hint) from None
 
 
-class Drive(NamedTuple):
+class EffectiveGains(NamedTuple):
     """Effective PID gains of one joint after scaling, with the limits on the effort of the integral term."""
 
     kp: float
@@ -129,7 +129,7 @@ class Drive(NamedTuple):
     feedforward: float
 
 
-def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
+def effective_gains(joint: Joint, settings: PhysicsSettings) -> EffectiveGains:
     """Return the PID gains after scaling that the simulation uses for an arm joint."""
     effort = joint.limits.effort
     most = INTEGRAL_SHARE * effort if np.isfinite(effort) else np.inf
@@ -138,15 +138,15 @@ def joint_drive(joint: Joint, settings: PhysicsSettings) -> Drive:
         clamp = most if own.i_clamp < 0 else own.i_clamp
         low = clamp if own.i_clamp_min < 0 else own.i_clamp_min
         high = clamp if own.i_clamp_max < 0 else own.i_clamp_max
-        return Drive(own.p, own.i, own.d, -low, high, not own.antiwindup, own.ff_velocity_scale)
+        return EffectiveGains(own.p, own.i, own.d, -low, high, not own.antiwindup, own.ff_velocity_scale)
     if joint.servo is not None:
-        return Drive(joint.servo.kp, 0.0, joint.servo.kv, -most, most, False, 0.0)
+        return EffectiveGains(joint.servo.kp, 0.0, joint.servo.kv, -most, most, False, 0.0)
     # A weak joint with a strong joint's gains would saturate at every small error and chatter.
     weak = min(1.0, effort / settings.full_gain_effort)
     slides = joint.type == "prismatic"
     kp = settings.slide_kp if slides else settings.arm_kp
     kv = settings.slide_kv if slides else settings.arm_kv
-    return Drive(weak * kp, weak * settings.arm_ki, weak * kv, -most, most, False, 0.0)
+    return EffectiveGains(weak * kp, weak * settings.arm_ki, weak * kv, -most, most, False, 0.0)
 
 
 def arm_joints(model: RobotModel) -> list[str]:

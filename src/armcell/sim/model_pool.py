@@ -20,10 +20,10 @@ import mujoco
 from armcell.collision.kernel.lru_cache import LruCache
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.sim.build import build, scene_objects, set_options
-from armcell.sim.built import BuiltModel
-from armcell.sim.objects import add_free_body, sliding
+from armcell.sim.built_model import BuiltModel
+from armcell.sim.objects import add_free_body, friction_coefficients
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.stepping import LIBRARY
+from armcell.sim.step_kernel import LIBRARY
 
 _copy_model = ctypes.CDLL(str(LIBRARY)).mj_copyModel  # copies into an existing model; the bindings cannot
 _copy_model.argtypes, _copy_model.restype = (ctypes.c_void_p, ctypes.c_void_p), ctypes.c_void_p
@@ -161,7 +161,7 @@ def _put_in(
         for field in ("qpos0", "qpos_spring"):
             getattr(model, field)[start : start + 7] = getattr(alone, field)[first : first + 7]
         geoms = int(model.body_geomadr[there])
-        model.geom_friction[geoms : geoms + int(model.body_geomnum[there])] = sliding(item)
+        model.geom_friction[geoms : geoms + int(model.body_geomnum[there])] = friction_coefficients(item)
     mujoco.mj_setConst(model, scratch)
     # MuJoCo computes these only at compilation; summing in the same order gives the same bits
     model.stat.meaninertia = sum(model.dof_M0.tolist()) / max(model.nv, 1)

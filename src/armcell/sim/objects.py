@@ -7,9 +7,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from armcell.collision.decompose import object_pieces
+from armcell.collision.object_decomposition import object_pieces
 from armcell.core import SE3
-from armcell.scene import CollisionObject, Thread, solid_inertia
+from armcell.scene import CollisionObject, ScrewThread, solid_inertia
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import OBJECT_GROUP, GeomAdder, full_inertia
 
@@ -20,12 +20,12 @@ def add_object(
     spec: mujoco.MjSpec, adder: GeomAdder, item: CollisionObject, attached: bool, settings: PhysicsSettings,
     into: Any = None, T_world_into: SE3 | None = None,
 ) -> Any:  # fmt: skip
-    T = item.T_world_object if T_world_into is None else T_world_into.inv() @ item.T_world_object
+    T = item.T_world_object if T_world_into is None else T_world_into.inverse() @ item.T_world_object
     values: dict[str, Any] = {
         "rgba": item.color,
         "group": OBJECT_GROUP,
         "density": 0.0,
-        "friction": sliding(item),
+        "friction": friction_coefficients(item),
     }
     free = item.movable or attached
     if free and item.thread is None:
@@ -63,7 +63,7 @@ def _set_inertia(body: Any, item: CollisionObject) -> None:
     body.mass, body.ipos, body.fullinertia = item.mass_kg, center, full_inertia(inertia)
 
 
-def sliding(item: CollisionObject) -> list[float]:
+def friction_coefficients(item: CollisionObject) -> list[float]:
     """Return the friction coefficients of a scene object as MuJoCo needs them: sliding, torsional and
     rolling.
     """
@@ -83,7 +83,7 @@ def _add_belt(body: Any, name: str, velocity: tuple[float, float, float]) -> Non
     body.gravcomp = 1.0
 
 
-def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: Thread) -> None:
+def _add_thread(spec: mujoco.MjSpec, body: Any, name: str, thread: ScrewThread) -> None:
     """Add a slide joint and a hinge joint to MuJoCo for a screwed-in object.
     The pitch of the thread couples the two joints.
     """

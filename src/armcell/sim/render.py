@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3, CameraImage, InputError
 from armcell.scene import WORLD
 from armcell.sim.build import RENDER_CAMERA, build
-from armcell.sim.built import BuiltModel
+from armcell.sim.built_model import BuiltModel
 from armcell.sim.camera import Camera
 from armcell.sim.decals import geom_name
 from armcell.sim.gl import GLRenderer, gl_backend
-from armcell.sim.grip import body_pose
+from armcell.sim.gripper_servos import body_pose
 from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP
 from armcell.sim.world import SimWorld
 
@@ -182,7 +182,7 @@ class _DrawnScene:
             points = camera.T_world_camera.translation + distance[rows, None] * seen[rows]
             # not the geom's own frame: MuJoCo aligns this frame with the mesh's principal axes
             T = self._frame(decal.frame) @ decal.T_frame_decal
-            light[rows] *= decal.brightness(T.inv().apply(points))
+            light[rows] *= decal.brightness(T.inverse().apply(points))
         palette = np.vstack([model.geom_rgba[:, :3], [0.0, 0.0, 0.0]]).astype(np.float32)
         color = palette[geom] * light[:, None]  # geom -1, nothing hit, takes the last row
         sky = np.flatnonzero(geom < 0)

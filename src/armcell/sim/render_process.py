@@ -79,7 +79,7 @@ class MeasuredState:
 State = PhysicsState | MeasuredState
 
 
-class Setup:
+class RenderSetup:
     """Data from which a render process builds its copy of a simulated world.
 
     The constructor pickles them at once, so later changes of the scene have no effect.
@@ -92,15 +92,15 @@ class Setup:
         self.data = pickle.dumps((scene, settings, seed, tuple(decals)), protocol=5)
 
     @staticmethod
-    def of(world: SimWorld) -> Setup:
-        return Setup(world.built.scene, world.settings, world.seed, world.decals)
+    def of(world: SimWorld) -> RenderSetup:
+        return RenderSetup(world.built.scene, world.settings, world.seed, world.decals)
 
 
 @dataclass(frozen=True, eq=False)
-class Order:
+class RenderRequest:
     """Request for one image to a render process."""
 
-    setup: Setup
+    setup: RenderSetup
     state: State
     camera: Camera
     rgb: bool = True
@@ -117,7 +117,7 @@ class RenderProcess:
     def __init__(self) -> None:
         self._process: subprocess.Popen | None = None
         self._link: Connection | None = None
-        self._setup: Setup | None = None
+        self._setup: RenderSetup | None = None
         self._trouble = ""
 
     @property
@@ -125,7 +125,7 @@ class RenderProcess:
         """Return the process ID of the running render process, or None."""
         return None if self._process is None else self._process.pid
 
-    def begin(self, order: Order) -> None:
+    def begin(self, order: RenderRequest) -> None:
         """Request an image from the render process without waiting for it. Errors are raised by `finish`."""
         try:
             link = self._link or self._start()

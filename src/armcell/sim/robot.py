@@ -12,8 +12,8 @@ from armcell.core import SE3, Mesh
 from armcell.model import Gripper, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
 from armcell.scene import WORLD, PlanningScene
-from armcell.sim.attaching import attach_part, mjcf_links
-from armcell.sim.joint_gains import arm_joints, check_joint_gains, joint_drive
+from armcell.sim.joint_gains import arm_joints, check_joint_gains, effective_gains
+from armcell.sim.mjcf_parts import attach_part, mjcf_links
 from armcell.sim.settings import PhysicsSettings
 from armcell.sim.shapes import COLLISION_GROUP, OBJECT_GROUP, VISUAL_GROUP, GeomAdder, full_inertia
 from armcell.sim.visuals import visual_parts
@@ -73,11 +73,9 @@ def add_robot(
 
 
 def _finger_scales(model: RobotModel) -> dict[str, float]:
-    """Return how far [m] each rotating gripper joint of the simulated robot
-    moves its finger when it turns by one unit, by joint name.
-    """
+    """Return, for each rotating gripper joint by name, how far [m] its finger moves per radian of the joint."""
     return {
-        name: gripper.scale
+        name: gripper.finger_travel_per_joint
         for gripper in model.grippers.values()
         for name, _ in finger_weights(model, gripper.joint_name)
         if gripper.joint_name and model.joints[name].type != "prismatic"
@@ -193,7 +191,7 @@ def add_arm_actuators(spec: mujoco.MjSpec, model: RobotModel, settings: PhysicsS
     for name in arm_joints(model):
         joint = model.joints[name]
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        drive = joint_drive(joint, settings)
+        drive = effective_gains(joint, settings)
         if settings.arm_control == "pid":
             actuator.set_to_pid(kp=drive.kp, kv=drive.kv)
         elif settings.arm_control == "position":
@@ -263,7 +261,10 @@ def servo_force(gripper: Gripper, settings: PhysicsSettings) -> float:
 
     A servo force f presses each finger with f / |width_per_joint|.
     """
-    return min(settings.gripper_force * gripper.scale, gripper.max_force * abs(gripper.width_per_joint))
+    return min(
+        settings.gripper_force * gripper.finger_travel_per_joint,
+        gripper.max_force * abs(gripper.width_per_joint),
+    )
 
 
 def servo_gains(gripper: Gripper, settings: PhysicsSettings) -> tuple[float, float]:
@@ -272,7 +273,10 @@ def servo_gains(gripper: Gripper, settings: PhysicsSettings) -> tuple[float, flo
 
     The settings are those of sliding fingers; a turning joint gets the gains with the same effect there.
     """
-    return settings.gripper_kp * gripper.scale**2, settings.gripper_kv * gripper.scale**2
+    return (
+        settings.gripper_kp * gripper.finger_travel_per_joint**2,
+        settings.gripper_kv * gripper.finger_travel_per_joint**2,
+    )
 
 
 def tendon_name(gripper: str) -> str:

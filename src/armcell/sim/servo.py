@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import InputError
-from armcell.sim.built import BuiltModel
-from armcell.sim.joint_gains import joint_drive
+from armcell.sim.built_model import BuiltModel
+from armcell.sim.joint_gains import effective_gains
 from armcell.sim.settings import PhysicsSettings
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class ArmServo:
         self._dt = settings.timestep
         model = built.scene.model
         joints = [model.joints[model.joint_names[c]] for c in arm]
-        drives = [joint_drive(joint, settings) for joint in joints]
+        drives = [effective_gains(joint, settings) for joint in joints]
         self._kp, self._ki, self._kv, self._low, self._high = (
             np.array([drive[:5] for drive in drives], dtype=np.float64).reshape(-1, 5).T
         )

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.convex import convex_pieces
+from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 
 logger = logging.getLogger(__name__)

@@ -23,7 +23,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from armcell.model import SuctionGripper
-from armcell.sim.built import BuiltModel
+from armcell.sim.built_model import BuiltModel
 from armcell.sim.cups import RING
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Suction:
         beads: (ngeom,) number of the sphere, cup times `RING` plus position, or -1 for other geoms.
         sealed: (c,) owner index of the body on which each cup seals, or -1.
         holds: (c,) row of each cup's gripper in `fingers`, and the cup's link among the owners, (c, 2).
-        fingers: (g, f) `Holding`'s table of the links that hold an object, changed in place.
+        fingers: (g, f) `HeldObjectCorrection`'s table of the links that hold an object, changed in place.
     """
 
     def __init__(self, built: BuiltModel, timestep: float, fingers: Ints):
@@ -114,7 +114,7 @@ def draw_vacuum(count, pairs, owner, ctrl, arrays):
     """Find which suction cups seal, and set their vacuum forces for the next physics step.
 
     A leaking cup loses its vacuum at once. The links of sealed cups hold the object in the sense of
-    `Holding`; a gripper without a sealed cup holds nothing (-2).
+    `HeldObjectCorrection`; a gripper without a sealed cup holds nothing (-2).
 
     Args:
         count: number of contacts.

@@ -19,13 +19,14 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import RobotModel
 from armcell.model.mjcf.spec import log_mujoco_warnings
 from armcell.scene import PlanningScene
+from armcell.sim.body_poses import Array, FixedBodyPoses, Poses, write_free
 from armcell.sim.build import same_build, scene_objects
-from armcell.sim.built import BuiltModel
+from armcell.sim.built_model import BuiltModel
 from armcell.sim.camera import Camera
-from armcell.sim.compiled import compiled_steps
+from armcell.sim.compiled_stepper import compiled_steps
 from armcell.sim.contacts import ContactMonitor, PhysicsContact, read_contacts
 from armcell.sim.decals import Decal
-from armcell.sim.grip import (
+from armcell.sim.gripper_servos import (
     Fingers,
     GripperState,
     Welder,
@@ -34,14 +35,13 @@ from armcell.sim.grip import (
     gripper_state,
     relative_pose,
 )
-from armcell.sim.holding import Holding
+from armcell.sim.held_object_correction import HeldObjectCorrection
+from armcell.sim.joint_targets import JointTargets
 from armcell.sim.model_pool import lease_model
-from armcell.sim.places import Array, FixedPlaces, Poses, write_free
 from armcell.sim.servo import ArmServo
 from armcell.sim.settings import PhysicsSettings
-from armcell.sim.slipping import SlidingFriction
+from armcell.sim.sliding_friction import SlidingFriction
 from armcell.sim.suction import Suction
-from armcell.sim.targets import Targets
 from armcell.sim.wrench import hand_wrench
 
 log = logging.getLogger(__name__)
@@ -122,7 +122,7 @@ class SimWorld:
         self.built, self._data = self._lease.built, self._lease.data
         self.robot: RobotModel = scene.model
         self._mj: mujoco.MjModel | None = self.built.mj
-        self._fixed = FixedPlaces(self.mj_model)
+        self._fixed = FixedBodyPoses(self.mj_model)
         self._behind = False  # whether the body poses in `_data` are those before the last step
         self._warned = self._data.warning.number.item  # reads the current warning counts when called
         self._tree = kinematic_tree(scene.model)
@@ -130,7 +130,7 @@ class SimWorld:
         self._drives = self._fingers.drives
         self._servo = ArmServo(self.built, self.settings)
         self._slip = SlidingFriction(self.built)
-        self._holding = Holding(self.built, self.settings, self._data)
+        self._holding = HeldObjectCorrection(self.built, self.settings, self._data)
         holders, self._owner = self._holding.arrays[3:5]
         self._suction = Suction(self.built, self.settings.timestep, holders)
         python = (
@@ -273,7 +273,7 @@ class SimWorld:
             raise ArmcellError(f"physics diverged at {self.time:.3f} s (a state is not finite)")
 
     def follow(
-        self, joint_names: Sequence[str], targets: Targets, until: float, tolerance: float
+        self, joint_names: Sequence[str], targets: JointTargets, until: float, tolerance: float
     ) -> tuple[float, int]:
         """Track joint targets in the simulated world until a given time or
         until a joint deviates by more than the tolerance.
@@ -329,7 +329,7 @@ class SimWorld:
         Efforts include the gravity compensation of the arm.
         """
         data, built = self._data, self.built
-        return JointState.trusted(
+        return JointState.unchecked(
             self.robot.joint_names,
             data.qpos[built.qpos],
             data.qvel[built.dofs],
@@ -529,7 +529,7 @@ class SimWorld:
         scene, moving, body, fixed = self.built.scene, self.built.moving, self.built.body, self._fixed
         q = np.clip(self.mj_data.qpos[self.built.qpos], self.robot.lower, self.robot.upper)
         objects = {
-            name: item.at(self.object_pose(name)) if name in moving or fixed.elsewhere(body[name]) else item
+            name: item.at(self.object_pose(name)) if name in moving or fixed.has_moved(body[name]) else item
             for name, item in self.built.objects.items()
         }
         return replace(scene, positions=q, objects=objects, attached={})

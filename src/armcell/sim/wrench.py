@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.sim.built import BuiltModel
-from armcell.sim.stepping import add_about, hand_contacts
+from armcell.sim.built_model import BuiltModel
+from armcell.sim.step_kernel import add_about, hand_contacts
 
 Array = NDArray[np.float64]
 

@@ -1,23 +1,31 @@
 """Task planning and execution: stages, search, recipes, and recovery from failures."""
 
-from armcell.tasks.arms import Carrying, CarrySettings, SideBySide, shifted, side_by_side
-from armcell.tasks.bin_clearing import ClearSettings
+from armcell.tasks.arms import CarrySettings, SideBySide, TwoArmCarry, moved_object_pose, side_by_side
+from armcell.tasks.bin_clearing import BinClearingSettings
 from armcell.tasks.containers import Alternatives, Fallbacks, Serial
-from armcell.tasks.context import Holding, StageReport, TaskContext
-from armcell.tasks.conveyor_pick import MovingSettings, pick_moving
+from armcell.tasks.context import HeldObject, StageReport, TaskContext
+from armcell.tasks.conveyor_pick import ConveyorPickSettings, pick_moving
 from armcell.tasks.costs import Cost, clearance, costs, duration, path_length, weighted
-from armcell.tasks.interfaces import TaskError, check_task, holding
+from armcell.tasks.grasp_proof import NOISE, GraspProof, distinct_grasps, prove_grasps, sample_object_variants
+from armcell.tasks.interfaces import TaskError, check_task, holding_condition
 from armcell.tasks.intermediate_placement import IntermediatePlacement, PickAndPlace, place_intermediate
 from armcell.tasks.merger import Merger
 from armcell.tasks.pick import Pick, grasp, grasp_stages, pick, pick_stages
 from armcell.tasks.pipelined import PipelinedTask, PipelineSettings, perform_pipelined, picking, placing
-from armcell.tasks.proof import NOISE, Proof, as_it_may_be, prove, varied
-from armcell.tasks.recipes import hold, let_go, move_to, perform_stages, place, place_stages, release
+from armcell.tasks.recipes import (
+    hold,
+    move_to,
+    perform_stages,
+    place,
+    place_stages,
+    release,
+    release_and_retreat,
+)
 from armcell.tasks.recovery import RecoverySettings, transfer
 from armcell.tasks.search import (
     Lookahead,
     PartialSolution,
-    Planning,
+    SearchState,
     Stage,
     make_stage,
     search,
@@ -27,60 +35,60 @@ from armcell.tasks.search import (
 from armcell.tasks.settings import Speed, TaskSettings
 from armcell.tasks.sorting import SortSettings, sort
 from armcell.tasks.stage_statistics import stage_table
-from armcell.tasks.stages import Connect, MoveGripper, Straight
+from armcell.tasks.stages import Connect, MoveGripper, MoveStraight
 from armcell.tasks.steps import Motion, perform_all
 from armcell.tasks.task import Task, TaskFailed, TaskPlan, checked
 
 __all__ = [
     "NOISE",
     "Alternatives",
+    "BinClearingSettings",
     "CarrySettings",
-    "Carrying",
-    "ClearSettings",
     "Connect",
+    "ConveyorPickSettings",
     "Cost",
     "Fallbacks",
-    "Holding",
+    "GraspProof",
+    "HeldObject",
     "IntermediatePlacement",
     "Lookahead",
     "Merger",
     "Motion",
     "MoveGripper",
-    "MovingSettings",
+    "MoveStraight",
     "PartialSolution",
     "Pick",
     "PickAndPlace",
     "PipelineSettings",
     "PipelinedTask",
-    "Planning",
-    "Proof",
     "RecoverySettings",
+    "SearchState",
     "Serial",
     "SideBySide",
     "SortSettings",
     "Speed",
     "Stage",
     "StageReport",
-    "Straight",
     "Task",
     "TaskContext",
     "TaskError",
     "TaskFailed",
     "TaskPlan",
     "TaskSettings",
-    "as_it_may_be",
+    "TwoArmCarry",
     "check_task",
     "checked",
     "clearance",
     "costs",
+    "distinct_grasps",
     "duration",
     "grasp",
     "grasp_stages",
     "hold",
-    "holding",
-    "let_go",
+    "holding_condition",
     "make_stage",
     "move_to",
+    "moved_object_pose",
     "path_length",
     "perform_all",
     "perform_pipelined",
@@ -93,16 +101,16 @@ __all__ = [
     "place_intermediate",
     "place_stages",
     "placing",
-    "prove",
+    "prove_grasps",
     "release",
+    "release_and_retreat",
+    "sample_object_variants",
     "search",
-    "shifted",
     "side_by_side",
     "solutions",
     "sort",
     "stage_table",
     "stage_types",
     "transfer",
-    "varied",
     "weighted",
 ]

@@ -14,7 +14,7 @@ from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.costs import Cost, duration
 from armcell.tasks.interfaces import InterfaceCheck, serial, single
-from armcell.tasks.search import Branch, PartialSolution, Planning, Stage, in_order, solutions, stage_types
+from armcell.tasks.search import Branch, PartialSolution, SearchState, Stage, in_order, solutions, stage_types
 
 
 @stage_types.register("serial")
@@ -25,7 +25,7 @@ class Serial:
     name: str
     stages: tuple[Stage, ...]
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         yield from solutions(self.stages, solution, planning)
 
     def check_interface(self, have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:
@@ -50,7 +50,7 @@ class Alternatives:
         if self.most < 1:
             raise InputError(f"most is {self.most}, it must be at least 1", element=self.name)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         found = in_order((self._branch(stage, solution) for stage in self.stages), planning)
         yield from sorted(found, key=lambda each: self.cost(each.since(solution)))
 
@@ -72,13 +72,13 @@ class Fallbacks:
     def __post_init__(self) -> None:
         _need_some(self.name, self.stages)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         for stage in self.stages:
             found = False
             for proposal in planning.propose(stage, solution):
                 found = True
                 yield proposal
-            if found or planning.hopeless:
+            if found or planning.should_stop:
                 return
 
     def check_interface(self, have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:

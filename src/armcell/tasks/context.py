@@ -22,7 +22,7 @@ from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stage_statistics import reason_in_short
 
 
-class World:
+class SharedScene:
     """World of a task's context: the planning scene without measurements. Several threads share it.
 
     Attributes:
@@ -92,7 +92,7 @@ class StageReport:
 
 
 @dataclass
-class Holding:
+class HeldObject:
     """Object that a gripper holds, as the task's context and the planning scene assume."""
 
     object: str
@@ -116,11 +116,11 @@ class TaskContext:
     ):
         self.driver, self.settings, self.observers, self.seed = driver, settings, list(observers), seed
         self.cancel = cancel or threading.Event()
-        self.world = World(scene)
+        self.world = SharedScene(scene)
         # The gate must not keep the context alive: unreferenced physics models are reused.
         self.gate = MotionGate(weakref.proxy(self))
         self.expected: set[frozenset[str]] = set()  # pairs whose contact is currently part of the task
-        self.holding: dict[str, Holding] = {}  # object -> holding
+        self.holding: dict[str, HeldObject] = {}  # object -> holding
         self.lost: dict[str, str] = {}  # lost object -> cause, until it is grasped again
         # contexts of arms side by side, with their held objects
         self.at_work: tuple[TaskContext, ...] = ()
@@ -172,7 +172,7 @@ class TaskContext:
                 scene = scene.with_attached(held.object, held.gripper.tcp_link, held.gripper.hand_links)
         return scene
 
-    def hands(self) -> Iterable[Holding]:
+    def hands(self) -> Iterable[HeldObject]:
         """Return the objects that the hands of all arms hold, according to the task's context."""
         contexts = self.at_work or (self,)
         return [held for ctx in contexts for held in list(ctx.holding.values())]
@@ -250,21 +250,21 @@ class TaskContext:
         return self.driver.now
 
     @property
-    def keeps_time(self) -> bool:
+    def follows_clock(self) -> bool:
         """Return whether motions follow their timing exactly in a task's context. Real arms may be slower."""
         return self.driver.is_simulated
 
-    def slip_of(self, held: Holding) -> float:
+    def slip_of(self, held: HeldObject) -> float:
         """Return how far [m] a held object has slipped in the gripper since the task grasped it."""
         return held.T_tcp_object.distance_to(self.T_tcp_object(held.object, held.gripper))[0]
 
     def T_tcp_object(self, item: str, gripper: Gripper) -> SE3:
         scene = replace(self.base, positions=self.driver.joint_state().positions)
         T_world_object = self.driver.object_poses().get(item, scene.object(item).T_world_object)
-        return scene.frame_pose(gripper.tcp_link).inv() @ T_world_object
+        return scene.frame_pose(gripper.tcp_link).inverse() @ T_world_object
 
     # --- coordination with other arms ---
-    def clear(self, motion: Any) -> JointTrajectory | Outcome:
+    def request_start(self, motion: Any) -> JointTrajectory | Outcome:
         """Return the trajectory of a motion if the task's context allows it to start,
         or else the reason for the refusal.
 
@@ -347,7 +347,7 @@ class TaskContext:
             self.emit(kind, f"{event.arm}: {event.kind}: {event.text}", cause=event.kind)
 
     # --- held objects ---
-    def take(self, held: Holding) -> None:
+    def record_grasp(self, held: HeldObject) -> None:
         """Record in a task's context that a hand holds an object."""
         self.holding[held.object] = held
         self.lost.pop(held.object, None)

@@ -22,12 +22,12 @@ from armcell.kinematics import ik_solver
 from armcell.model import Gripper
 from armcell.planning import warm_up
 from armcell.scene import PlanningScene
-from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.context import HeldObject, StageReport, TaskContext
 from armcell.tasks.pick import Pick, check_pickable, grasp_stages
-from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
+from armcell.tasks.search import PartialSolution, SearchState, Stage, stage_types
 from armcell.tasks.stages import ChooseGrasp, RunSteps
 from armcell.tasks.stages.grasp import finger_state
-from armcell.tasks.steps import DONE, CheckGrasp, Grip, Motion, Watch, perform_all, staged
+from armcell.tasks.steps import DONE, CheckLift, CommandGripper, Motion, WatchObject, perform_all, staged
 from armcell.tasks.task import plan_stages
 from armcell.timing.chords import chords
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 @checked()
-class MovingSettings:
+class ConveyorPickSettings:
     """Settings for picking from a conveyor belt."""
 
     watch: float = 0.2  # [s] duration of the speed measurement
@@ -56,7 +56,7 @@ class MovingSettings:
 
 
 def pick_moving(
-    ctx: TaskContext, item: str, gripper: Gripper, settings: MovingSettings = MovingSettings()
+    ctx: TaskContext, item: str, gripper: Gripper, settings: ConveyorPickSettings = ConveyorPickSettings()
 ) -> Outcome:
     """Grasp and lift an object that moves at constant speed, for example on a conveyor belt.
 
@@ -78,7 +78,7 @@ class _MovingPick(Pick):
 
     retry = "trying again farther on"
 
-    def __init__(self, ctx: TaskContext, item: str, gripper: Gripper, settings: MovingSettings):
+    def __init__(self, ctx: TaskContext, item: str, gripper: Gripper, settings: ConveyorPickSettings):
         super().__init__(f"pick {item} on the way", partial(ctx.emit, "note"), settings.tries)
         self._ctx, self._item, self._gripper, self._settings = ctx, item, gripper, settings
         self._speed = 0.0  # [m/s] of the object, measured before each attempt
@@ -107,7 +107,7 @@ class _MovingPick(Pick):
         item, gripper, t = self._item, self._gripper, self._ctx.settings
         return grasp_stages(
             ChooseGrasp(item, gripper, t.near, t.approach_distance), gripper, t,
-            RunSteps("check grasp", (CheckGrasp(item, gripper, height, t.lift_distance),)),
+            RunSteps("check grasp", (CheckLift(item, gripper, height, t.lift_distance),)),
             name="move to meet it", approach=MoveAlong(item, gripper, velocity, start, self._settings),
         )  # fmt: skip
 
@@ -118,10 +118,10 @@ class _MovingPick(Pick):
     def recover(self, outcome: Outcome) -> None:
         ctx, gripper = self._ctx, self._gripper  # also after a scene change: the fingers may be closing
         ctx.holding.pop(self._item, None)
-        Grip("open", gripper, gripper.max_width, gripper.max_force).perform(ctx)
+        CommandGripper("open", gripper, gripper.max_width, gripper.max_force).perform(ctx)
 
 
-def _measured_velocity(ctx: TaskContext, item: str, s: MovingSettings) -> tuple[Array, float, SE3]:
+def _measured_velocity(ctx: TaskContext, item: str, s: ConveyorPickSettings) -> tuple[Array, float, SE3]:
     """Measure the velocity (3,) [m/s] of an object on a conveyor belt.
 
     Also returns the last time [s] and T_world_object.
@@ -148,7 +148,7 @@ class _WaitUntil:
 
 
 @dataclass(frozen=True, eq=False)
-class _Along:
+class _MoveAlongStep:
     """Step of a conveyor pick that moves the hand along with the object. During this motion, the hand
     descends, closes and lifts the object.
     """
@@ -185,9 +185,9 @@ class _Along:
         if reading.held != self.item:
             return Outcome(ErrorCode.CONTROL_FAILED, f"{self.item} is not between the fingers")
         T = ctx.T_tcp_object(self.item, self.gripper)
-        ctx.take(Holding(self.item, self.gripper, T))
+        ctx.record_grasp(HeldObject(self.item, self.gripper, T))
         ctx.emit("grasp", f"holds {self.item} with {reading.force_per_finger:.0f} N per finger")
-        return Watch(self.item).perform(ctx)
+        return WatchObject(self.item).perform(ctx)
 
 
 @stage_types.register("move_along")
@@ -201,11 +201,11 @@ class MoveAlong:
     gripper: Gripper
     velocity: Array  # (3,) [m/s]
     start: float  # [s] driver's time at which the hand begins to move along
-    settings: MovingSettings
+    settings: ConveyorPickSettings
     name: str = "along"
     requires = ("grasp",)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         s, t, gripper = self.settings, planning.settings, self.gripper
         grasp: Grasp = solution.data["grasp"]
         scene = solution.scene.with_state(finger_state(gripper, grasp.opening))
@@ -243,7 +243,9 @@ class MoveAlong:
             return
         touching = scene.with_allowed(self.item, gripper.hand_links)
         evidence = {"grasp": grasp.name, "velocity": self.velocity}
-        along = _Along(self.item, gripper, trajectory, float(ends[1]), grasp.force, touching, evidence)
+        along = _MoveAlongStep(
+            self.item, gripper, trajectory, float(ends[1]), grasp.force, touching, evidence
+        )
         yield solution.then(_WaitUntil(self.start), along)
 
 

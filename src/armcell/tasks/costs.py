@@ -11,7 +11,7 @@ import numpy as np
 
 from armcell.core import Registry
 from armcell.tasks.search import PartialSolution
-from armcell.tasks.steps import Dwell, Grip, Motion, Together
+from armcell.tasks.steps import CommandGripper, Dwell, Motion, ParallelMotions
 
 Cost = Callable[[PartialSolution], float]
 """Cost of a solution; lower is better."""
@@ -26,7 +26,7 @@ NEAR = 1e-3  # [m] smaller clearances cost the same
 def motions(solution: PartialSolution) -> Iterator[Motion]:
     """Yield the arm motions in a task's solution, from which its cost is computed."""
     for step in solution.steps:
-        motion = step.motion if isinstance(step, Together) else step
+        motion = step.motion if isinstance(step, ParallelMotions) else step
         if isinstance(motion, Motion):
             yield motion
 
@@ -36,9 +36,9 @@ def duration(solution: PartialSolution) -> float:
     """Return the estimated execution time [s] of a task's solution, as a cost term."""
     seconds = 0.0
     for step in solution.steps:
-        if isinstance(step, Motion | Together):
+        if isinstance(step, Motion | ParallelMotions):
             seconds += step.duration
-        elif isinstance(step, Grip):
+        elif isinstance(step, CommandGripper):
             seconds += GRIP + step.settle
         elif isinstance(step, Dwell):
             seconds += step.duration

@@ -17,7 +17,7 @@ from armcell.scene import PlanningScene
 from armcell.tasks.search import PartialSolution, Stage
 
 
-def holding(item: str) -> str:
+def holding_condition(item: str) -> str:
     """Return the name with which stages declare the condition "a hand holds the object".
 
     Stages list this name in `requires`, `provides` or `consumes`.
@@ -64,7 +64,7 @@ def check_task(stages: Sequence[Stage], start: PartialSolution, name: str = "") 
 
 def available(start: PartialSolution) -> frozenset[str]:
     """Return the names of the data that are available at the interface of a task's first stage."""
-    return frozenset(start.data) | {holding(item) for item in start.scene.attached}
+    return frozenset(start.data) | {holding_condition(item) for item in start.scene.attached}
 
 
 def serial(stages: Sequence[Stage], have: frozenset[str], scene: PlanningScene | None) -> InterfaceCheck:

@@ -14,7 +14,7 @@ from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import pick_stages
 from armcell.tasks.recipes import place_stages
 from armcell.tasks.regrasp import PlacementGoal, RegraspStep, RestingPose, Vector, regrasp_sequences
-from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage, solutions, stage_types
+from armcell.tasks.search import Lookahead, PartialSolution, SearchState, Stage, solutions, stage_types
 from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stages import ChoosePlacement
 from armcell.tasks.steps import perform_all
@@ -60,12 +60,12 @@ class IntermediatePlacement:
     def goal(self) -> PlacementGoal:
         return PlacementGoal(self.object, self.support, self.at, self.up)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         inner = replace(planning)  # a single failed motion must not end the search
         for sequence in regrasp_sequences(solution.scene, self.goal, self.gripper, inner, self.most):
             stages = self._stages(solution.scene, sequence, planning.settings)
             yield from islice(solutions(stages, solution, inner), 1)
-            if planning.hopeless:
+            if planning.should_stop:
                 return
 
     def _stages(
@@ -112,12 +112,12 @@ class PickAndPlace:
     name: str = "pick and place"
     provides = ("placement",)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         found = False
         for direct in self._direct(solution, planning):
             found = True
             yield direct
-        if found or planning.hopeless or not self.intermediate_placements:
+        if found or planning.should_stop or not self.intermediate_placements:
             return
         down = IntermediatePlacement(
             self.object, self.support, self.gripper, self.at, self.up, self.intermediate_placements
@@ -125,7 +125,7 @@ class PickAndPlace:
         for laid in down.propose(solution, planning):
             yield from self._direct(laid, planning)
 
-    def _direct(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def _direct(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         s, item = planning.settings, self.object
         goal = ChoosePlacement(item, self.support, self.gripper, s.near, s.lower_distance, self.at, self.up)
         stages = pick_stages(solution.scene, item, self.gripper, s, ahead=[goal])
@@ -140,7 +140,7 @@ class _AddRecord:
     pose: RestingPose
     name: str = "placement record"
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         before = solution.data.get("intermediate_placements", ())
         yield solution.then(
             intermediate_placements=(*before, PlacementRecord(self.pose, len(solution.steps)))

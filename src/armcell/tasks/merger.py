@@ -6,16 +6,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
-from armcell.collision.arms import CLEARANCE, Arms
+from armcell.collision.inter_arm_checker import CLEARANCE, InterArmChecker
 from armcell.core import InputError, JointState, JointTrajectory, UnknownNameError
 from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.interfaces import InterfaceCheck, single
-from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
+from armcell.tasks.search import PartialSolution, SearchState, Stage, stage_types
 from armcell.tasks.stages.fingers import finger_collision
 from armcell.tasks.stages.grasp import finger_state
-from armcell.tasks.steps import Grip, Motion, Step, Together
-from armcell.timing import merged
+from armcell.tasks.steps import CommandGripper, Motion, ParallelMotions, Step
+from armcell.timing import merge_trajectories
 
 
 @stage_types.register("merger")
@@ -35,7 +35,7 @@ class Merger:
     stages: tuple[Stage, ...]
     clearance: float = CLEARANCE  # [m] between the arms
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         for choice in _choices(solution, planning, self.stages):
             together = self._together(solution, planning, choice)
             if together is None:
@@ -55,11 +55,11 @@ class Merger:
         )
 
     def _together(
-        self, solution: PartialSolution, planning: Planning, choice: Sequence[PartialSolution]
-    ) -> Together | None:
+        self, solution: PartialSolution, planning: SearchState, choice: Sequence[PartialSolution]
+    ) -> ParallelMotions | None:
         steps = [step for each in choice for step in each.since(solution).steps]
         motions = [step for step in steps if isinstance(step, Motion)]
-        grips = [step for step in steps if isinstance(step, Grip)]
+        grips = [step for step in steps if isinstance(step, CommandGripper)]
         self._check(steps, motions, grips, choice)
         reason = self._unproven(solution.scene, motions, grips)
         if reason:
@@ -67,7 +67,7 @@ class Merger:
             return None
         motion = motions[0] if motions else None
         if len(motions) > 1:
-            trajectory = merged(*(m.trajectory for m in motions))
+            trajectory = merge_trajectories(*(m.trajectory for m in motions))
             near = [m.clearance for m in motions if m.clearance is not None]
             motion = Motion(
                 self.name,
@@ -78,13 +78,13 @@ class Merger:
                 reduce(_both_allow, (m.planned_in for m in motions)),
                 {m.name: m.evidence for m in motions},
             )
-        return Together(motion, tuple(grips))
+        return ParallelMotions(motion, tuple(grips))
 
     def _check(
         self,
         steps: Sequence[Step],
         motions: Sequence[Motion],
-        grips: Sequence[Grip],
+        grips: Sequence[CommandGripper],
         choice: Sequence[PartialSolution],
     ) -> None:
         joints = [n for m in motions for n in m.trajectory.joint_names]
@@ -99,13 +99,15 @@ class Merger:
         if why:
             raise InputError(why, element=f"merger {self.name!r}")
 
-    def _unproven(self, scene: PlanningScene, motions: Sequence[Motion], grips: Sequence[Grip]) -> str:
+    def _unproven(
+        self, scene: PlanningScene, motions: Sequence[Motion], grips: Sequence[CommandGripper]
+    ) -> str:
         """Check whether motions of arms and grippers are certified to run at the same time.
         Return the reason if they are not, else an empty text.
         """
         if len(motions) > 1:
             trajectories = [m.trajectory for m in motions]
-            arms = Arms(scene, tuple(_group_of(scene, t) for t in trajectories))
+            arms = InterArmChecker(scene, tuple(_group_of(scene, t) for t in trajectories))
             proof = arms.certify(*trajectories, clearance=self.clearance)
             if not proof.free:
                 what = proof.contact.describe() if proof.contact else "the arms come too near"
@@ -121,7 +123,7 @@ class Merger:
 
 
 def _choices(
-    solution: PartialSolution, planning: Planning, stages: Sequence[Stage]
+    solution: PartialSolution, planning: SearchState, stages: Sequence[Stage]
 ) -> Iterator[tuple[PartialSolution, ...]]:
     """Yield every combination of proposals of a merger's stages, one per stage.
     All proposals start from the same solution.
@@ -144,7 +146,7 @@ def _both_allow(one: PlanningScene | None, other: PlanningScene | None) -> Plann
 def _end(step: Step) -> JointState:
     if isinstance(step, Motion):
         return step.trajectory.end
-    assert isinstance(step, Grip)
+    assert isinstance(step, CommandGripper)
     return finger_state(step.gripper, step.width)
 
 

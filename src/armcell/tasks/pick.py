@@ -2,8 +2,8 @@
 
 After a failure, the recipe tries the next grasp. `Pick` is the sequence of every pick. Its subclasses supply
 the parts that differ: `pick` an object at rest, `pick_moving` (`conveyor_pick.py`) one on a conveyor,
-`clear_bin` (`bin_clearing/`) an unknown one in a bin, `Carrying.grasp` (`arms/`) one with two arms, and the
-ROS node /pickup through a remote cell.
+`clear_bin` (`bin_clearing/`) an unknown one in a bin, `TwoArmCarry.grasp` (`arms/`) one with two arms, and
+the ROS node /pickup through a remote cell.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from armcell.execution import SCENE_INVALIDATED
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.interfaces import holding
-from armcell.tasks.search import Lookahead, PartialSolution, Planning, Stage
+from armcell.tasks.interfaces import holding_condition
+from armcell.tasks.search import Lookahead, PartialSolution, SearchState, Stage
 from armcell.tasks.settings import TaskSettings
 from armcell.tasks.stages import (
     AppendPlannedMotion,
@@ -31,11 +31,11 @@ from armcell.tasks.stages import (
     ChoosePlacement,
     Close,
     Connect,
+    MoveStraight,
     RunSteps,
-    Straight,
 )
 from armcell.tasks.stages.grasp import GraspFilter
-from armcell.tasks.steps import EMPTY, CheckGrasp, Expect, perform_all
+from armcell.tasks.steps import EMPTY, CheckLift, ExpectContact, perform_all
 from armcell.tasks.task import plan_stages
 
 AHEAD = "what comes next"  # stage of a pick that checks whether later stages are feasible with a grasp
@@ -233,19 +233,19 @@ def pick_stages(
     """
     supports = tuple(neighbors(scene, item))
     height = float(scene.object(item).T_world_object.translation[2])
-    check = CheckGrasp(item, gripper, height, s.lift_distance), Expect(item, supports, expected=False)
+    check = CheckLift(item, gripper, height, s.lift_distance), ExpectContact(item, supports, expected=False)
     stages = grasp_stages(
         ChooseGrasp(item, gripper, s.near, s.approach_distance, excluded, WIDER if ahead else 1, among,
                     _grasp_filter(ahead)),
         gripper, s,
         Close(item, gripper, supports, s.grasp_settle),
-        Straight("lift", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, s.lift_distance),
+        MoveStraight("lift", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, s.lift_distance),
                  allow=((item, supports),)),
         RunSteps("check grasp", check),
     )  # fmt: skip
     if ahead:
         after = partial(_grasped, item, gripper)
-        stages.insert(1, Lookahead(AHEAD, tuple(ahead), after, ahead=(holding(item),)))
+        stages.insert(1, Lookahead(AHEAD, tuple(ahead), after, ahead=(holding_condition(item),)))
     return stages
 
 
@@ -289,13 +289,13 @@ def grasp(ctx: TaskContext, item: str, gripper: Gripper) -> Outcome:
 
 
 # --- leaving an object ---
-def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> Straight:
+def retreat(item: str, gripper: Gripper, s: TaskSettings, distance: float) -> MoveStraight:
     """Return the stage of a pick that retreats straight,
     against the hand's approach direction, by a distance [m].
 
     Contact of the hand with the object is allowed during the retreat.
     """
-    return Straight(
+    return MoveStraight(
         "retreat", gripper.arm_group, gripper.tcp_link, s.near, (0.0, 0.0, -distance),
         in_tip_frame=True, allow=((item, gripper.hand_links),),
     )  # fmt: skip
@@ -308,7 +308,7 @@ def is_near(scene: PlanningScene, item: str, gripper: Gripper, s: TaskSettings) 
 
 
 def retreats(
-    scene: PlanningScene, item: str, gripper: Gripper, planning: Planning
+    scene: PlanningScene, item: str, gripper: Gripper, planning: SearchState
 ) -> Iterator[PartialSolution]:
     """Yield the retreat that moves an open hand as far as possible from the object that it failed to pick.
 
@@ -320,5 +320,5 @@ def retreats(
 
 def back_off(ctx: TaskContext, item: str, gripper: Gripper) -> None:
     """Retreat straight from the object that an open hand surrounds after a failed pick."""
-    for solution in retreats(ctx.scene(), item, gripper, Planning(ctx.settings, ctx.seed, ctx.cancel)):
+    for solution in retreats(ctx.scene(), item, gripper, SearchState(ctx.settings, ctx.seed, ctx.cancel)):
         perform_all(ctx, solution.steps)

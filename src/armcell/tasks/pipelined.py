@@ -17,7 +17,7 @@ from armcell.tasks.context import TaskContext
 from armcell.tasks.costs import costs
 from armcell.tasks.pick import pick_stages
 from armcell.tasks.recipes import Vector, place_stages
-from armcell.tasks.search import PartialSolution, Planning, Stage
+from armcell.tasks.search import PartialSolution, SearchState, Stage
 from armcell.tasks.steps import DONE, perform_all
 from armcell.tasks.task import Task, TaskPlan, emit_rejections
 
@@ -126,7 +126,7 @@ class _BackgroundPlan:
         try:
             s = self._ctx.settings
             task = Task(self._part.name, tuple(self._part.stages(self._ctx, self.scene)), costs[s.cost])
-            planning = Planning(s, self._ctx.seed, self._cancel)
+            planning = SearchState(s, self._ctx.seed, self._cancel)
             self._plan = task.plan(PartialSolution(self.scene), planning, s.solutions)
         except BaseException as error:  # `wait` raises it in the caller's thread
             self._error = error

@@ -23,17 +23,17 @@ from armcell.tasks.stages import (
     ChoosePlacement,
     Connect,
     ExpectSupport,
-    Open,
+    OpenHand,
     RunSteps,
-    Upright,
+    UprightConstraint,
 )
-from armcell.tasks.steps import DONE, Dwell, Expect, Grip, perform_all
+from armcell.tasks.steps import DONE, CommandGripper, Dwell, ExpectContact, perform_all
 from armcell.tasks.task import plan_stages
 
 Vector = tuple[float, float, float]
 
 
-def let_go(ctx: TaskContext, item: str) -> Outcome:
+def release_and_retreat(ctx: TaskContext, item: str) -> Outcome:
     """Recipe that lets go of a held object: it opens the hand and retreats straight back.
 
     Raises:
@@ -43,13 +43,13 @@ def let_go(ctx: TaskContext, item: str) -> Outcome:
         raise InputError(f"the robot does not hold {item!r}")
     s, gripper = ctx.settings, ctx.holding[item].gripper
     stages: list[Stage] = [
-        Open(item, "", gripper, s.release_margin, s.release_settle),
+        OpenHand(item, "", gripper, s.release_margin, s.release_settle),
         retreat(item, gripper, s, s.retreat_distance),
     ]
     solution, outcome = plan_stages(ctx, stages, f"let go of {item}")
     if solution is None:
         return outcome
-    return perform_all(ctx, (*solution.steps, Expect(item, gripper.contact_links, expected=False)))
+    return perform_all(ctx, (*solution.steps, ExpectContact(item, gripper.contact_links, expected=False)))
 
 
 def place(
@@ -100,15 +100,15 @@ def place_stages(
     Args:
         among: the allowed placements; empty for all.
     """
-    upright = None if lean is None else Upright(item, lean)
+    upright = None if lean is None else UprightConstraint(item, lean)
     return [
         ChoosePlacement(item, on, gripper, s.near, s.lower_distance, at, up, among),
         Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place", upright=upright),
         ExpectSupport(item, on, gripper),
         AppendPlannedMotion("lower", "after_lower", "lower"),
-        Open(item, on, gripper, s.release_margin, s.release_settle),
+        OpenHand(item, on, gripper, s.release_margin, s.release_settle),
         retreat(item, gripper, s, s.retreat_distance),
-        RunSteps("let go", (Expect(item, gripper.contact_links, expected=False),)),
+        RunSteps("let go", (ExpectContact(item, gripper.contact_links, expected=False),)),
     ]
 
 
@@ -146,6 +146,6 @@ def release(ctx: TaskContext, gripper: Gripper) -> Outcome:
     for held in [h for h in ctx.holding.values() if h.gripper.name == gripper.name]:
         ctx.holding.pop(held.object)
         ctx.driver.unwatch_object(held.object)
-    return Grip("open", gripper, gripper.max_width, gripper.max_force, ctx.settings.release_settle).perform(
-        ctx
-    )
+    return CommandGripper(
+        "open", gripper, gripper.max_width, gripper.max_force, ctx.settings.release_settle
+    ).perform(ctx)

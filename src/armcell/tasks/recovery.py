@@ -56,7 +56,7 @@ class RecoverySettings:
 
 
 @dataclass
-class Trouble:
+class TransferFailures:
     """Failures during the transfer of an object with recovery, in the order in which they occurred."""
 
     texts: list[str] = field(default_factory=list)
@@ -99,7 +99,7 @@ def transfer(
         InputError: no such object or support.
     """
     require(item != on, f"{item!r} cannot be put on itself")
-    s, trouble = settings, Trouble()
+    s, trouble = settings, TransferFailures()
     began = ctx.driver.now
     outcome = Outcome(ErrorCode.FAILURE, "not tried")
     while len(trouble.texts) < s.tries:
@@ -127,7 +127,7 @@ def transfer(
 
 def _once(
     ctx: TaskContext, item: str, gripper: Gripper, on: str, at: tuple[float, float] | None,
-    up: Vector | None, look: Look | None, s: RecoverySettings, trouble: Trouble,
+    up: Vector | None, look: Look | None, s: RecoverySettings, trouble: TransferFailures,
 ) -> Outcome:  # fmt: skip
     """Attempt once to transfer an object, with intermediate placements if needed.
     Recovery repeats such attempts.

@@ -17,14 +17,14 @@ import numpy as np
 from armcell.collision import neighbors
 from armcell.core import SE3, InputError
 from armcell.grasping import RELEASE_GAP, Grasp, Placement, grasp_candidates, hand_of, place_candidates
-from armcell.grasping.placing import surface_for
+from armcell.grasping.placements import surface_for
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Rejections
-from armcell.tasks.proof import varied
-from armcell.tasks.search import Planning
+from armcell.tasks.grasp_proof import distinct_grasps
+from armcell.tasks.search import SearchState
 from armcell.tasks.stages.grasp import finger_state, reachable
-from armcell.tasks.stages.moves import shifted, straight
+from armcell.tasks.stages.moves import plan_straight, shifted
 from armcell.tasks.stages.place import NO_SIDE, Vector, hand_in_support, surface_of_place
 
 SIDES = 8  # stable sides of an object, most stable first
@@ -72,7 +72,7 @@ class PlacementGoal:
 
 
 def regrasp_sequences(
-    scene: PlanningScene, goal: PlacementGoal, gripper: Gripper, planning: Planning, most: int
+    scene: PlanningScene, goal: PlacementGoal, gripper: Gripper, planning: SearchState, most: int
 ) -> Iterator[tuple[RegraspStep, ...]]:
     """Yield regrasp sequences that bring an object to its goal, shortest first.
 
@@ -82,7 +82,7 @@ def regrasp_sequences(
     """
     goals = _goals(scene, goal, planning)
     sides = _sides(scene, goal)
-    if not goals or planning.hopeless:
+    if not goals or planning.should_stop:
         return
     hands = _Hands(scene, goal.object, gripper, planning)
     onward = {side for side, poses in sides.items() if poses and hands.leads_on(poses[0], goals)}
@@ -94,7 +94,7 @@ def regrasp_sequences(
 
 def _breadth_first(
     hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
-    goals: tuple[RestingPose, ...], planning: Planning, most: int, seen: set[int],
+    goals: tuple[RestingPose, ...], planning: SearchState, most: int, seen: set[int],
 ) -> Iterator[tuple[RegraspStep, ...]]:  # fmt: skip
     """Yield regrasp sequences by a breadth-first search over the resting poses of an object.
     The search first tries the sides from which the object can be moved directly to the goal.
@@ -115,7 +115,7 @@ def _breadth_first(
             if id(pose) in seen or (left == 0 and side not in onward):
                 continue
             for last, steps in layer:
-                if planning.hopeless:
+                if planning.should_stop:
                     return
                 names = hands.shared(last, (pose,))
                 if names:
@@ -128,7 +128,7 @@ def _breadth_first(
         layer = reached
 
 
-def _goals(scene: PlanningScene, goal: PlacementGoal, planning: Planning) -> tuple[RestingPose, ...]:
+def _goals(scene: PlanningScene, goal: PlacementGoal, planning: SearchState) -> tuple[RestingPose, ...]:
     """Return the collision-free goal poses of an object that is regrasped, best first."""
     item, on = scene.object(goal.object), goal.on
     try:
@@ -185,7 +185,7 @@ def _all_over(scene: PlanningScene, name: str, on: str, now: np.ndarray) -> Iter
     """
     item, support = scene.object(name), scene.object(on)
     try:
-        x, y, _ = surface_for(item, support)[0].inv().apply(now)
+        x, y, _ = surface_for(item, support)[0].inverse().apply(now)
     except InputError:  # no surface
         return
     for at, step in (((float(x), float(y)), STEP), (None, STEP / 2)):
@@ -203,7 +203,7 @@ def _rounded(up: Vector) -> Vector:
 class _Hands:
     """Cache for regrasp planning that stores which grasps are feasible at each resting pose of an object."""
 
-    def __init__(self, scene: PlanningScene, name: str, gripper: Gripper, planning: Planning):
+    def __init__(self, scene: PlanningScene, name: str, gripper: Gripper, planning: SearchState):
         self.rejections: dict[Vector, Rejections] = {}  # rejections by the upward direction
         self._planning = replace(planning)
         self._gripper, self._name = gripper, name
@@ -219,7 +219,7 @@ class _Hands:
         self._as_held: Grasp | None = None
         if held:
             width = gripper.width_in(scene.state)
-            T_object_tcp = T.inv() @ scene.frame_pose(gripper.tcp_link)
+            T_object_tcp = T.inverse() @ scene.frame_pose(gripper.tcp_link)
             self._as_held = Grasp("current grasp", T_object_tcp, width, width, 0.0)
 
     def grasps(self, pose: RestingPose) -> list[Grasp]:
@@ -230,7 +230,7 @@ class _Hands:
         if side not in self._grasps:
             item = replace(self._item, T_world_object=pose.placement.T_world_object)
             found, rejected = grasp_candidates(item, self._hand)
-            self._grasps[side] = varied(found, GRASPS)
+            self._grasps[side] = distinct_grasps(found, GRASPS)
             for rejection in rejected if not found else ():
                 self._report(side, rejection.name, rejection.reason)
         return self._grasps[side]
@@ -280,7 +280,7 @@ class _Hands:
         return deep <= 0
 
     def _reaches(self, grasp: Grasp, pose: RestingPose) -> bool:
-        if self._planning.hopeless:
+        if self._planning.should_stop:
             return False
         T = pose.placement.T_world_object if not pose.on else pose.placement.above(RELEASE_GAP)
         scene = self.scene.with_object_pose(self._name, T).with_allowed(self._name, self._gripper.hand_links)
@@ -289,7 +289,7 @@ class _Hands:
         s, gripper, T_world_tcp = look.settings, self._gripper, T @ grasp.T_object_tcp
         back = shifted(T_world_tcp, (0.0, 0.0, -(s.retreat_distance if pose.on else s.least_approach)), True)
         for arm in reachable(scene, gripper, T_world_tcp, look, "reach", grasp.name):
-            result = straight(scene.with_state(arm), gripper.arm_group, gripper.tcp_link, back, s.near)
+            result = plan_straight(scene.with_state(arm), gripper.arm_group, gripper.tcp_link, back, s.near)
             if result.ok:
                 return True
             look.reject("retreat", grasp.name, f"no straight retreat: {result.message}")
@@ -315,7 +315,7 @@ class _Hands:
 
 
 def _report(
-    planning: Planning, hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
+    planning: SearchState, hands: _Hands, sides: dict[Vector, list[RestingPose]], onward: set[Vector],
     seen: set[int], goal: Vector,
 ) -> None:  # fmt: skip
     """Report, for each side of the object, why no regrasp sequence was found.

@@ -22,7 +22,7 @@ from armcell.core.checks import checked
 from armcell.scene import PlanningScene
 from armcell.tasks.context import Rejections
 from armcell.tasks.settings import TaskSettings
-from armcell.tasks.stage_statistics import Tally
+from armcell.tasks.stage_statistics import StageStatistics
 from armcell.tasks.steps import Step
 
 CANCEL_PERIOD = 0.02  # [s] between checks for cancellation while threads evaluate candidates
@@ -49,7 +49,7 @@ class PartialSolution:
 
 
 @dataclass
-class Planning:
+class SearchState:
     """Planning state that the stages of a task search share: settings, seed, cancellation and rejections."""
 
     settings: TaskSettings
@@ -60,7 +60,7 @@ class Planning:
     began: float = field(default_factory=time.thread_time)
     spent: float = 0.0  # [s] of the budget used before `began` or by other threads
     threads: int | None = None  # for planning; None: the settings' number
-    tallies: dict[tuple[str, ...], Tally] = field(
+    tallies: dict[tuple[str, ...], StageStatistics] = field(
         default_factory=dict
     )  # by stage names, outermost container first
     within: list[str] = field(default_factory=list)  # names of the running stages, outermost first
@@ -68,7 +68,7 @@ class Planning:
     def propose(self, stage: Stage, solution: PartialSolution) -> Iterator[PartialSolution]:
         """Yield the proposals of a stage to the search, and count them for the stage table."""
         path = (*self.within, stage.name)
-        self.tallies.setdefault(path, Tally(path)).asked += 1
+        self.tallies.setdefault(path, StageStatistics(path)).asked += 1
         found = iter(stage.propose(solution, self))
         while True:
             self.within.append(stage.name)
@@ -86,7 +86,7 @@ class Planning:
     def reject(self, stage: str, candidate: str, reason: str, outcome: Outcome | None = None) -> None:
         self.rejections.add(stage, candidate, reason)
         if self.within:
-            self.tallies[tuple(self.within)].rejected(stage, candidate, reason)
+            self.tallies[tuple(self.within)].add_rejection(stage, candidate, reason)
         if outcome is not None:  # not `outcome or ...`: a failed outcome is false
             self.failure = outcome
 
@@ -99,7 +99,7 @@ class Planning:
         return self.settings.planning_budget - self.spent - (time.thread_time() - self.began)
 
     @property
-    def hopeless(self) -> bool:
+    def should_stop(self) -> bool:
         """Return whether to give up the search for a task's plan. This is the case if the search is canceled
         or out of time, or if the start state is in collision.
         """
@@ -110,11 +110,11 @@ class Planning:
         )
 
     @property
-    def parallel(self) -> int:
+    def thread_count(self) -> int:
         """Return the number of candidates that the search for a task's plan evaluates in parallel threads."""
         return self.settings.planning_threads if self.threads is None else self.threads
 
-    def fork(self) -> Planning:
+    def fork(self) -> SearchState:
         """Copy the planning state of a task search for another thread,
         so that the copy can be canceled separately.
         """
@@ -123,7 +123,7 @@ class Planning:
             within=list(self.within), threads=1,
         )  # fmt: skip
 
-    def join(self, fork: Planning, seconds: float) -> None:
+    def join(self, fork: SearchState, seconds: float) -> None:
         """Merge the reports and the CPU time [s] of a forked planning state
         back into the planning state of the task search.
 
@@ -132,7 +132,7 @@ class Planning:
         for stage, candidate, reason in fork.rejections.details:
             self.rejections.add(stage, candidate, reason)
         for path, tally in fork.tallies.items():
-            self.tallies.setdefault(path, Tally(path)).add(tally)
+            self.tallies.setdefault(path, StageStatistics(path)).add(tally)
         self.failure = fork.failure or self.failure
         self.spent += seconds
         fork.rejections, fork.tallies, fork.within = self.rejections, self.tallies, self.within
@@ -151,7 +151,7 @@ class Stage(Protocol):
     @property
     def name(self) -> str: ...
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]: ...
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]: ...
 
 
 stage_types: Registry[Callable[..., Stage]] = Registry("stage", "armcell.stages")
@@ -180,12 +180,12 @@ def make_stage(name: str, values: Mapping[str, Any]) -> Stage:
 
 
 def solutions(
-    stages: Sequence[Stage], start: PartialSolution, planning: Planning
+    stages: Sequence[Stage], start: PartialSolution, planning: SearchState
 ) -> Iterator[PartialSolution]:
     """Yield complete solutions of a task search lazily,
     so that only as many candidates as needed are evaluated.
     """
-    if planning.hopeless:
+    if planning.should_stop:
         return
     if not stages:
         yield start
@@ -201,22 +201,22 @@ class _Continuation:
     stages: Sequence[Stage]
     solution: PartialSolution
 
-    def __call__(self, planning: Planning) -> Iterator[PartialSolution]:
+    def __call__(self, planning: SearchState) -> Iterator[PartialSolution]:
         return solutions(self.stages, self.solution, planning)
 
 
-Branch = Callable[[Planning], Iterator[PartialSolution]]
+Branch = Callable[[SearchState], Iterator[PartialSolution]]
 """A branch of the search; it yields its solutions lazily."""
 
 
-def in_order(branches: Iterable[Branch], planning: Planning) -> Iterator[PartialSolution]:
+def in_order(branches: Iterable[Branch], planning: SearchState) -> Iterator[PartialSolution]:
     """Yield the solutions of the search branches, one branch after the other,
     until it is useless to continue planning the task.
 
     If `planning` has threads, they search the next branches in parallel.
     """
     left = iter(branches)
-    if planning.parallel > 1:
+    if planning.thread_count > 1:
         two = list(islice(left, 2))
         if len(two) > 1:
             yield from _in_parallel(chain(two, left), planning)
@@ -224,16 +224,16 @@ def in_order(branches: Iterable[Branch], planning: Planning) -> Iterator[Partial
         left = iter(two)  # a single branch: its own branches may use the threads
     for branch in left:
         yield from branch(planning)
-        if planning.hopeless:
+        if planning.should_stop:
             return
 
 
-def _in_parallel(branches: Iterator[Branch], planning: Planning) -> Iterator[PartialSolution]:
+def _in_parallel(branches: Iterator[Branch], planning: SearchState) -> Iterator[PartialSolution]:
     waiting: deque[_ThreadedBranch] = deque()
-    with ThreadPoolExecutor(planning.parallel, "plan candidates") as threads:
+    with ThreadPoolExecutor(planning.thread_count, "plan candidates") as threads:
         try:
-            while not planning.hopeless:
-                while len(waiting) < planning.parallel and (branch := next(branches, None)) is not None:
+            while not planning.should_stop:
+                while len(waiting) < planning.thread_count and (branch := next(branches, None)) is not None:
                     waiting.append(_ThreadedBranch(branch, planning, threads))
                 if not waiting:
                     return
@@ -251,7 +251,7 @@ def _in_parallel(branches: Iterator[Branch], planning: Planning) -> Iterator[Par
 class _ThreadedBranch:
     """Branch of a task search whose first solution is computed in a separate thread."""
 
-    def __init__(self, branch: Branch, planning: Planning, threads: ThreadPoolExecutor):
+    def __init__(self, branch: Branch, planning: SearchState, threads: ThreadPoolExecutor):
         self.planning = planning.fork()
         self._left = planning.time_left
         self.solutions = branch(self.planning)
@@ -264,7 +264,7 @@ class _ThreadedBranch:
         solution = next(self.solutions, None)
         return solution, time.thread_time() - own.began
 
-    def first_for(self, planning: Planning) -> PartialSolution | None:
+    def first_for(self, planning: SearchState) -> PartialSolution | None:
         """Wait for the first solution of a search branch.
         After this call, the branch belongs to the caller's thread.
         """
@@ -276,7 +276,7 @@ class _ThreadedBranch:
         return solution
 
 
-def search(stages: Sequence[Stage], start: PartialSolution, planning: Planning) -> PartialSolution | None:
+def search(stages: Sequence[Stage], start: PartialSolution, planning: SearchState) -> PartialSolution | None:
     """Search through the stages of a task for the first complete solution. If there is none,
     `planning.rejections` contains the reasons.
     """
@@ -300,7 +300,7 @@ class Lookahead:
     candidates: int = 8  # evaluated per later stage
     ahead: tuple[str, ...] = ()  # names that `then` provides
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         settings = replace(planning.settings, max_candidates=self.candidates)
         ahead = replace(planning, settings=settings, rejections=Rejections())
         if search(self.stages, self.then(solution), ahead) is not None:

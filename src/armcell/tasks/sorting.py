@@ -11,13 +11,13 @@ from armcell.core import ErrorCode, InputError, Outcome, UnknownNameError
 from armcell.core.checks import checked, require
 from armcell.grasping import support_surface
 from armcell.model import Gripper
-from armcell.perception import SeenObject, Sight, color_name
+from armcell.perception import DetectedObject, DetectionResult, color_name
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import back_off, pick
 from armcell.tasks.recipes import move_to, place, release
 
-Kind = Callable[[SeenObject], str]
+Kind = Callable[[DetectedObject], str]
 """Sorting criterion: maps a seen object to its kind."""
 
 KINDS: Mapping[str, Kind] = {
@@ -57,7 +57,7 @@ class _Tally:
 def sort(
     ctx: TaskContext,
     gripper: Gripper,
-    look: Callable[[], Sight],
+    look: Callable[[], DetectionResult],
     into: Mapping[str, str],
     by: str | Kind = "color",
     settings: SortSettings = SortSettings(),
@@ -82,7 +82,7 @@ def sort(
     tally = _Tally()
     while True:
         seen = _look(ctx, gripper, look, settings)
-        if not isinstance(seen, Sight):
+        if not isinstance(seen, DetectionResult):
             return seen
         todo = _todo(ctx.scene(), seen, kind, into, tally)
         open_ = [(t, place) for t, place in todo if len(tally.failures.get(t.name, ())) < settings.tries]
@@ -110,7 +110,9 @@ def _check(scene: PlanningScene, into: Mapping[str, str]) -> None:
         support_surface(scene.object(place_on))
 
 
-def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: SortSettings) -> Sight | Outcome:
+def _look(
+    ctx: TaskContext, gripper: Gripper, look: Callable[[], DetectionResult], s: SortSettings
+) -> DetectionResult | Outcome:
     """Move the arm out of the image, and return the camera's view of the objects to sort."""
     if s.rest:
         moved = move_to(ctx, gripper.arm_group, s.rest)
@@ -124,8 +126,8 @@ def _look(ctx: TaskContext, gripper: Gripper, look: Callable[[], Sight], s: Sort
 
 
 def _todo(
-    scene: PlanningScene, seen: Sight, kind: Kind, into: Mapping[str, str], tally: _Tally
-) -> list[tuple[SeenObject, str]]:
+    scene: PlanningScene, seen: DetectionResult, kind: Kind, into: Mapping[str, str], tally: _Tally
+) -> list[tuple[DetectedObject, str]]:
     """Return the objects that are still to be sorted, each with its target."""
     tally.sorted, tally.other, todo = {place_on: [] for place_on in into.values()}, {}, []
     for thing in seen.objects:
@@ -141,11 +143,11 @@ def _todo(
     return todo
 
 
-def _lies_on(scene: PlanningScene, thing: SeenObject, place_on: str) -> bool:
+def _lies_on(scene: PlanningScene, thing: DetectedObject, place_on: str) -> bool:
     """Return whether the center of a detected object is above the target onto which it is sorted."""
     frame, size_x, size_y = support_surface(scene.object(place_on))
     middle = thing.points.mean(axis=0) if thing.T_world_object is None else thing.T_world_object.translation
-    x, y, z = frame.inv().apply(middle)
+    x, y, z = frame.inverse().apply(middle)
     return bool(abs(x) < size_x / 2 and abs(y) < size_y / 2 and z > -0.005)
 
 
@@ -185,7 +187,7 @@ def _spots(scene: PlanningScene, item: str, place_on: str) -> list[tuple[float, 
     x, y = (np.arange(-r, r + 1e-9, GRID) for r in (max(size_x / 2 - half, 0), max(size_y / 2 - half, 0)))
     spots = np.array([(a, b) for a in x for b in y])
     near = [
-        frame.inv().apply(other.T_world_object.translation)[:2]
+        frame.inverse().apply(other.T_world_object.translation)[:2]
         for name, other in scene.objects.items()
         if other.movable and name != item
     ]
@@ -199,7 +201,9 @@ def _spots(scene: PlanningScene, item: str, place_on: str) -> list[tuple[float, 
     return found[:SPOTS]
 
 
-def _ended(tally: _Tally, todo: list[tuple[SeenObject, str]], seen: Sight, settings: SortSettings) -> Outcome:
+def _ended(
+    tally: _Tally, todo: list[tuple[DetectedObject, str]], seen: DetectionResult, settings: SortSettings
+) -> Outcome:
     evidence = {
         "sorted": tally.sorted, "other": tally.other, "failures": tally.failures, "picks": tally.picks,
     }  # fmt: skip

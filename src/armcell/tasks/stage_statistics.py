@@ -8,7 +8,7 @@ from typing import Any
 
 
 @dataclass
-class Tally:
+class StageStatistics:
     """Statistics of the candidates that one stage evaluates in one search."""
 
     path: tuple[str, ...]  # names of the containers, then of the stage
@@ -22,7 +22,7 @@ class Tally:
     def failed(self) -> int:
         return sum(self.reasons.values())
 
-    def rejected(self, part: str, candidate: str, reason: str) -> None:
+    def add_rejection(self, part: str, candidate: str, reason: str) -> None:
         """Count a candidate that a stage has rejected. `part` names the stage,
         or a motion planned for the candidate.
         """
@@ -31,7 +31,7 @@ class Tally:
         self.reasons[key] = self.reasons.get(key, 0) + 1
         self.near_miss = self.near_miss or (candidate, reason)
 
-    def add(self, other: Tally) -> None:
+    def add(self, other: StageStatistics) -> None:
         """Add the statistics `other` that a thread of the search has collected for the same stage.
 
         The candidates in `other` come later in the search. An existing near miss is therefore kept.
@@ -62,7 +62,7 @@ def reason_in_short(reason: str) -> str:
     return reason.split(":")[0].split(" (")[0]
 
 
-def stage_rows(tallies: Mapping[tuple[str, ...], Tally]) -> list[dict[str, Any]]:
+def stage_rows(tallies: Mapping[tuple[str, ...], StageStatistics]) -> list[dict[str, Any]]:
     """Return the statistics of all evaluated stages as rows for JSON,
     in the order of their first evaluation.
     """

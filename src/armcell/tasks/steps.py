@@ -10,7 +10,7 @@ from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.execution import GuardedMotion, execute
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
-from armcell.tasks.context import Holding, StageReport, TaskContext
+from armcell.tasks.context import HeldObject, StageReport, TaskContext
 
 DONE = Outcome(ErrorCode.SUCCESS)
 EMPTY = "empty"  # evidence key of outcomes with an empty hand
@@ -34,7 +34,7 @@ class Motion:
         """Return the duration [s] of the planned motion in a step of a task."""
         return self.trajectory.duration
 
-    def announced(self) -> dict[str, Any]:
+    def plan_metadata(self) -> dict[str, Any]:
         """Return the planning metadata that a record stores with the motion of a task's step."""
         return {
             "planner": self.planner, "planning_time_s": self.planning_time, "clearance_m": self.clearance,
@@ -46,12 +46,12 @@ class Motion:
         return staged(ctx, report, lambda: self._move(ctx, report))
 
     def _move(self, ctx: TaskContext, report: StageReport) -> Outcome:
-        trajectory = ctx.clear(self)
+        trajectory = ctx.request_start(self)
         if isinstance(trajectory, Outcome):
             return trajectory
         before = {n: ctx.T_tcp_object(h.object, h.gripper) for n, h in ctx.holding.items()}
-        ctx.announce(trajectory, self.name, **self.announced())
-        watch = _Watch(ctx, trajectory, self.planned_in)
+        ctx.announce(trajectory, self.name, **self.plan_metadata())
+        watch = _DropMonitor(ctx, trajectory, self.planned_in)
         result = execute(ctx.driver, watch, ctx.settings.execution, ctx.progress)
         ctx.rested()
         for name, T_before in before.items():
@@ -60,7 +60,7 @@ class Motion:
         return watch.dropped(self.name) if watch.lost is not None else result
 
 
-class _Watch(GuardedMotion):
+class _DropMonitor(GuardedMotion):
     """Guarded motion of a task's step that also stops as soon as a hand has lost its object."""
 
     def __init__(self, ctx: TaskContext, trajectory: JointTrajectory, planned_in: PlanningScene | None):
@@ -68,7 +68,7 @@ class _Watch(GuardedMotion):
         self._ctx = ctx
         self._since: dict[str, float] = {}  # object -> start [s] of missing grip force
         self._next_look = 0.0  # [s]
-        self.lost: Holding | None = None
+        self.lost: HeldObject | None = None
 
     def is_set(self) -> bool:
         if self._ctx.holding and (now := self._ctx.driver.now) >= self._next_look:
@@ -95,7 +95,7 @@ class _Watch(GuardedMotion):
 
 
 @dataclass(frozen=True, eq=False)
-class Grip:
+class CommandGripper:
     """Step of a planned task that moves a gripper to a width [m].
 
     With `force` and width 0, the gripper closes until it reaches the grip force.
@@ -142,14 +142,14 @@ class Grip:
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class ParallelMotions:
     """Step of a task that executes an arm motion and gripper motions at the same time.
 
     The arm motion may be a merged motion of several arms.
     """
 
     motion: Motion | None
-    grips: tuple[Grip, ...]
+    grips: tuple[CommandGripper, ...]
 
     @property
     def duration(self) -> float:
@@ -170,7 +170,7 @@ class Together:
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class ConfirmGrasp:
     """Step of a task that checks, after the gripper has closed, that the hand holds the object.
 
     From then on the object counts as held.
@@ -185,7 +185,7 @@ class Hold:
             text = f"grasp failed: {reading.describe()}; {ctx.belief(self.object)}"
             return not_held(ctx, text)
         T = ctx.T_tcp_object(self.object, self.gripper)
-        ctx.take(Holding(self.object, self.gripper, T))
+        ctx.record_grasp(HeldObject(self.object, self.gripper, T))
         kind = "finger" if reading.sealed is None else "cup"
         ctx.emit("grasp", f"holds {self.object} with {reading.force_per_finger:.0f} N per {kind}")
         return DONE
@@ -204,7 +204,7 @@ class Release:
 
 
 @dataclass(frozen=True, eq=False)
-class Expect:
+class ExpectContact:
     """Step of a task that allows contacts of a body with other bodies, or forbids them again."""
 
     body: str
@@ -218,7 +218,7 @@ class Expect:
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
+class WatchObject:
     """Step of a task that starts or stops watching a held object for unexpected contacts.
 
     The object may touch nothing but its supports.
@@ -237,7 +237,7 @@ class Watch:
 
 
 @dataclass(frozen=True, eq=False)
-class CheckGrasp:
+class CheckLift:
     """Step of a task that checks, after the lift, that the object has
     moved with the hand and that the hand still holds it.
     """
@@ -259,7 +259,7 @@ class CheckGrasp:
 
 
 @dataclass(frozen=True, eq=False)
-class StillHeld:
+class CheckStillHeld:
     """Step of a task that checks that the gripper still holds an object."""
 
     object: str

@@ -16,7 +16,7 @@ from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
 from armcell.tasks.costs import Cost, costs, duration
 from armcell.tasks.interfaces import check_task
-from armcell.tasks.search import PartialSolution, Planning, Stage, solutions
+from armcell.tasks.search import PartialSolution, SearchState, Stage, solutions
 from armcell.tasks.stage_statistics import stage_rows, stage_table
 from armcell.tasks.steps import DONE
 
@@ -50,7 +50,7 @@ class Task:
     stages: tuple[Stage, ...]
     cost: Cost = duration
 
-    def plan(self, start: PartialSolution, planning: Planning, count: int = 1) -> TaskPlan:
+    def plan(self, start: PartialSolution, planning: SearchState, count: int = 1) -> TaskPlan:
         """Search for up to `count` complete plans of the task.
 
         Stages evaluate only as many candidates as the plans need.
@@ -78,7 +78,7 @@ class Task:
         if planning.time_left <= 0:
             code = ErrorCode.TIMED_OUT
             name += f": out of time after {planning.settings.planning_budget:g} s (planning_budget)"
-        if failure is not None and (len(self.stages) == 1 or planning.hopeless):
+        if failure is not None and (len(self.stages) == 1 or planning.should_stop):
             return TaskPlan(failure.code, f"{name}: {failure.message}", {**failure.evidence, **evidence})
         return TaskPlan(code, f"{name}: {planning.rejections.summary()}", evidence)
 
@@ -111,7 +111,7 @@ def plan_stages(
     s = ctx.settings
     task = Task(what, tuple(stages), costs[s.cost])
     start = PartialSolution(ctx.scene() if scene is None else scene)
-    plan = task.plan(start, Planning(s, ctx.seed, ctx.cancel), s.solutions)
+    plan = task.plan(start, SearchState(s, ctx.seed, ctx.cancel), s.solutions)
     if plan.best is not None:
         emit_rejections(ctx, plan, what)
         return plan.best, DONE

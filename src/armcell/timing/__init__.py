@@ -1,20 +1,6 @@
 """Time parameterization of paths within velocity, acceleration, jerk and torque limits."""
 
 from armcell.timing.blend import BlendedPath
-from armcell.timing.editing import (
-    check_scaling,
-    concatenated,
-    delayed,
-    merged,
-    resting,
-    reversed_in_time,
-    section,
-    started_from,
-    stretched,
-    stretched_to,
-    synchronized,
-    with_resting_joints,
-)
 from armcell.timing.jerk import jerk_limited
 from armcell.timing.parameterize import (
     TimingSettings,
@@ -22,7 +8,21 @@ from armcell.timing.parameterize import (
     TorqueModel,
     checked_limits,
     parameterize,
-    smoothing_departure,
+    smoothing_deviation,
+)
+from armcell.timing.trajectory_editing import (
+    check_scaling,
+    concatenate_trajectories,
+    delay_trajectory,
+    merge_trajectories,
+    reverse_trajectory,
+    slow_down,
+    slow_down_to_duration,
+    stationary_trajectory,
+    synchronize_trajectories,
+    trajectory_section,
+    with_resting_joints,
+    with_start_state,
 )
 
 __all__ = [
@@ -32,18 +32,18 @@ __all__ = [
     "TorqueModel",
     "check_scaling",
     "checked_limits",
-    "concatenated",
-    "delayed",
+    "concatenate_trajectories",
+    "delay_trajectory",
     "jerk_limited",
-    "merged",
+    "merge_trajectories",
     "parameterize",
-    "resting",
-    "reversed_in_time",
-    "section",
-    "smoothing_departure",
-    "started_from",
-    "stretched",
-    "stretched_to",
-    "synchronized",
+    "reverse_trajectory",
+    "slow_down",
+    "slow_down_to_duration",
+    "smoothing_deviation",
+    "stationary_trajectory",
+    "synchronize_trajectories",
+    "trajectory_section",
     "with_resting_joints",
+    "with_start_state",
 ]

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError
 from armcell.core.checks import float_array, is_number
-from armcell.timing import pieces
+from armcell.timing import path_pieces
 
 Array = NDArray[np.float64]
 
@@ -54,11 +54,11 @@ class BlendedPath:
         if not (deviation >= 0.0).all():
             raise InputError("a corner's max_deviation is negative or not a number")
         self.smooth = smooth
-        keep = pieces.distinct(points)
+        keep = path_pieces.distinct(points)
         if not keep.all():
             points, deviation = points[keep], deviation[keep]
         self.points = points
-        count, kind, origin, x, y, length, radius, turn, stop = pieces.build(points, deviation, smooth)
+        count, kind, origin, x, y, length, radius, turn, stop = path_pieces.build(points, deviation, smooth)
         self.kind, self.radius, self.turn = kind[:count], radius[:count], turn[:count]
         self.origin, self.x, self.y = origin[:count], x[:count], y[:count]
         self.lengths, self.rests = length[:count], stop[:count]
@@ -95,7 +95,7 @@ class BlendedPath:
         s = np.array(float_array(s, (None,), "s"))
         if piece.shape != s.shape or ((piece < 0) | (piece >= len(self.kind))).any():
             raise InputError(f"piece must be {len(s)} numbers from 0 to {len(self.kind) - 1}")
-        return pieces.evaluate(*self.arrays, piece, s)
+        return path_pieces.evaluate(*self.arrays, piece, s)
 
     def at(self, s: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the points (m, n) of a blended path at path parameters s (m,), with their first and second
@@ -116,4 +116,4 @@ class BlendedPath:
             raise InputError(f"sagitta is {sagitta!r}, it must be a positive number [rad]")
         if self.length == 0.0:
             return self.points[:1]
-        return pieces.chords(*self.arrays, self.turn, float(sagitta))
+        return path_pieces.chords(*self.arrays, self.turn, float(sagitta))

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError, JointTrajectory
 from armcell.timing.blend import BlendedPath
-from armcell.timing.parameterize import TimingSettings, checked_limits, standing
-from armcell.timing.pieces import LINE, coefficients
+from armcell.timing.parameterize import TimingSettings, checked_limits, zero_length_trajectory
+from armcell.timing.path_pieces import LINE, coefficients
 from armcell.timing.sampling import peaks
 
 Array = NDArray[np.float64]
@@ -201,7 +201,7 @@ def jerk_limited(
     acceleration = checked_limits(acceleration, "acceleration", joint_names)
     jerk = checked_limits(jerk, "jerk", joint_names)
     if path.length == 0.0:
-        return standing(path, joint_names)
+        return zero_length_trajectory(path, joint_names)
     if np.isfinite(path.radius).any():
         raise InputError(
             "the path's corners are arcs, on whose ends the jerk has no bound",

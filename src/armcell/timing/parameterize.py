@@ -12,7 +12,7 @@ from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.core.checks import checked, float_array
 from armcell.timing import sampling, topp
 from armcell.timing.blend import BlendedPath
-from armcell.timing.editing import resting
+from armcell.timing.trajectory_editing import stationary_trajectory
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class TorqueModel(Protocol):
         """Torque limits (n,) of the joints [Nm or N], which the time parameterization respects."""
         ...
 
-    def rows(self, positions: Array, first: Array, second: Array) -> Array:
+    def torque_coefficients(self, positions: Array, first: Array, second: Array) -> Array:
         """Return coefficients (m, 3, n) with which time parameterization
         computes the joint torques at points of a path.
 
@@ -105,7 +105,7 @@ def parameterize(
 
     The trajectory is at rest at both ends and at the path's sharp corners. Its velocities and accelerations
     are within the limits at all times of its (quintic) interpolation. The trajectory follows the path except
-    for the smoothing, see `smoothing_departure`.
+    for the smoothing, see `smoothing_deviation`.
 
     Args:
         path: the path.
@@ -120,9 +120,9 @@ def parameterize(
     velocity = checked_limits(velocity, "velocity", joint_names)
     acceleration = checked_limits(acceleration, "acceleration", joint_names)
     if path.length == 0.0:
-        return standing(path, joint_names)
+        return zero_length_trajectory(path, joint_names)
     motion = fastest_motion(path, joint_names, velocity, acceleration, settings, torque)
-    times, q, v, a = sampling.averaged(
+    times, q, v, a = sampling.sample_moving_average(
         path.points[0], path.points[-1], *path.arrays, *motion, settings.sample_time, settings.smoothing
     )
     peak_v, peak_a = sampling.peaks(times, q, v, a, velocity, acceleration)
@@ -134,7 +134,7 @@ def parameterize(
     return JointTrajectory(joint_names, times, q, v, a)
 
 
-def smoothing_departure(acceleration: ArrayLike, settings: TimingSettings) -> Array:
+def smoothing_deviation(acceleration: ArrayLike, settings: TimingSettings) -> Array:
     """Return a bound (n,) [rad] on how far the smoothing in `parameterize` moves each joint off the path.
 
     The bound is a w^2 / 24 for the acceleration limit a and the smoothing window w.
@@ -167,7 +167,7 @@ def fastest_motion(
         at = np.arange(len(piece)) + piece
         place, on = np.empty(at[-1] + 2), np.empty(at[-1] + 2, dtype=np.int64)
         place[at], place[at + 1], on[at], on[at + 1] = begin, end, piece, piece
-        rows = torque.rows(*path.evaluate(on, place))
+        rows = torque.torque_coefficients(*path.evaluate(on, place))
         still = np.abs(rows[:, 2]) / limit
         if still.max() > 1.0:
             i, joint = np.unravel_index(np.argmax(still), still.shape)
@@ -194,9 +194,9 @@ def _slowdown(torque: TorqueModel, q: Array, v: Array, a: Array) -> float:
     return float(np.sqrt(np.max(np.abs(moving) / room)))
 
 
-def standing(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
+def zero_length_trajectory(path: BlendedPath, joint_names: tuple[str, ...]) -> JointTrajectory:
     """Return the time parameterization of a path of length zero: a trajectory with a single point."""
-    return resting(joint_names, path.points[0])
+    return stationary_trajectory(joint_names, path.points[0])
 
 
 def checked_limits(values: ArrayLike, kind: str, joint_names: tuple[str, ...]) -> Array:

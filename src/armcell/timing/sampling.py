@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armcell.timing.pieces import LINE, coefficients
+from armcell.timing.path_pieces import LINE, coefficients
 
 GAUSS = np.sqrt(0.6)  # nodes and weights of Gauss-Legendre quadrature with three points
 
@@ -84,7 +84,9 @@ def _difference(now, then, shift, factor):
 
 
 @njit(cache=True)
-def averaged(start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, t0, step, window):
+def sample_moving_average(
+    start, goal, kind, origin, x, y, length, radius, piece, s0, v0, u, t0, step, window
+):
     """Sample a motion after smoothing by a moving average over `window` [s]; return a point every `step` [s].
 
     The last interval is 0.5 to 1.5 steps long.

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armcell.timing.pieces import LINE, coefficients
+from armcell.timing.path_pieces import LINE, coefficients
 
 EPS = 1e-12
 ANGLE_STEP = 0.06  # [rad] of turning per interval in a corner

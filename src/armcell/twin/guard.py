@@ -14,11 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
-from armcell.drivers.following import Following, SentClock
-from armcell.drivers.guarding import GuardedArm
+from armcell.drivers.execution_handle import ExecutionHandle, SetpointHistory
+from armcell.drivers.motion_guard import GuardedArm
 from armcell.drivers.safety import Fault
-from armcell.twin.bands import LASTING, SMOOTHED, ArmBands, Seen, TwinBands
-from armcell.twin.rehearsal import Rehearsal, Stage
+from armcell.twin.dry_run import DryRun, TwinSimulation
+from armcell.twin.residual_thresholds import (
+    LASTING,
+    SMOOTHED,
+    ArmResidualThresholds,
+    ResidualThresholds,
+    TwinSample,
+)
 
 Array = NDArray[np.float64]
 
@@ -32,22 +38,22 @@ STEADY = 0.002  # largest change of the speed scaling between two samples of con
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class RecordedMotion:
     """Recorded motion of an arm together with its dry run; the twin guard learns its thresholds from such
     pairs.
     """
 
     arm: str
-    twin: Rehearsal
+    twin: DryRun
     columns: tuple[int, ...]
-    seen: list[Seen]
+    seen: list[TwinSample]
 
 
 class TwinGuard:
     """Guard that compares the moving arms of a driver with their simulated twin.
 
     Args:
-        stage: simulation in which motions are dry-run.
+        simulation: simulation in which motions are dry-run.
         bands: residual thresholds; None: motions are dry-run but not compared while they run.
         learning: True to keep the samples in `motions`, to learn thresholds from them.
         note: called with (arm name, kind, text) for each action of the guard; the run's record shows the
@@ -55,13 +61,13 @@ class TwinGuard:
     """
 
     def __init__(
-        self, stage: Stage, bands: TwinBands | None = None, learning: bool = False,
+        self, simulation: TwinSimulation, bands: ResidualThresholds | None = None, learning: bool = False,
         note: Callable[[str, str, str], None] = lambda arm, kind, text: None,
     ):  # fmt: skip
-        self.stage, self.bands, self.learning, self.note = stage, bands, learning, note
+        self.simulation, self.bands, self.learning, self.note = simulation, bands, learning, note
         self.trips: Mapping[str, Callable[[], float]] = {}  # shortest recent round trip [s], by arm
-        self.motions: list[Motion] = []
-        self._twin: Rehearsal | None = None
+        self.motions: list[RecordedMotion] = []
+        self._twin: DryRun | None = None
         self._rehearsed: JointTrajectory | None = None
         self._said = learning  # whether the UNWATCHED note was issued
 
@@ -85,7 +91,7 @@ class TwinGuard:
                     hint="learn them again, which begins with a slow loop: armcell twin CELL",
                 )
 
-    def rehearse(
+    def dry_run(
         self,
         trajectory: JointTrajectory,
         state: JointState,
@@ -101,7 +107,7 @@ class TwinGuard:
             held: held objects and their grippers.
         """
         self._rehearsed = trajectory
-        self._twin = self.stage.play(trajectory, state, poses, held)
+        self._twin = self.simulation.play(trajectory, state, poses, held)
         outcome = self._twin.outcome
         if outcome.ok:
             return None
@@ -110,10 +116,10 @@ class TwinGuard:
             outcome.code, f"the twin refuses it: {outcome.message}", {**outcome.evidence, "twin": True}
         )
 
-    def watching(
-        self, following: Following, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
-        trip: Callable[[Fault], None], sent_for: SentClock | None = None, forced: bool = False,
-    ) -> Following:  # fmt: skip
+    def monitor(
+        self, following: ExecutionHandle, trajectory: JointTrajectory, arms: Iterable[GuardedArm],
+        trip: Callable[[Fault], None], sent_for: SetpointHistory | None = None, forced: bool = False,
+    ) -> ExecutionHandle:  # fmt: skip
         """Wrap the handle of a running motion, so that the twin guard compares
         the arms with their simulated twin at each reading.
 
@@ -131,10 +137,10 @@ class TwinGuard:
         if self.bands is None and not self._said:
             self._said = True
             self.note("all", "twin", UNWATCHED)
-        return Watched(self, following, twin, list(arms), trip, sent_for, forced)
+        return MonitoredExecution(self, following, twin, list(arms), trip, sent_for, forced)
 
 
-class Watched:
+class MonitoredExecution:
     """Handle to a running motion.
     Through this handle, the twin guard compares each arm with its simulated twin.
 
@@ -142,14 +148,14 @@ class Watched:
     """
 
     def __init__(
-        self, guard: TwinGuard, following: Following, twin: Rehearsal, arms: list[GuardedArm],
-        trip: Callable[[Fault], None], sent_for: SentClock | None, forced: bool,
+        self, guard: TwinGuard, following: ExecutionHandle, twin: DryRun, arms: list[GuardedArm],
+        trip: Callable[[Fault], None], sent_for: SetpointHistory | None, forced: bool,
     ):  # fmt: skip
         self._guard, self._following, self._twin, self._arms, self._trip = guard, following, twin, arms, trip
         self._sent_for, self._forced = sent_for, forced
         names = twin.joint_names
         self._columns = {arm.name: tuple(names.index(n) for n in arm.joint_names) for arm in arms}
-        self._kept = {arm.name: Motion(arm.name, twin, self._columns[arm.name], []) for arm in arms}
+        self._kept = {arm.name: RecordedMotion(arm.name, twin, self._columns[arm.name], []) for arm in arms}
         if guard.learning:
             guard.motions.extend(self._kept.values())
         self._outside = dict.fromkeys(self._columns, 0)
@@ -163,8 +169,8 @@ class Watched:
         self._before: dict[str, float] = {}  # slider values before slowing
         self._stopped = self._told = False
 
-    def clock(self) -> float | None:
-        t = self._following.clock()
+    def trajectory_time(self) -> float | None:
+        t = self._following.trajectory_time()
         if t is not None and t > 0.0 and self._following.state() == "running":
             for arm in self._arms:
                 self._look(arm, t)
@@ -197,15 +203,17 @@ class Watched:
         trip = self._guard.trips.get(arm.name, lambda: math.nan)()
         steady = abs(scaling - self._scaling.get(arm.name, 1.0)) < STEADY and not self._forced
         self._scaling[arm.name] = scaling
-        seen = Seen(clock, scaling, q, v, current, trip, steady, 0.0 if self._sent_for is None else LATE)
+        seen = TwinSample(
+            clock, scaling, q, v, current, trip, steady, 0.0 if self._sent_for is None else LATE
+        )
         bands = self._guard.bands
         if bands is None:
             self._kept[arm.name].seen.append(seen)
         elif arm.name in bands.arms:
             self._judge(arm, seen, bands.arms[arm.name])
 
-    def _judge(self, arm: GuardedArm, seen: Seen, bands: ArmBands) -> None:
-        found = bands.deviations(seen, self._twin, self._columns[arm.name], self._currents[arm.name])
+    def _judge(self, arm: GuardedArm, seen: TwinSample, bands: ArmResidualThresholds) -> None:
+        found = bands.residuals(seen, self._twin, self._columns[arm.name], self._currents[arm.name])
         kind, ratio, text = self._worst_of(found, arm, bands)
         self._worst[arm.name] = max(self._worst[arm.name], (ratio, text))
         doubted, before = self._doubt[arm.name]
@@ -232,7 +240,7 @@ class Watched:
             self._as_before()  # safe: the arms stay stopped until the operator clears the fault
 
     def _worst_of(
-        self, found: Mapping[str, Array], arm: GuardedArm, bands: ArmBands
+        self, found: Mapping[str, Array], arm: GuardedArm, bands: ArmResidualThresholds
     ) -> tuple[str, float, str]:
         """Return the kind of the largest residual that the twin guard found, its size relative to its
         threshold, and a description.

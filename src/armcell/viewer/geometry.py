@@ -40,7 +40,7 @@ _SECTIONS = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ColoredMesh:
     """Triangle mesh in a single color, drawn by the viewer. The vertices [m] are in the frame of the link or
     object to which the mesh belongs.
     """
@@ -77,13 +77,13 @@ _TESSELLATE: dict[type, Callable[[Any], trimesh.Trimesh]] = {
 }
 
 
-def shape_part(shape: Shape, color: Color) -> Part:
+def shape_part(shape: Shape, color: Color) -> ColoredMesh:
     """Convert a shape to a triangle mesh that the viewer draws. An infinite plane becomes a thin slab."""
     kind = Mesh if isinstance(shape, Mesh) else type(shape)
     return _shaded(_TESSELLATE[kind](shape), color)
 
 
-def collision_part(shape: Shape) -> Part:
+def collision_part(shape: Shape) -> ColoredMesh:
     """Return the mesh that shows a collision shape in the viewer.
     It is translucent and slightly larger than the shape.
 
@@ -91,12 +91,12 @@ def collision_part(shape: Shape) -> Part:
     """
     part = shape_part(shape, COLLISION_COLOR)
     normals = trimesh.Trimesh(part.vertices, part.faces, process=False).vertex_normals
-    return Part(part.vertices + COLLISION_SWELL_M * normals, part.faces, part.color)
+    return ColoredMesh(part.vertices + COLLISION_SWELL_M * normals, part.faces, part.color)
 
 
 # --- mesh files ---
 @lru_cache(maxsize=256)
-def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Part, ...]:
+def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[ColoredMesh, ...]:
     """Load a visual mesh file as meshes for the viewer, one per color. Large meshes are decimated.
 
     Raises:
@@ -108,7 +108,7 @@ def file_parts(path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) 
     )
 
 
-def _shaded(mesh: Any, color: Color) -> Part:
+def _shaded(mesh: Any, color: Color) -> ColoredMesh:
     """Merge the pieces of a mesh for the viewer, reduce their triangles, and split the result at sharp edges.
 
     A browser shades smoothly across shared vertices; the split keeps sharp edges visible.
@@ -116,7 +116,7 @@ def _shaded(mesh: Any, color: Color) -> Part:
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     vertices, faces = decimated(np.asarray(mesh.vertices), np.asarray(mesh.faces), MAX_FACES)
     split = trimesh.graph.smooth_shade(trimesh.Trimesh(vertices, faces, process=False), angle=SMOOTH_ANGLE)
-    return Part(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32), color)
+    return ColoredMesh(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32), color)
 
 
 def decimated(vertices: Array, faces: NDArray[Any], max_faces: int) -> tuple[Array, NDArray[Any]]:
@@ -148,7 +148,7 @@ def node_name(*parts: str) -> str:
     return "/" + "/".join(quote(part, safe="") for part in parts)
 
 
-def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True) -> Any:
+def add_part(api: SceneApi, name: str, part: ColoredMesh, T: SE3, visible: bool = True) -> Any:
     """Draw a mesh in the viewer (viser) at the pose `T`, given in the frame of the parent node.
 
     Returns:
@@ -168,7 +168,7 @@ def add_part(api: SceneApi, name: str, part: Part, T: SE3, visible: bool = True)
     )
 
 
-def visual_parts(visual: Visual) -> tuple[Part, ...]:
+def visual_parts(visual: Visual) -> tuple[ColoredMesh, ...]:
     """Return the meshes that the viewer draws for one visual element of a link.
 
     A color given in the URDF overrides the colors of the mesh file, as in RViz.
@@ -180,7 +180,7 @@ def visual_parts(visual: Visual) -> tuple[Part, ...]:
     parts = file_parts(visual.file, visual.scale)
     if visual.color is None:
         return parts
-    return tuple(Part(p.vertices, p.faces, visual.color) for p in parts)
+    return tuple(ColoredMesh(p.vertices, p.faces, visual.color) for p in parts)
 
 
 def add_link(api: SceneApi, name: str, link: Link) -> tuple[list[Any], list[Any]]:

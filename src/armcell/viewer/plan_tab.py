@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from armcell.core import Explanation, Suggestion
 from armcell.core.explanation import TRIED
 from armcell.planning import pipelines
-from armcell.viewer.session import PlanningSession
+from armcell.viewer.planning_session import PlanningSession
 from armcell.viewer.session_goal import MOTIONS
-from armcell.viewer.widgets import Callbacks, paragraph, quietly
+from armcell.viewer.widgets import Callbacks, paragraph, without_callbacks
 
 if TYPE_CHECKING:
     from viser import GuiApi
@@ -39,11 +39,11 @@ class PlanTab:
     ):
         self._gui, self._session, self._callbacks = gui, session, callbacks
         self._shown: Explanation | None = None
-        s, on = session.settings, callbacks.of
+        s, on = session.settings, callbacks.wrap
         self.group = gui.add_dropdown("Group", session.groups, initial_value=session.group)
         self.group.on_update(on(lambda: session.set_group(self.group.value)))
         self.motion = gui.add_dropdown("Motion", MOTIONS, initial_value=s.motion)
-        self.motion.on_update(on(lambda: session.set(motion=self.motion.value)))
+        self.motion.on_update(on(lambda: session.change_settings(motion=self.motion.value)))
         self.goal = gui.add_html("")
         self.plan = gui.add_button("Plan", color="blue")
         self.plan.on_click(on(session.plan))
@@ -71,17 +71,21 @@ class PlanTab:
         self.pipeline = gui.add_dropdown("Pipeline", tuple(pipelines), initial_value=s.pipeline)
         self.pipeline.on_update(on(self._choose_pipeline))
         self.planner = gui.add_dropdown("Planner", tuple(pipelines[s.pipeline]), initial_value=s.planner)
-        self.planner.on_update(on(lambda: session.set(planner=self.planner.value)))
+        self.planner.on_update(on(lambda: session.change_settings(planner=self.planner.value)))
         self.planning_time = gui.add_number(
             "Planning time [s]", s.planning_time, min=0.1, max=300.0, step=0.1
         )
-        self.planning_time.on_update(on(lambda: session.set(planning_time=float(self.planning_time.value))))
+        self.planning_time.on_update(
+            on(lambda: session.change_settings(planning_time=float(self.planning_time.value)))
+        )
         self.attempts = gui.add_number("Attempts", s.attempts, min=1, max=64, step=1)
-        self.attempts.on_update(on(lambda: session.set(attempts=int(self.attempts.value))))
+        self.attempts.on_update(on(lambda: session.change_settings(attempts=int(self.attempts.value))))
         self.velocity = gui.add_slider("Velocity", 0.01, 1.0, 0.01, s.velocity_scaling)
-        self.velocity.on_update(on(lambda: session.set(velocity_scaling=self.velocity.value)))
+        self.velocity.on_update(on(lambda: session.change_settings(velocity_scaling=self.velocity.value)))
         self.acceleration = gui.add_slider("Acceleration", 0.01, 1.0, 0.01, s.acceleration_scaling)
-        self.acceleration.on_update(on(lambda: session.set(acceleration_scaling=self.acceleration.value)))
+        self.acceleration.on_update(
+            on(lambda: session.change_settings(acceleration_scaling=self.acceleration.value))
+        )
 
     def _choose_pipeline(self) -> None:
         """Select a planning pipeline in the "Plan" tab.
@@ -91,11 +95,11 @@ class PlanTab:
         """
         known = tuple(pipelines[self.pipeline.value])
         planner = next((p for p in (self._session.settings.planner, "RRTConnect") if p in known), known[0])
-        self._session.set(pipeline=self.pipeline.value, planner=planner)
+        self._session.change_settings(pipeline=self.pipeline.value, planner=planner)
 
     # --- showing ---
     def refresh(self) -> None:
-        with quietly():
+        with without_callbacks():
             self._refresh_settings()
             self._refresh_result()
 
@@ -179,7 +183,7 @@ class PlanTab:
                 text = suggestion.text + TRIED[suggestion.works]
                 label = text if len(text) <= LABEL else text[: LABEL - 1] + "…"
                 button = self._gui.add_button(label, hint=text, color="gray")
-                button.on_click(self._callbacks.of(lambda s=suggestion: self._apply(s)))
+                button.on_click(self._callbacks.wrap(lambda s=suggestion: self._apply(s)))
                 self.suggestions.append(button)
 
     def _apply(self, suggestion: Suggestion) -> None:
@@ -190,7 +194,7 @@ class PlanTab:
         """Move the time slider of the "Plan" tab to the time [s] that the preview shows,
         without triggering a seek.
         """
-        with quietly():
+        with without_callbacks():
             self.time.value = min(round(t, 2), self.time.max)
 
 

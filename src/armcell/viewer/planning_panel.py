@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armcell.core import SE3, Explanation
+from armcell.viewer.explanation_view import draw_explanation
 from armcell.viewer.ghost import AMBER, BLUE, GREEN, GREY, PALE_RED, Ghost
-from armcell.viewer.latest import Latest
+from armcell.viewer.latest_task_worker import LatestTaskWorker
 from armcell.viewer.plan_tab import PlanTab
+from armcell.viewer.planning_session import PlanningSession
 from armcell.viewer.player import Player
 from armcell.viewer.scene_tab import SceneTab
-from armcell.viewer.session import PlanningSession
 from armcell.viewer.states_tab import StatesTab
 from armcell.viewer.viewer import CellViewer
-from armcell.viewer.why import draw_explanation
 from armcell.viewer.widgets import Callbacks
 
 if TYPE_CHECKING:
@@ -84,17 +84,17 @@ class PlanningPanel:
         self._why: list[Any] = []
         self._result: Any = None
         self._drawn = session.scene
-        self._latest = Latest()
+        self._latest = LatestTaskWorker()
         self.goal_ghost = Ghost(server, "goal", session.scene, GREEN)
         self.start_ghost = Ghost(server, "start", session.scene, BLUE)
         self.preview_ghost = Ghost(server, "preview", session.scene, AMBER)
         api = server.scene
         self.goal_control = api.add_transform_controls("/drag/goal", scale=CONTROL_M, depth_test=False)
-        self.goal_control.on_update(lambda _: self._latest.give("goal", self._goal_dragged))
+        self.goal_control.on_update(lambda _: self._latest.submit("goal", self._goal_dragged))
         self.object_control = api.add_transform_controls(
             "/drag/object", scale=CONTROL_M, depth_test=False, visible=False
         )
-        self.object_control.on_update(lambda _: self._latest.give("object", self._object_dragged))
+        self.object_control.on_update(lambda _: self._latest.submit("object", self._object_dragged))
         self.label = api.add_label("/goal_label", "", visible=False)
         callbacks = self.callbacks = Callbacks(session.say, self.refresh)
         gui = server.gui
@@ -107,10 +107,10 @@ class PlanningPanel:
             self.scene = SceneTab(gui, session, callbacks, folder)
         self._player = Player(self._show_motion, lambda: self.plan.loop.value, self.preview_ghost.hide)
         session.observers.append(self.viewer)
-        session.listen(lambda _: self.refresh())
+        session.add_listener(lambda _: self.refresh())
         self.refresh()
 
-    # --- dragging: runs in the thread of `Latest`, so that only the newest pose is processed ---
+    # --- dragging: runs in the thread of `LatestTaskWorker`, so that only the newest pose is processed ---
     def _goal_dragged(self) -> None:
         T = _pose_of(self.goal_control)
         self._dragging.what = "goal"  # do not move the control while the user drags it

@@ -11,7 +11,7 @@ from armcell.records.reader import Record, scenes_of, stage_spans
 from armcell.scene import PlanningScene
 from armcell.viewer.player import Player
 from armcell.viewer.viewer import CellViewer
-from armcell.viewer.widgets import Callbacks, paragraph, quietly
+from armcell.viewer.widgets import Callbacks, paragraph, without_callbacks
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "5")
 NO_STAGE = "-"
@@ -66,10 +66,10 @@ class ReplayView:
             self.stage = gui.add_dropdown("Go to stage", (NO_STAGE, *self._stages), initial_value=NO_STAGE)
             self.note = gui.add_html(self._words())
         run = Callbacks(self._say, lambda: None)
-        self.time.on_update(run.of(lambda: self.seek(float(self.time.value))))
-        self.play_button.on_click(run.of(self.toggle))
-        self.speed.on_update(run.of(self._speed_changed))
-        self.stage.on_update(run.of(self._to_stage))
+        self.time.on_update(run.wrap(lambda: self.seek(float(self.time.value))))
+        self.play_button.on_click(run.wrap(self.toggle))
+        self.speed.on_update(run.wrap(self._speed_changed))
+        self.stage.on_update(run.wrap(self._to_stage))
 
     def _words(self) -> str:
         result: Any = self.record.result or {}
@@ -120,7 +120,7 @@ class ReplayView:
 
     def show(self, time: float) -> None:
         """Draw the replayed cell as it was at a time [s] of the record."""
-        with quietly():
+        with without_callbacks():
             self.time.value = round(time, 2)
         at = max(bisect.bisect_right([t for t, _ in self._scenes], time + 1e-9) - 1, 0)
         if at != self._at_scene:

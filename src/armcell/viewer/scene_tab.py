@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from armcell.core import SE3, InputError, shape_name
 from armcell.viewer import scene_edits
-from armcell.viewer.session import PlanningSession
-from armcell.viewer.widgets import Callbacks, paragraph, quietly
+from armcell.viewer.planning_session import PlanningSession
+from armcell.viewer.widgets import Callbacks, paragraph, without_callbacks
 
 if TYPE_CHECKING:
     from viser import GuiApi
@@ -26,10 +26,10 @@ class SceneTab:
     """
 
     def __init__(self, gui: GuiApi, session: PlanningSession, callbacks: Callbacks, folder: Path):
-        self._gui, self._session, self._on = gui, session, callbacks.of
+        self._gui, self._session, self._on = gui, session, callbacks.wrap
         self._folder, self._ours = folder, set[Path]()
         self._pairs_of = NONE  # body whose collision pairs are shown
-        on = callbacks.of
+        on = callbacks.wrap
         none: list[str] = [NONE]
         self.tree = gui.add_html("")
         with gui.add_folder("Object"):
@@ -96,7 +96,7 @@ class SceneTab:
         self._session.change_scene(
             lambda now: scene_edits.with_new(now, name, kind, size, T), f"added {name}"
         )
-        with quietly():
+        with without_callbacks():
             self.name.value, self.chosen.value, self.drag.value = "", name, True
         self._choose()
 
@@ -138,7 +138,7 @@ class SceneTab:
     # --- showing ---
     def refresh(self) -> None:
         scene = self._session.scene
-        with quietly():
+        with without_callbacks():
             _offer(self.chosen, (*scene.objects, *scene.attached))
             _offer(self.body, tuple(scene_edits.bodies(scene)))
             held = self.chosen.value in scene.attached

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from armcell.core import ArmcellError, InputError
-from armcell.core.endpoints import Endpoint
-from armcell.viewer.guard import MAX_CONNECTIONS, MAX_MESSAGE, PageGuard, page_url
+from armcell.core.network_endpoints import Endpoint
+from armcell.viewer.page_guard import MAX_CONNECTIONS, MAX_MESSAGE, PageGuard, page_url
 
 if TYPE_CHECKING:
     import viser
@@ -141,9 +141,11 @@ def _guarding_viser(guard: PageGuard) -> Iterator[list[Any]]:
             if process is None:  # do not raise here: viser's caller would wait for the thread forever
                 process = lambda connection, request: None  # noqa: E731
             options |= {
-                "process_request": guard.in_front_of(process), "max_size": MAX_MESSAGE, "logger": _wire,
+                "process_request": guard.wrap_request_handler(process),
+                "max_size": MAX_MESSAGE,
+                "logger": _wire,
                 "create_connection": _counted(),
-            }  # fmt: skip
+            }
             started = real(*arguments, **options)
             serving[:] = [started]  # viser tries the next port if this port is in use
             return started

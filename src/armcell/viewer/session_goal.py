@@ -56,7 +56,7 @@ class PlanSettings:
         if self.motion not in MOTIONS:
             raise InputError(f"motion is {self.motion!r}", hint=f"choose one of {', '.join(MOTIONS)}")
 
-    def as_in(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
+    def with_request_values(self, request: PlanRequest | CartesianRequest) -> PlanSettings:
         """Return a copy of the session's settings with the values of a planning request."""
         speeds: dict[str, Any] = {
             "velocity_scaling": request.velocity_scaling,
@@ -95,7 +95,7 @@ class GoalView:
     by_pose: bool = False
 
 
-def judged(scene: PlanningScene, group: str, positions: Array, start: Array) -> GoalView:
+def check_goal_positions(scene: PlanningScene, group: str, positions: Array, start: Array) -> GoalView:
     """Check the goal positions (dof,) of a session for collisions. Where the state `start` (dof,) already
     violates the padding of an obstacle, the padding is reduced.
     """
@@ -116,7 +116,7 @@ def _touching(checker: KernelChecker, positions: Array, T: SE3 | None, by_pose: 
     return GoalView(positions, "collision", text, contacts, T, by_pose)
 
 
-def posed(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed: int) -> GoalView:
+def solve_goal_pose(scene: PlanningScene, group: str, T_world_tip: SE3, near: Array, seed: int) -> GoalView:
     """Solve IK for the goal pose of a session and return the collision-free solution that is nearest to
     `near` (dof,).
 

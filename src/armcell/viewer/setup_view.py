@@ -18,7 +18,7 @@ from armcell.viewer.widgets import paragraph
 NONE = "-"
 
 
-class Pair(Protocol):
+class LinkPair(Protocol):
     link_a: str
     link_b: str
     reason: str
@@ -29,9 +29,9 @@ class Pair(Protocol):
     def links(self) -> frozenset[str]: ...
 
 
-class Proposed(Protocol):
+class SetupProposal(Protocol):
     """Protocol for a proposed robot setup that the browser page shows, implemented by
-    `armcell.cell.setup.Proposal`.
+    `armcell.cell.setup.SetupProposal`.
     """
 
     @property
@@ -106,7 +106,7 @@ class SetupView:
             pose = SE3.from_matrix(T)
             self._frames[name].wxyz, self._frames[name].position = pose.quat_wxyz, pose.translation
 
-    def _panel(self, proposal: Proposed) -> None:
+    def _panel(self, proposal: SetupProposal) -> None:
         gui, model = self._server.gui, self._model
         gui.set_panel_label(model.name)
         self.write = gui.add_button("Write", color="green")

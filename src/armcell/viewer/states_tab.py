@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armcell.core import JointState
-from armcell.viewer.session import PlanningSession
-from armcell.viewer.widgets import Callbacks, quietly
+from armcell.viewer.planning_session import PlanningSession
+from armcell.viewer.widgets import Callbacks, without_callbacks
 
 if TYPE_CHECKING:
     from viser import GuiApi
@@ -24,8 +24,8 @@ class StatesTab:
     """Joint sliders of the "States" tab, which set the goal or the start state in degrees and millimeters."""
 
     def __init__(self, gui: GuiApi, session: PlanningSession, callbacks: Callbacks):
-        self._gui, self._session, self._on = gui, session, callbacks.of
-        on = callbacks.of
+        self._gui, self._session, self._on = gui, session, callbacks.wrap
+        on = callbacks.wrap
         self.of = gui.add_dropdown("Of the", (GOAL, START))
         self.of.on_update(on(self.refresh))
         names: list[str] = [NONE]
@@ -34,7 +34,7 @@ class StatesTab:
         self.random = gui.add_button("Random valid")
         self.random.on_click(on(lambda: session.set_random(self.is_start)))
         self.present = gui.add_button("Where the robot is")
-        self.present.on_click(on(lambda: session.set_present(self.is_start)))
+        self.present.on_click(on(lambda: session.set_current_state(self.is_start)))
         self.folder = gui.add_folder("Joints")
         self.sliders: dict[str, Any] = {}
         self._group = ""
@@ -63,7 +63,7 @@ class StatesTab:
 
     def refresh(self) -> None:
         session = self._session
-        with quietly():
+        with without_callbacks():
             if session.group != self._group:
                 self._build()
             q = session.start_positions if self.is_start else session.goal.positions

@@ -15,8 +15,8 @@ from armcell.core import SE3, Event, JointState, JointTrajectory, StateSample
 from armcell.kinematics import kinematic_tree
 from armcell.scene import CollisionObject, PlanningScene, extent
 from armcell.viewer.geometry import add_link, add_object_shape, node_name
-from armcell.viewer.panel import StatusPanel
 from armcell.viewer.server import start_page
+from armcell.viewer.status_panel import StatusPanel
 
 if TYPE_CHECKING:
     import viser

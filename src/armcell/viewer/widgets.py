@@ -17,7 +17,7 @@ _quiet = threading.local()
 
 
 @contextlib.contextmanager
-def quietly() -> Iterator[None]:
+def without_callbacks() -> Iterator[None]:
     """Let a thread of a panel tab set widgets during a `with` block without triggering their callbacks."""
     before, _quiet.on = getattr(_quiet, "on", False), True
     try:
@@ -38,7 +38,7 @@ class Callbacks:
     def __init__(self, say: Callable[[str], None], refresh: Callable[[], None]):
         self._say, self._refresh = say, refresh
 
-    def of(self, work: Callable[[], Any]) -> Callable[[Any], None]:
+    def wrap(self, work: Callable[[], Any]) -> Callable[[Any], None]:
         def callback(_: Any) -> None:
             if not getattr(_quiet, "on", False):
                 self.run(work)

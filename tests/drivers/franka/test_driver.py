@@ -77,7 +77,7 @@ def test_a_trajectory_moves_the_arm_and_the_hand_grasps(host):
         goal = arm.setpoint()[0] + AMPLITUDE
         following = live.follow(swing(arm))
         assert wait(following) == "done", live.fault()
-        assert following.clock() == pytest.approx(1.5)
+        assert following.trajectory_time() == pytest.approx(1.5)
         assert np.abs(measured(host) - goal).max() < 1e-3
         assert np.abs(live.joint_state().positions[:7] - goal).max() < 1e-3
         assert np.abs(live.wrench("hand")).max() < 1.0

@@ -12,12 +12,12 @@ from armcell.cell import load, with_values
 from armcell.cell.built_in import LIBRARY
 from armcell.cli.main import main
 from armcell.core import SE3, InputError
-from armcell.drivers.ur.calibration import calibrated
+from armcell.drivers.ur.calibration import calibrated_model
 from armcell.drivers.ur.wire.models import ur_model
 from armcell.drivers.ur.wire.primary import Kinematics
 from armcell.emulators.ur.controller import factory_calibration
 from armcell.kinematics import kinematic_tree
-from armcell.model import Part, compose, load_robot
+from armcell.model import MountedRobot, compose, load_robot
 from armcell.ros.unity.urdf import write_urdf
 
 UR10 = ur_model("UR10")
@@ -50,7 +50,7 @@ def far_and_back(seed: int) -> Kinematics:
 @pytest.mark.parametrize("own", [factory_calibration(UR10, s) for s in (1, 2, 3)] + [far_and_back(4)])
 def test_flange_is_the_robot_s_own(own, tmp_path):
     model = load_robot("ur10")
-    applied = calibrated(model, "arm", UR10.dh, own)
+    applied = calibrated_model(model, "arm", UR10.dh, own)
     tree, names = kinematic_tree(applied), applied.group("arm").joint_names
     write_urdf(applied, tmp_path, "own.urdf")
     pin = pinocchio.buildModelFromUrdf(str(tmp_path / "own.urdf"))
@@ -84,7 +84,7 @@ def _positions(model, names, q):
 
 def test_nominal_parameters_change_nothing():
     model = load_robot("ur10")
-    applied = calibrated(model, "arm", UR10.dh, UR10.dh)
+    applied = calibrated_model(model, "arm", UR10.dh, UR10.dh)
     for name, joint in model.joints.items():
         distance, angle = joint.T_parent_joint.distance_to(applied.joints[name].T_parent_joint)
         assert distance < 1e-6 and angle < 1e-6, name
@@ -94,10 +94,13 @@ def test_each_of_two_arms_gets_its_own():
     robot = load_robot("ur10")
     pair = compose(
         "pair",
-        [Part(robot, f"{s}_", T_parent_root=SE3.from_xyz(0, y, 0.8)) for s, y in (("l", 1), ("r", -1))],
+        [
+            MountedRobot(robot, f"{s}_", T_parent_root=SE3.from_xyz(0, y, 0.8))
+            for s, y in (("l", 1), ("r", -1))
+        ],
     )
     own = factory_calibration(UR10, 7)
-    applied = calibrated(pair, "r_arm", UR10.dh, own)
+    applied = calibrated_model(pair, "r_arm", UR10.dh, own)
     q = np.linspace(-1, 1, pair.dof)
     tree, nominal = kinematic_tree(applied), kinematic_tree(pair)
     assert np.array_equal(tree.link_pose(q, "l_tool0").matrix, nominal.link_pose(q, "l_tool0").matrix)
@@ -109,9 +112,9 @@ def test_each_of_two_arms_gets_its_own():
 def test_another_type_or_robot_is_refused():
     model = load_robot("ur10")
     with pytest.raises(InputError, match="not where this type of UR has it"):
-        calibrated(model, "arm", ur_model("UR10e").dh, ur_model("UR10e").dh)
+        calibrated_model(model, "arm", ur_model("UR10e").dh, ur_model("UR10e").dh)
     with pytest.raises(InputError, match="no calibration is that large"):
-        calibrated(model, "arm", UR10.dh, replace(UR10.dh, a=(0.0, -0.7, -0.5723, 0.0, 0.0, 0.0)))
+        calibrated_model(model, "arm", UR10.dh, replace(UR10.dh, a=(0.0, -0.7, -0.5723, 0.0, 0.0, 0.0)))
 
 
 @pytest.mark.slow
@@ -133,7 +136,7 @@ def test_a_cell_plans_with_what_its_robot_tells(tmp_path, capsys):
                     :3
                 ]  # by the controller's own geometry
                 base = live.scene().frame_pose("base_link")
-                tool = base.inv() @ live.scene().frame_pose("tool0")
+                tool = base.inverse() @ live.scene().frame_pose("tool0")
                 apart[how] = np.linalg.norm(tool.translation - [-x, -y, z])
         assert apart["apply"] < 1e-6 and apart["compare"] > 5e-4
         assert main(["bringup", str(file), "--yes", "--record", str(record)]) == 0

@@ -10,7 +10,7 @@ OFFSET = 1234.5  # [s]
 
 def seen(clock: RobotClock, stamps, late) -> None:
     for stamp, more in zip(stamps, late, strict=True):
-        clock.seen(float(stamp), float(stamp) + OFFSET + float(more))
+        clock.update(float(stamp), float(stamp) + OFFSET + float(more))
 
 
 def test_the_least_late_packets_tell_the_offset():
@@ -31,7 +31,7 @@ def test_a_robot_s_clock_that_drifts_is_followed_without_jumps():
     clock, offsets = RobotClock(125), []
     stamps = np.arange(0, 20, 0.008)
     for stamp in stamps:
-        clock.seen(float(stamp), float(stamp) + OFFSET + 1e-3 * float(stamp))
+        clock.update(float(stamp), float(stamp) + OFFSET + 1e-3 * float(stamp))
         offsets.append(clock.offset)
     assert np.abs(np.diff(offsets)).max() < 1e-3
     assert offsets[-1] == pytest.approx(OFFSET + 1e-3 * 20, abs=1.1e-3)  # the window is a second long

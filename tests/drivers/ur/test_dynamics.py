@@ -10,7 +10,7 @@ from armcell.drivers.ur.wire.dynamics import ArmDynamics, jacobian_rate, tool_ja
 from armcell.drivers.ur.wire.kinematics import forward, frames_of, inverse, pose_of
 from armcell.drivers.ur.wire.models import MODELS, ur_model
 from armcell.emulators.network import Network
-from armcell.emulators.ur.motion import Blended, MotionFault, MoveC, MoveJ, MoveL, Setpoint, TrackL
+from armcell.emulators.ur.motion import BlendedMotion, MotionFault, MoveC, MoveJ, MoveL, Setpoint, TrackL
 from armcell.emulators.ur.plant import KinematicPlant
 from armcell.emulators.ur.programs import run_script
 from armcell.emulators.ur.robot import Robot
@@ -132,7 +132,7 @@ def test_a_blend_passes_the_corner_at_speed_and_without_a_jump(kind):
         tool.append(forward(s.dh, s.q, s.tcp)[:3, 3])
         speeds.append(s.v)
         if motion is first and np.linalg.norm(tool[-1] - corner[:3, 3]) < radius:
-            motion = Blended(s, first, second)
+            motion = BlendedMotion(s, first, second)
     np.testing.assert_allclose(tool[-1], beside[:3, 3], atol=1e-5)
     from_corner = np.linalg.norm(np.array(tool) - corner[:3, 3], axis=1)
     nearest = int(np.argmin(from_corner))

@@ -87,7 +87,9 @@ def test_a_served_arm_tells_where_it_is_while_it_moves_and_stops_when_told(cell)
             ]
             while states.get(0) is not None:
                 pass
-            work = served.node.play(new("trajectory_msgs/JointTrajectory", joint_names=arm, points=points))
+            work = served.node.queue_trajectory(
+                new("trajectory_msgs/JointTrajectory", joint_names=arm, points=points)
+            )
             if cancel_after is not None:
                 time.sleep(cancel_after)
                 work.cancel.set()
@@ -103,7 +105,7 @@ def test_a_served_arm_tells_where_it_is_while_it_moves_and_stops_when_told(cell)
         assert len(between) > 20  # 30 a second
         outcome, heard = moved(4.0, cancel_after=1.0)
         assert outcome.code is ErrorCode.PREEMPTED and 0.005 < heard[-1] < 0.3, outcome
-        served.node.play(new("trajectory_msgs/JointTrajectory"))  # stop all, fingers too
+        served.node.queue_trajectory(new("trajectory_msgs/JointTrajectory"))  # stop all, fingers too
         assert moved(1.0)[0].ok
         assert served.failure is None
 
@@ -122,7 +124,9 @@ def test_a_served_arm_rests_before_the_cell_is_closed(cell, tmp_path):
                 new("trajectory_msgs/JointTrajectoryPoint", q, np.zeros(6), time_from_start=at(t))
                 for t, q in ((0.0, here), (4.0, here + 1.2 * np.eye(6)[0]))
             ]
-            work = served.node.play(new("trajectory_msgs/JointTrajectory", joint_names=arm, points=points))
+            work = served.node.queue_trajectory(
+                new("trajectory_msgs/JointTrajectory", joint_names=arm, points=points)
+            )
             time.sleep(2.0)
             served.close()
         assert work.outcome().code is ErrorCode.PREEMPTED and served.failure is None

@@ -12,8 +12,8 @@ from tests.drivers.ur.rig import MOVE, one_arm, swing, two_arms
 from tests.execution.ungated import execute
 
 from armcell.core import ErrorCode, InputError, JointTrajectory
-from armcell.drivers.ur.rtde_link import RtdeLink
-from armcell.drivers.ur.rtde_worker import between
+from armcell.drivers.ur.ur_rtde_connection import UrRtdeConnection
+from armcell.drivers.ur.ur_rtde_worker import interpolate
 
 installed = importlib.util.find_spec("rtde_control") is not None
 needs_ur_rtde = pytest.mark.skipif(not installed, reason="ur_rtde is not installed (no wheel for 3.13)")
@@ -31,8 +31,10 @@ def test_streamed_points_are_met_by_cubics():
     points = [(float(a), list(b), list(c)) for a, b, c in zip(t, q, v, strict=True)]
     reference = JointTrajectory(("a",), t, q, v)
     for now in np.linspace(0.0, 0.5, 23):
-        assert between(points, float(now))[0] == pytest.approx(reference.sample(float(now))[0][0], abs=1e-12)
-    assert between(points, 9.0) == [0.4] and between(points, -1.0) == [0.0]
+        assert interpolate(points, float(now))[0] == pytest.approx(
+            reference.sample(float(now))[0][0], abs=1e-12
+        )
+    assert interpolate(points, 9.0) == [0.4] and interpolate(points, -1.0) == [0.0]
 
 
 @pytest.mark.slow
@@ -86,7 +88,7 @@ def test_a_process_that_dies_and_a_frozen_network_stop_the_arm():
     with emulator(hosts=[host]), one_arm(host, backend="ur_rtde") as driver:
         arm = driver.arms["arm"]
         link = arm._link
-        assert isinstance(link, RtdeLink) and link._process is not None
+        assert isinstance(link, UrRtdeConnection) and link._process is not None
         following = driver.follow(swing(driver, arm.joint_names, MOVE, 3.0))
         time.sleep(0.8)
         os.kill(link._process.pid, signal.SIGSEGV)  # as ur_rtde dies when its link breaks

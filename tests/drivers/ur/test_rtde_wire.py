@@ -17,7 +17,7 @@ from tests.drivers.ur.emulated import dashboard, emulator, free_hosts
 
 from armcell.drivers.ur.wire import rtde
 from armcell.drivers.ur.wire.models import ur_model
-from armcell.emulators.network import Link, Network
+from armcell.emulators.network import Network, TcpConnection
 from armcell.emulators.ur.plant import KinematicPlant
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.rtde_server import RtdeServer
@@ -377,7 +377,7 @@ def test_a_client_that_asks_for_hardly_any_packets_is_served():
     server = RtdeServer(robot, network, "127.0.0.1", 0)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         ours = socket.create_connection(listening.getsockname())
-        link = Link(listening.accept()[0], network)
+        link = TcpConnection(listening.accept()[0], network)
     server._begin(link)
     link.received += rtde.frame(rtde.VERSION, struct.pack(">H", 2))
     link.received += rtde.frame(rtde.SETUP_OUTPUTS, struct.pack(">d", 5e-324) + b"timestamp")

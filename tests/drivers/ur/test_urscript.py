@@ -6,9 +6,9 @@ import pytest
 
 from armcell.drivers.ur.wire.models import ur_model
 from armcell.emulators.ur.builtins_io import io_functions
-from armcell.emulators.ur.client_state import ClientState
 from armcell.emulators.ur.plant import KinematicPlant
 from armcell.emulators.ur.robot import Robot
+from armcell.emulators.ur.state_messages import StateEncoder
 from armcell.emulators.ur.urscript import Machine, ProgramError, ScriptError, parse
 
 
@@ -156,4 +156,4 @@ def test_a_value_that_no_packet_can_hold_ends_the_program(line, reason):
     with pytest.raises(ProgramError, match=reason):
         run(line + "\n", **io_functions(robot))
     assert robot.tool_voltage == 0 and not any(robot.output_int)
-    ClientState(robot).primary()
+    StateEncoder(robot).primary()

@@ -13,10 +13,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from armcell.model.xacro.budget import Budget, XacroError, size
-from armcell.model.xacro.expressions import Dotted, NameSpace, evaluate
+from armcell.model.xacro.expressions import AttributeDict, NameSpace, evaluate
 from armcell.model.xacro.functions import BASIC, MATH, PYTHON, text_of
 
-LIMITS = Dotted(lower=-1.5, upper=2, names=["a", "b"], origin=Dotted(xyz="0 0 1"))
+LIMITS = AttributeDict(lower=-1.5, upper=2, names=["a", "b"], origin=AttributeDict(xyz="0 0 1"))
 NAMES = NameSpace(
     {
         **MATH, **BASIC, "python": NameSpace(PYTHON), "math": NameSpace(MATH), "x": 3, "word": "left arm",

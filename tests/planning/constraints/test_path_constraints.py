@@ -80,7 +80,7 @@ def excess(robot: PinRobot, constraints: Constraints, tip: str) -> float:
     for point in constraints.positions:
         at = robot.pose(point.link or tip) @ np.append(point.point, 1.0)
         worst = max(
-            worst, min(signed_distance(s, T.inv().apply(at[:3])) for s, T in point.region)
+            worst, min(signed_distance(s, T.inverse().apply(at[:3])) for s, T in point.region)
         )  # fmt: skip
     return worst
 
@@ -213,7 +213,7 @@ def test_what_an_attached_object_must_keep(free_panda):
         there = free_panda.with_state(
             JointState(result.trajectory.joint_names, result.trajectory.sample(t)[0])
         )
-        tilt = (wanted.inv() @ there.frame_pose("glass").rotation).log()
+        tilt = (wanted.inverse() @ there.frame_pose("glass").rotation).log()
         assert np.abs(tilt[:2]).max() <= 0.1 + 1e-7
 
 
@@ -255,7 +255,7 @@ def test_no_proof_of_a_motion_that_leaves(free_panda):
         low, high = model.lower[columns], model.upper[columns]
         proven = stay = wrong = 0
         for _ in range(1500):
-            q = manifold.projected(rng.uniform(low, high), low, high)
+            q = manifold.project(rng.uniform(low, high), low, high)
             if q is None:
                 continue
             edge = np.vstack([q, q + rng.normal(size=len(q)) * rng.uniform(0.01, 0.3)])

@@ -26,7 +26,7 @@ from armcell.core import (
     VisibilityConstraint,
 )
 from armcell.kinematics import kinematic_tree
-from armcell.planning import constraint_errors, plan, plan_cartesian, satisfied
+from armcell.planning import constraint_errors, plan, plan_cartesian, satisfies_constraints
 from armcell.planning.constraints.evaluation import visibility
 
 FACING = SO3.from_rpy((np.pi, 0.0, 0.0))  # of a disc before a sensor: its z looks back at it
@@ -152,7 +152,7 @@ def test_as_a_goal():
     wanted = Constraints(visibilities=(view,))
     names = scene.model.group("arm").joint_names
     here = scene.with_state(scene.model.named_state("arm", "extended"))
-    assert not satisfied(here, "arm", wanted, here.state.reindexed(names).positions)
+    assert not satisfies_constraints(here, "arm", wanted, here.state.reindexed(names).positions)
     result = plan(here, request(ConstraintGoal(wanted)))
     assert result.ok, result.message
     (error,) = constraint_errors(here, "arm", wanted, result.trajectory.positions[-1])

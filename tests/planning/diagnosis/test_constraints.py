@@ -31,7 +31,7 @@ from armcell.core import (
     Sphere,
 )
 from armcell.kinematics import kinematic_tree
-from armcell.planning import explain, plan, satisfied, solve_ik
+from armcell.planning import explain, plan, satisfies_constraints, solve_ik
 
 pytestmark = pytest.mark.slow
 
@@ -114,7 +114,7 @@ def test_a_start_outside_of_a_region_and_of_a_joint_s_range(upright):
     assert e.data["violated"]["the position of the tip"] == pytest.approx(0.05, abs=1e-6)
     assert e.data["violated"]["panda_joint1"] == pytest.approx(0.1, abs=1e-9)
     wide = suggestion(e, "widen").apply(upright, asked)[1].path_constraints
-    assert satisfied(upright, "arm", wide, upright.state.reindexed(e.state.joint_names).positions)
+    assert satisfies_constraints(upright, "arm", wide, upright.state.reindexed(e.state.joint_names).positions)
     assert wide.positions[0].region[0][0].radius < 0.16 and wide.joints[0].tolerance_above == 0.1
 
 

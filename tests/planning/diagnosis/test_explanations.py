@@ -33,7 +33,7 @@ from armcell.core import (
 from armcell.planning import explain, explain_start, plan, plan_cartesian, solve_ik
 from armcell.planning.diagnosis import solutions_beyond_limits
 from armcell.planning.diagnosis.changes import change_request
-from armcell.planning.diagnosis.constraints import blame_path_constraints
+from armcell.planning.diagnosis.constraints import diagnose_path_constraints
 from armcell.planning.diagnosis.contacts import least_freeing_shift
 from armcell.planning.diagnosis.diagnosis import Diagnosis
 from armcell.planning.diagnosis.nearest_free import nearest_free
@@ -235,7 +235,7 @@ def constrained_case(tolerance: float, joints_allowed: int) -> Diagnosis:
 
 def test_the_constraint_to_blame_and_how_wide_it_has_to_be():
     case = constrained_case(0.3, 1)
-    assert blame_path_constraints(case)
+    assert diagnose_path_constraints(case)
     first, second = case.suggestions
     wide = first.apply(case.scene, case.request)[1].path_constraints
     assert wide.orientations[0].tolerance == pytest.approx((0.4, 0.4, np.pi)) and wide.joints == (ELBOW,)
@@ -246,14 +246,14 @@ def test_the_constraint_to_blame_and_how_wide_it_has_to_be():
 
 def test_constraints_that_forbid_it_only_together():
     case = constrained_case(0.3, 0)
-    assert blame_path_constraints(case) and "no single path constraint" in case.details[0]
+    assert diagnose_path_constraints(case) and "no single path constraint" in case.details[0]
     assert not case.suggestions[0].apply(case.scene, case.request)[1].path_constraints
 
 
 def test_constraints_that_are_not_to_blame():
     case = constrained_case(0.3, -1)
     assert (
-        not blame_path_constraints(case)
+        not diagnose_path_constraints(case)
         and not case.suggestions
         and "not the path constraints" in case.details[0]
     )

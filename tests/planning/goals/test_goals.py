@@ -35,7 +35,7 @@ from armcell.core import (
     Sphere,
     UnknownNameError,
 )
-from armcell.planning import constraint_errors, plan, satisfied, violations
+from armcell.planning import constraint_errors, describe_violations, plan, satisfies_constraints
 from armcell.planning.constraints.evaluation import distance_to_shape, rotation_error, rotation_of
 
 TIP = "panda_hand_tcp"
@@ -380,7 +380,9 @@ def test_errors_of_constraints_against_pinocchio_and_scipy():
         np.testing.assert_allclose(vector.excess, excess, atol=1e-8)
         free = all(e.ok for e in (joint, position, vector, euler))
         assert (
-            satisfied(scene, "arm", constraints, q) == free == (not violations(scene, "arm", constraints, q))
+            satisfies_constraints(scene, "arm", constraints, q)
+            == free
+            == (not describe_violations(scene, "arm", constraints, q))
         )
         agreed |= {("joint", joint.ok), ("vector", vector.ok), ("euler", euler.ok)}
     assert len(agreed) >= 4  # both answers occurred
@@ -396,7 +398,7 @@ def test_the_words_say_which_and_how_much():
         ),
         positions=(in_box((1.0, 0.0, 0.5)),),
     )
-    text = violations(scene, "arm", constraints, q)
+    text = describe_violations(scene, "arm", constraints, q)
     assert "joint panda_joint2 at 0.3 is 0.4 outside of [0.7, 0.9]" in text
     assert "panda_hand_tcp is" in text and "mm outside of its region" in text and "panda_joint6" not in text
 
@@ -438,7 +440,7 @@ def test_distances_to_shapes_against_coal(shape):
 def test_unknown_names_in_the_evaluator():
     scene = panda()
     with pytest.raises(UnknownNameError, match="link"):
-        violations(scene, "arm", Constraints(positions=(
+        describe_violations(scene, "arm", Constraints(positions=(
             PositionConstraint(((Sphere(1), SE3.identity()),), link="nothing"),)), np.zeros(7))  # fmt: skip
 
 
@@ -453,4 +455,4 @@ def test_ur10_regions_use_every_branch():
     result = plan(scene, request(goal))
     assert result.ok, result.message
     judge(scene, result.trajectory)
-    assert satisfied(scene, "arm", goal.constraints, result.trajectory.positions[-1])
+    assert satisfies_constraints(scene, "arm", goal.constraints, result.trajectory.positions[-1])

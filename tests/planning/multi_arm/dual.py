@@ -8,7 +8,7 @@ import numpy as np
 
 import armcell
 from armcell.collision import ExactChecker
-from armcell.collision.arms import without_arms
+from armcell.collision.inter_arm_checker import without_arms
 from armcell.core import SE3, JointTrajectory, PlanRequest, PoseGoal
 from armcell.planning import RunningMotion, plan
 from armcell.scene import PlanningScene
@@ -70,7 +70,7 @@ class Judge:
         for t in np.arange(min(m.start for m in motions), end + step, step):
             for m, at in zip(motions, columns, strict=True):
                 q[at] = m.trajectory.sample(t - m.start)[0]
-            self.checker.place(q)
+            self.checker.set_configuration(q)
             near = np.flatnonzero(self.checker.pair_gaps(self.pairs) < best)
             for a, b in self.pairs[near]:
                 best = min(best, self.checker.pair_distance(int(a), int(b)))

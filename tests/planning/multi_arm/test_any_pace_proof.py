@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tests.planning.multi_arm.dual import LEFT, RIGHT, Judge, motion, scene, tip
 
-from armcell.collision.arms import Arms
+from armcell.collision.inter_arm_checker import InterArmChecker
 from armcell.core import JointTrajectory
 from armcell.planning import RunningMotion
-from armcell.timing import reversed_in_time
+from armcell.timing import reverse_trajectory
 
 pytestmark = pytest.mark.slow
 
@@ -18,7 +18,7 @@ CLEARANCE = 0.02
 
 @pytest.fixture(scope="module")
 def arms():
-    return Arms(scene(), (LEFT, RIGHT))
+    return InterArmChecker(scene(), (LEFT, RIGHT))
 
 
 def standing(motion: JointTrajectory, t: float) -> RunningMotion:
@@ -42,7 +42,7 @@ def test_what_is_proven_keeps_its_distance_at_all_pairs_of_times(arms):
 
 def test_a_pair_that_only_its_times_keep_apart_is_refused(arms):
     left, right = motion(scene(), LEFT, tip(0.0, -0.1)), motion(scene(), RIGHT, tip(0.0, 0.1))
-    back = reversed_in_time(left)
+    back = reverse_trajectory(left)
     start = left.duration + 0.5  # the right arm goes in when the left one has gone out again
     assert arms.certify(back, right, starts=(0.0, start), clearance=CLEARANCE).free
     assert not arms.certify_any_time(back, right, CLEARANCE)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.planning.multi_arm.dual import FAST, LEFT, RIGHT, Judge, motion, scene, tip, with_tips
 
-from armcell.collision.arms import Arms, arms_of, nearest_between, sides_of
+from armcell.collision.inter_arm_checker import InterArmChecker, arms_of, nearest_between, sides_of
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import (
     SE3,
@@ -80,7 +80,7 @@ def test_small_round_things_in_both_hands_keep_their_distance():
         middle = 0.02 if group == LEFT else -0.02
         ball = CollisionObject.single(name, Sphere(0.015), SE3.from_xyz(place[0], middle, place[2] - 0.2))
         at = at.with_object(ball).with_attached(name, gripper.tcp_link, gripper.hand_links)
-    arms = Arms(at, (LEFT, RIGHT))
+    arms = InterArmChecker(at, (LEFT, RIGHT))
     q = joints(at)[[NAMES.index(n) for n in arms.joint_names]]
     assert arms.contact(q).distance == pytest.approx(0.01, abs=1e-6)
     assert arms.find_too_close(q[None], None, 0.009) < 0

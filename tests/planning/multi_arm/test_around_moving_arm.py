@@ -7,12 +7,12 @@ import pytest
 from tests.planning.multi_arm.dual import FAST, LEFT, OTHER, RIGHT, SLOW, Judge, motion, scene, tip, with_tips
 
 from armcell.collision import ExactChecker
-from armcell.collision.arms import without_arms
+from armcell.collision.inter_arm_checker import without_arms
 from armcell.core import InputError, PlanRequest
 from armcell.planning import RunningMotion, plan_around_moving_arms
 from armcell.planning.multi_arm.space_time_search import SpaceTimeProblem, search, shortened
-from armcell.timing import reversed_in_time
-from armcell.timing.averaged import averaged_pieces
+from armcell.timing import reverse_trajectory
+from armcell.timing.moving_average import smooth_by_moving_average
 
 pytestmark = pytest.mark.slow  # two arms: proofs, searches and physics by the second
 
@@ -67,7 +67,7 @@ def test_free_motions_are_left_as_they_are():
 def test_a_goal_that_becomes_free_is_waited_for():
     there = motion(scene(), RIGHT, tip(0.0, 0.1), **SLOW)
     at = scene().with_state(there.end)
-    running = RunningMotion(reversed_in_time(there), 3.0)  # leaves after 3 s
+    running = RunningMotion(reverse_trajectory(there), 3.0)  # leaves after 3 s
     result = beside(at, tip(0.0, 0.0), running)
     assert result.ok and result.evidence["beside"] in ("waits", "searched")
     assert result.trajectory.duration > 3.0
@@ -86,13 +86,13 @@ def test_a_goal_where_the_other_comes_to_rest_is_refused_with_the_pair():
 def test_starting_later_sees_the_other_where_it_is_then():
     there = motion(scene(), RIGHT, tip(0.0, 0.1), **SLOW)
     at = scene().with_state(there.end)
-    gone = RunningMotion(reversed_in_time(there), 0.0)
+    gone = RunningMotion(reverse_trajectory(there), 0.0)
     result = beside(at, tip(0.0, 0.0), gone, start=gone.end)
     assert result.ok and result.evidence["beside"] == "as planned"
 
 
 def test_misuse():
-    running = RunningMotion.standing(scene(), RIGHT)
+    running = RunningMotion.at_rest(scene(), RIGHT)
     with pytest.raises(InputError, match="finite"):
         beside(scene(), tip(0, 0), running, start=np.inf)
     with pytest.raises(InputError, match="share"):
@@ -147,7 +147,7 @@ def test_averaged_pieces_keep_limits_and_ends():
     times = np.cumsum(rng.uniform(0.3, 1.0, 7))
     points = np.cumsum(rng.uniform(-0.4, 0.4, (7, 3)), axis=0)
     limit = np.array([1.0, 2.0, 3.0])
-    smooth = averaged_pieces(("a", "b", "c"), times, points, limit)
+    smooth = smooth_by_moving_average(("a", "b", "c"), times, points, limit)
     np.testing.assert_array_equal(smooth.positions[[0, -1]], points[[0, -1]])
     t = np.linspace(0, smooth.duration, 5000)
     q, v, a = (np.array([smooth.sample(x)[k] for x in t]) for k in range(3))
@@ -162,4 +162,4 @@ def test_averaged_pieces_keep_limits_and_ends():
 
 def test_pieces_that_are_too_fast_are_refused():
     with pytest.raises(InputError, match="acceleration"):
-        averaged_pieces(("a",), [0.0, 0.1], [[0.0], [10.0]], [1.0])
+        smooth_by_moving_average(("a",), [0.0, 0.1], [[0.0], [10.0]], [1.0])

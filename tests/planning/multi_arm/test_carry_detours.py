@@ -12,7 +12,7 @@ from benchmarks.carry import KINDS, RESTS, ROD, TABLE, Carry, draw, held, look_a
 from scipy.interpolate import BSpline
 
 from armcell.collision import ExactChecker
-from armcell.collision.resting import resting_pairs
+from armcell.collision.resting_contact import resting_pairs
 from armcell.core import SE3, Box, ErrorCode, InputError
 from armcell.planning.multi_arm.object_paths import RoundedObjectPath, StraightObjectPath
 from armcell.scene import CollisionObject
@@ -137,7 +137,7 @@ def test_rounded_ways_begin_and_end_where_they_should_and_turn_smoothly():
     poses = way.poses(shares)
     assert poses[0].isclose(through[0]) and poses[-1].isclose(through[-1])
     h = shares[1]
-    spin = np.array([(a.rotation.inv() @ b.rotation).log() / h for a, b in pairwise(poses)])
+    spin = np.array([(a.rotation.inverse() @ b.rotation).log() / h for a, b in pairwise(poses)])
     change = np.diff(spin, axis=0) / h
     assert (
         np.abs(np.diff(change, axis=0)).max() < 0.02 * np.abs(change).max()

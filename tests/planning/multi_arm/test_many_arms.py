@@ -10,12 +10,18 @@ import pytest
 from tests.planning.multi_arm.dual import FAST, SLOW, Judge, tip
 
 import armcell
-from armcell.collision.arms import Arms, arms_of, check_arms, combined_group, without_arms
+from armcell.collision.inter_arm_checker import (
+    InterArmChecker,
+    arms_of,
+    check_arms,
+    combined_group,
+    without_arms,
+)
 from armcell.core import ErrorCode, InputError, NamedGoal, PlanRequest
 from armcell.model import load_robot
 from armcell.planning import RunningMotion, plan, plan_around_moving_arms, plan_synchronized
 from armcell.planning.multi_arm.synchronized import _by_cost
-from armcell.timing import reversed_in_time
+from armcell.timing import reverse_trajectory
 
 A, B, C, D = "a_arm", "b_arm", "c_arm", "d_arm"
 CELLS = {"three_ur5_table": (A, B, C), "four_ur5_square": (A, B, C, D)}
@@ -66,14 +72,14 @@ def test_arms_are_tested_against_each_other_or_one_against_the_rest():
     at = scene()
     for group, x in ((B, -0.02), (C, 0.02)):
         at = at.with_state(alone(group, tip(x, 0.0)).end)
-    all_three, mover = Arms(at, (A, B, C)), Arms(at, (A, B, C), A)
+    all_three, mover = InterArmChecker(at, (A, B, C)), InterArmChecker(at, (A, B, C), A)
     q = at.state.reindexed(all_three.joint_names).positions
     touching = all_three.contact(q)
     assert touching is not None and {touching.body_a[0], touching.body_b[0]} == {"b", "c"}
     assert all_three.find_too_close(q[None]) >= 0 and mover.find_too_close(q[None]) < 0
     nearest = mover.contact(q)
     assert nearest is not None and nearest.distance > 0.02 and "a" in (nearest.body_a[0], nearest.body_b[0])
-    assert Arms(at, (A, B, C), B).find_too_close(q[None]) >= 0
+    assert InterArmChecker(at, (A, B, C), B).find_too_close(q[None]) >= 0
 
 
 @pytest.mark.parametrize("name", CELLS)
@@ -113,7 +119,7 @@ def test_around_two_arms_that_leave_the_middle():
     for group, start, x in ((B, 0.5, -0.08), (C, 1.5, 0.08)):
         there = alone(group, tip(x, 0.0 if group == B else -0.1), **SLOW)
         at = at.with_state(there.end)
-        running[group] = RunningMotion(reversed_in_time(there), start)
+        running[group] = RunningMotion(reverse_trajectory(there), start)
     result = plan_around_moving_arms(at, PlanRequest(A, (tip(0.0, -0.05),), **FAST), running)
     assert result.ok and result.trajectory is not None, result.message
     assert result.evidence["beside"] != "as planned"

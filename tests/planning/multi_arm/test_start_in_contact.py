@@ -8,7 +8,7 @@ from tests.planning.multi_arm.dual import FAST, LEFT, RIGHT, SLOW, Judge, motion
 from tests.planning.resting import SINK, brought_to, judge_from_rest
 from tests.scene.helpers import box
 
-from armcell.collision.arms import without_arms
+from armcell.collision.inter_arm_checker import without_arms
 from armcell.core import SE3, JointGoal, PlanRequest
 from armcell.planning import RunningMotion, plan, plan_around_moving_arms, plan_synchronized
 from armcell.scene import PlanningScene

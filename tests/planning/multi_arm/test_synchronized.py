@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from tests.planning.multi_arm.dual import FAST, LEFT, OTHER, RIGHT, Judge, motion, scene, tip
 
-from armcell.collision.arms import Arms, without_arms
+from armcell.collision.inter_arm_checker import InterArmChecker, without_arms
 from armcell.core import Box, ErrorCode, InputError, JointTrajectory, PlanRequest
 from armcell.planning import RunningMotion, plan, plan_synchronized
 from armcell.scene import CollisionObject
-from armcell.timing import merged, synchronized
+from armcell.timing import merge_trajectories, synchronize_trajectories
 from armcell.timing.chords import acceleration_bounds, chords, positions_at
 
 pytestmark = pytest.mark.slow  # two arms: proofs, searches and physics by the second
@@ -22,13 +22,15 @@ TEMPLATE = PlanRequest(LEFT, (), **FAST)
 
 @pytest.fixture(scope="module")
 def arms():
-    return Arms(scene(), (LEFT, RIGHT))
+    return InterArmChecker(scene(), (LEFT, RIGHT))
 
 
 # --- one clock ---
 @pytest.fixture(scope="module")
 def pair():
-    return synchronized([motion(scene(), LEFT, tip(0.3, -0.1)), motion(scene(), RIGHT, tip(-0.3, 0.1))])
+    return synchronize_trajectories(
+        [motion(scene(), LEFT, tip(0.3, -0.1)), motion(scene(), RIGHT, tip(-0.3, 0.1))]
+    )
 
 
 def test_positions_are_those_of_sample(pair):
@@ -57,7 +59,7 @@ def test_accelerations_are_bounded_between_points(pair):
 
 
 def test_both_as_one_trajectory(pair):
-    whole = merged(pair[0], pair[1])
+    whole = merge_trajectories(pair[0], pair[1])
     for t in np.linspace(0, whole.duration, 101):
         expected = np.concatenate([p.sample(t)[0] for p in pair])
         np.testing.assert_allclose(whole.sample(t)[0], expected, atol=1e-6)
@@ -108,7 +110,7 @@ def test_what_an_arm_holds_counts(arms):
     gripper = at.model.gripper("left_gripper")
     bar = CollisionObject.single("bar", Box(0.9, 0.02, 0.02), at.frame_pose(gripper.tcp_link))
     held = at.with_object(bar).with_attached("bar", gripper.tcp_link, gripper.hand_links)
-    turned = Arms(held, (LEFT, RIGHT)).certify(first, motion(scene(), RIGHT, tip(0.45, 0.05)))
+    turned = InterArmChecker(held, (LEFT, RIGHT)).certify(first, motion(scene(), RIGHT, tip(0.45, 0.05)))
     assert not turned.free and "bar" in (turned.contact.body_a, turned.contact.body_b)
 
 
@@ -151,8 +153,8 @@ def test_a_pair_that_meets_is_repaired():
         g: plan(without_arms(scene(), OTHER[g]), PlanRequest(g, (goal,), **FAST)).trajectory
         for g, goal in goals.items()
     }
-    first, second = synchronized([alone[LEFT], alone[RIGHT]])
-    assert not Arms(scene(), (LEFT, RIGHT)).certify(first, second, clearance=0.02).free
+    first, second = synchronize_trajectories([alone[LEFT], alone[RIGHT]])
+    assert not InterArmChecker(scene(), (LEFT, RIGHT)).certify(first, second, clearance=0.02).free
     assert plan_synchronized(scene(), goals, template=TEMPLATE).how in ("planned again", "as one")
 
 

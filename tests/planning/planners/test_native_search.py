@@ -21,7 +21,7 @@ from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.kernel.simd import pointer
 from armcell.core import ErrorCode, JointGoal, JointState, PoseGoal
 from armcell.planning import plan
-from armcell.planning.planners.aorrtc import AnytimePlanner, AnytimeSettings, length
+from armcell.planning.planners.aorrtc import AORRTCPlanner, AORRTCSettings, length
 from armcell.planning.planners.native.nearest_neighbors import (
     LEAF_THRESHOLD,
     nearest_node,
@@ -31,7 +31,7 @@ from armcell.planning.planners.native.tree import new_trees, put, remove_nodes, 
 from armcell.planning.planners.prm import Roadmap
 from armcell.planning.planners.prm import plan_with_roadmap as plan_on
 from armcell.planning.planners.registry import find_planner, first_use_hooks
-from armcell.planning.planners.rrt_connect import NativePlanner, NativeSettings
+from armcell.planning.planners.rrt_connect import NativePlanner, RRTConnectSettings
 from armcell.planning.request import validate_request
 
 
@@ -133,7 +133,7 @@ def test_the_nearest_node_is_the_nearest(dims, kind):
 def test_a_search_in_slices_is_the_same_search(name):
     checker, *ask = question(*(PROBLEMS[name]()))
     whole = NativePlanner(checker).plan(*ask, seed=4)
-    sliced = NativePlanner(checker, NativeSettings(slice=3)).plan(*ask, seed=4, more_goals=iter(()))
+    sliced = NativePlanner(checker, RRTConnectSettings(slice=3)).plan(*ask, seed=4, more_goals=iter(()))
     assert whole.iterations == sliced.iterations > 3
     np.testing.assert_array_equal(whole.waypoints, sliced.waypoints)
 
@@ -206,7 +206,7 @@ def test_goals_that_come_later_are_reached():
     reachable = start.copy()
     reachable[[0, 1]] += [0.4, -0.5]
     assert checker.is_free(reachable)
-    planner = NativePlanner(checker, NativeSettings(slice=200, max_iterations=50_000))
+    planner = NativePlanner(checker, RRTConnectSettings(slice=200, max_iterations=50_000))
     assert planner.plan(start, goals, lower, upper).waypoints is None
     answer = planner.plan(start, goals, lower, upper, more_goals=iter([reachable]))
     assert answer.streamed == 1
@@ -269,7 +269,7 @@ def test_more_iterations_never_cost_more(name):
     first = NativePlanner(checker).plan(*ask, seed=1)
     costs = [length(first.waypoints)]
     for iterations in (1_000, 10_000, 100_000):
-        planner = AnytimePlanner(NativePlanner(checker), AnytimeSettings(max_iterations=iterations))
+        planner = AORRTCPlanner(NativePlanner(checker), AORRTCSettings(max_iterations=iterations))
         answer = planner.plan(*ask, seed=1)
         judged(checker, answer.waypoints, ask[0], ask[1])
         told = [cost for _, _, cost in answer.history]
@@ -286,15 +286,15 @@ def test_it_improves_on_first_paths_that_are_not_the_shortest():
     checker, *ask = question(*PROBLEMS["panda"]())
     firsts = {s: length(NativePlanner(checker).plan(*ask, seed=s).waypoints) for s in range(20)}
     seed = max(firsts, key=firsts.__getitem__)  # a detour
-    planner = AnytimePlanner(NativePlanner(checker), AnytimeSettings(max_iterations=100_000))
+    planner = AORRTCPlanner(NativePlanner(checker), AORRTCSettings(max_iterations=100_000))
     answer = planner.plan(*ask, seed=seed)
     assert length(answer.waypoints) < 0.99 * firsts[seed]
 
 
 def test_the_same_seed_and_iterations_give_the_same_path():
     checker, *ask = question(*ur10_over())
-    settings = AnytimeSettings(max_iterations=20_000)
-    a, b, c = (AnytimePlanner(NativePlanner(checker), settings).plan(*ask, seed=seed) for seed in (3, 3, 4))
+    settings = AORRTCSettings(max_iterations=20_000)
+    a, b, c = (AORRTCPlanner(NativePlanner(checker), settings).plan(*ask, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(a.waypoints, b.waypoints)
     assert [h[1:] for h in a.history] == [h[1:] for h in b.history]
     assert a.waypoints.shape != c.waypoints.shape or np.any(a.waypoints != c.waypoints)
@@ -408,7 +408,7 @@ def test_public_problems(robot):
         roadmap = roadmap or Roadmap(len(task.start))
         ask = (task.start, task.goals, task.lower, task.upper)
         first = NativePlanner(checker).plan(*ask, seed=1)
-        better = AnytimePlanner(NativePlanner(checker), AnytimeSettings(max_iterations=20_000)).plan(
+        better = AORRTCPlanner(NativePlanner(checker), AORRTCSettings(max_iterations=20_000)).plan(
             *ask, seed=1
         )
         known = plan_on(roadmap, NativePlanner(checker), *ask)

@@ -12,7 +12,7 @@ from tests.planning.test_plan import beyond_panda
 
 from armcell.core import InputError, PoseGoal, UnknownNameError
 from armcell.planning import pipelines, plan
-from armcell.planning.planners.ompl import declared, set_parameters, trial_planner
+from armcell.planning.planners.ompl import declared_parameters, set_parameters, trial_planner
 
 
 def asked(planner_id: str, **options):
@@ -62,7 +62,7 @@ STUCK = {
 
 def check_parameters(planner, name):
     stuck = []
-    for key, text in declared(planner, name).items():
+    for key, text in declared_parameters(planner, name).items():
         if (name, key) == ("AORRTC", "range"):  # not declared by OMPL, so not printed
             set_parameters(planner, name, {key: 0.3})
             assert planner.getRange() == pytest.approx(0.3)
@@ -79,7 +79,7 @@ def check_parameters(planner, name):
             stuck.append(key)
             assert "cannot be" in str(error)
             continue
-        assert float(declared(planner, name)[key]) == pytest.approx(other), key
+        assert float(declared_parameters(planner, name)[key]) == pytest.approx(other), key
     assert set(stuck) == STUCK.get(name, set())
 
 

@@ -103,7 +103,7 @@ def test_spheres_are_carried_by_their_links():
         full = scene.positions.copy()
         full[checker.columns] = q
         poses = [tree.link_pose(full, name) for name in checker.names.bodies]
-        relative.append([poses[b].inv().apply(p) for b, p in zip(spheres.body, x, strict=True)])
+        relative.append([poses[b].inverse().apply(p) for b, p in zip(spheres.body, x, strict=True)])
     np.testing.assert_allclose(relative[0], relative[1], atol=2e-6)
     np.testing.assert_allclose(relative[0], relative[2], atol=2e-6)
 

@@ -15,9 +15,9 @@ import pytest
 from tests.ros.ros1.conftest import eventually, free_port
 
 from armcell.ros import Bus, ServiceError, schema
-from armcell.ros.codec import WireError, ros1
+from armcell.ros.codec import WireError, ros1_codec
 from armcell.ros.ros1 import Ros1Graph, Ros1Settings
-from armcell.ros.ros1.header import decoded, encoded, receive
+from armcell.ros.ros1.header import decode_header, encode_header, receive
 
 S = schema()
 STRING = "std_msgs/String"
@@ -47,7 +47,7 @@ def subscriber(**changes) -> dict[str, str]:
 
 def answer(node, fields) -> dict[str, str]:
     with connect(node) as sock:
-        sock.sendall(encoded(fields))
+        sock.sendall(encode_header(fields))
         return receive(sock)
 
 
@@ -117,7 +117,7 @@ def test_random_bytes_on_both_ports(node, caplog):
 def test_requests_that_are_none(node):
     fields = {"callerid": "/x", "service": "/ask", "md5sum": "*", "persistent": "1"}
     with connect(node) as sock:
-        sock.sendall(encoded(fields))
+        sock.sendall(encode_header(fields))
         receive(sock)
         sock.sendall(struct.pack("<I", 3) + b"abc")  # an empty request has no bytes
         ok, size = sock.recv(1), struct.unpack("<I", sock.recv(4))[0]
@@ -125,7 +125,7 @@ def test_requests_that_are_none(node):
         sock.sendall(struct.pack("<I", 0))
         assert sock.recv(1) == b"\1"
     with connect(node) as sock:
-        sock.sendall(encoded(fields))
+        sock.sendall(encode_header(fields))
         receive(sock)
         sock.sendall(struct.pack("<I", 2**32 - 1))
         assert sock.recv(1) == b"\0"
@@ -133,11 +133,11 @@ def test_requests_that_are_none(node):
 
 def test_headers_read_what_they_write():
     fields = {"a": "1", "b": "x=y=z", "text": "żółw\n"}
-    assert decoded(encoded(fields)[4:]) == fields
+    assert decode_header(encode_header(fields)[4:]) == fields
     with pytest.raises(WireError):
-        decoded(b"\x04\x00\x00\x00abcd")  # no '='
+        decode_header(b"\x04\x00\x00\x00abcd")  # no '='
     with pytest.raises(WireError):
-        decoded((struct.pack("<I", 3) + b"a=b") * 100)
+        decode_header((struct.pack("<I", 3) + b"a=b") * 100)
 
 
 class BadPublisher:
@@ -171,7 +171,7 @@ class BadPublisher:
             self.connections += 1
             with sock:
                 receive(sock)
-                sock.sendall(encoded(self._header) + self._data)
+                sock.sendall(encode_header(self._header) + self._data)
                 time.sleep(0.05)
 
     def close(self):
@@ -183,7 +183,7 @@ class BadPublisher:
             thread.join()
 
 
-GOOD = (lambda body: struct.pack("<I", len(body)) + body)(bytes(ros1().encode(S.new(STRING, "good"))))
+GOOD = (lambda body: struct.pack("<I", len(body)) + body)(bytes(ros1_codec().encode(S.new(STRING, "good"))))
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_a_subscriber_that_stalls_delays_nobody_and_memory_stays_bounded(joined)
     with connect(graph) as stalled:
         eventually(lambda: out.subscribers == 1)
         kind = "std_msgs/UInt8MultiArray"
-        stalled.sendall(encoded(subscriber(topic="/big", type=kind, md5sum=S.md5(kind))))
+        stalled.sendall(encode_header(subscriber(topic="/big", type=kind, md5sum=S.md5(kind))))
         receive(stalled)
         eventually(lambda: out.subscribers == 2)
         message = S.new(kind, data=np.zeros(100_000, np.uint8))
@@ -237,7 +237,7 @@ def test_a_thousand_connections_leave_nothing(node):
     for n in range(1000):
         with connect(node) as sock:
             if n % 3:
-                sock.sendall(encoded(subscriber()))
+                sock.sendall(encode_header(subscriber()))
             if n % 3 == 2:
                 receive(sock)
     eventually(lambda: node.out.subscribers == 1, 10)
@@ -249,7 +249,7 @@ def test_messages_that_cannot_be_encoded_are_said_once(node, caplog):
     late = node.bus.advertise("/late", STRING)
     with connect(node) as sock:
         eventually(lambda: "/late" in [p.topic for p in node.node.publications()])
-        sock.sendall(encoded(subscriber(topic="/late")))
+        sock.sendall(encode_header(subscriber(topic="/late")))
         receive(sock)
         eventually(lambda: late.subscribers)
         for _ in range(3):

@@ -12,7 +12,7 @@ from tests.ros.helpers import random_message
 from tests.ros.ros1.conftest import eventually
 
 from armcell.core import InputError, UnknownNameError
-from armcell.ros import ActionClient, ActionServer, Bus, Done, ServiceError, State, schema
+from armcell.ros import ActionClient, ActionOutcome, ActionServer, Bus, GoalState, ServiceError, schema
 from armcell.ros.ros1 import Ros1Graph, Ros1Settings
 
 S = schema()
@@ -146,20 +146,26 @@ def test_actions_go_along(joined):
             goal.feedback(S.new(f"{kind}Feedback", position=float(n)))
         if goal.message.command.position < 0:
             goal.cancel.wait(5)
-            return Done(State.PREEMPTED, S.new(f"{kind}Result"), "stopped")
-        return Done(State.SUCCEEDED, S.new(f"{kind}Result", position=goal.message.command.position))
+            return ActionOutcome(GoalState.PREEMPTED, S.new(f"{kind}Result"), "stopped")
+        return ActionOutcome(
+            GoalState.SUCCEEDED, S.new(f"{kind}Result", position=goal.message.command.position)
+        )
 
     with ActionServer(a.bus, "/grip", kind, execute), ActionClient(b.bus, "/grip", kind) as client:
         assert client.wait_for_server(5)
         told = []
         command = S.new("control_msgs/GripperCommand", position=0.04)
-        sent = client.send(S.new(f"{kind}Goal", command), lambda f: told.append(f.position))
-        assert sent.wait(5) and sent.state is State.SUCCEEDED and sent.result.position == 0.04
+        sent = client.send_goal(S.new(f"{kind}Goal", command), lambda f: told.append(f.position))
+        assert sent.wait(5) and sent.state is GoalState.SUCCEEDED and sent.result.position == 0.04
         assert told == [0.0, 1.0, 2.0]
-        sent = client.send(S.new(f"{kind}Goal", S.new("control_msgs/GripperCommand", position=-1.0)))
-        eventually(lambda: sent.state is State.ACTIVE)
+        sent = client.send_goal(S.new(f"{kind}Goal", S.new("control_msgs/GripperCommand", position=-1.0)))
+        eventually(lambda: sent.state is GoalState.ACTIVE)
         sent.cancel()
-        assert sent.wait(5) and sent.state is State.PREEMPTED and sent.text == "canceled by a client: stopped"
+        assert (
+            sent.wait(5)
+            and sent.state is GoalState.PREEMPTED
+            and sent.text == "canceled by a client: stopped"
+        )
 
 
 def test_parameters_are_the_graphs(joined):

@@ -10,7 +10,7 @@ from tests.ros.ros1.conftest import eventually
 from tests.ros.ros1.debian import Debian, missing
 
 from armcell.cell import load
-from armcell.ros import ActionClient, Bus, State, schema
+from armcell.ros import ActionClient, Bus, GoalState, schema
 from armcell.ros.nodes import ServedPlanner
 from armcell.ros.ros1 import Ros1Graph, Ros1Settings
 
@@ -103,7 +103,7 @@ def move(served, turn, cancel=False):
     goal.request.max_velocity_scaling_factor = 0.05 if cancel else 1.0
     goal.planning_options.planning_scene_diff.is_diff = True
     with ActionClient(served.bus, "/move_group", "moveit_msgs/MoveGroup") as client:
-        sent = client.send(goal)
+        sent = client.send_goal(goal)
         if cancel:
             assert not sent.wait(2.0)
             sent.cancel()
@@ -114,14 +114,14 @@ def move(served, turn, cancel=False):
 def test_a_plan_drives_the_robots_action_in_its_namespace(planner):
     start = planner.cell.scene().state.positions
     done = move(planner, 0.3)
-    assert done.state is State.SUCCEEDED, done.text
+    assert done.state is GoalState.SUCCEEDED, done.text
     end = start + 0.3 * np.eye(6)[0]
     eventually(
         lambda: np.allclose(planner.cell.scene().state.positions, end, atol=1e-3)
     )  # states come at 50 Hz
     done = move(planner, -0.9, cancel=True)
-    assert done.state is State.PREEMPTED
+    assert done.state is GoalState.PREEMPTED
     assert start[0] - 0.6 < planner.cell.scene().state.positions[0] < start[0] + 0.3  # on the way
     done = move(planner, 1.5)
-    assert done.state is State.ABORTED
+    assert done.state is GoalState.ABORTED
     assert "PATH_TOLERANCE_VIOLATED: the elbow left its path" in done.result.error_code.message

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from armcell.core import InputError
-from armcell.ros.names import NameMap, resolved
+from armcell.ros.names import NameMap, resolve_program_name
 from armcell.ros.ros1 import Ros1Settings, from_environment
 
 
@@ -17,7 +17,7 @@ from armcell.ros.ros1 import Ros1Settings, from_environment
     ],
 )  # fmt: skip
 def test_resolving(name, full):
-    assert resolved(name, "/ns/n", "/ns") == full
+    assert resolve_program_name(name, "/ns/n", "/ns") == full
 
 
 def test_a_namespace_holds_the_whole_cell_but_what_is_global():

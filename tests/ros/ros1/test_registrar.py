@@ -20,13 +20,13 @@ def test_news_that_overtakes_the_answer_to_a_registration_is_not_lost(monkeypatc
     def ask(master, method, *arguments, timeout):
         asked.append(method)
         if method == "registerSubscriber" and asked.count(method) == 1:
-            told.publishers_are("/t", ["http://new/"])  # the answer was made before, and comes after
+            told.update_publishers("/t", ["http://new/"])  # the answer was made before, and comes after
             return []
         return ["http://new/"]
 
-    monkeypatch.setattr(registrar, "ask", ask)
+    monkeypatch.setattr(registrar, "call_method", ask)
     told = Registrar("http://m/", "/n", lambda: "http://n/", 1.0, lambda *what: heard.append(what), print)
-    told.want(Kind.SUBSCRIBER, "/t", STRING)
+    told.register(Kind.SUBSCRIBER, "/t", STRING)
     told.start()
     assert told.wait(5)
     told.close()

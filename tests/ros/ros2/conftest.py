@@ -72,11 +72,11 @@ class PeerProcess:
 @pytest.fixture(scope="module")
 def reach():
     """A domain that no other module's tests are in, at the same time and on the same machine."""
-    from armcell.ros.ros2 import Reach
+    from armcell.ros.ros2 import DomainScope
 
     pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
     tag = f"<CycloneDDS><Domain><Discovery><Tag>{uuid.uuid4().hex}</Tag></Discovery></Domain></CycloneDDS>"
-    return Reach(1 + next(DOMAINS) % 100, config=tag)
+    return DomainScope(1 + next(DOMAINS) % 100, config=tag)
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import pytest
 from tests import programs
 
 from armcell.core import InputError
-from armcell.ros import ActionClient, ActionServer, Bus, Done, ServiceError, State, schema
-from armcell.ros.ros2 import Profile, Reach, Ros2Bridge, Ros2Settings
+from armcell.ros import ActionClient, ActionOutcome, ActionServer, Bus, GoalState, ServiceError, schema
+from armcell.ros.ros2 import DomainScope, QosProfile, Ros2Bridge, Ros2Settings
 
 S = schema()
 RIHS = Path(__file__).parent / "rihs_jazzy.txt"
@@ -113,7 +113,7 @@ def test_a_mismatch_of_quality_is_said(bus, bridge, peer, caplog):
         assert said and "asks for transient local durability" in said[0] and "it gets nothing" in said[0]
         assert peer.matched("rt/plain") == 0
     other = Bus()
-    settings = Ros2Settings(bridge.settings.reach, "/strict", qos={"/weak": Profile(reliable=True)})
+    settings = Ros2Settings(bridge.settings.reach, "/strict", qos={"/weak": QosProfile(reliable=True)})
     peer.advertise("rt/weak", "String", reliable=False)
     with Ros2Bridge(other, settings), other.subscribe("/weak", "std_msgs/String"):
         said = until(lambda: [r.message for r in caplog.records if "/weak" in r.message])
@@ -212,12 +212,12 @@ def gripper(bus, seconds=0.5):
     def execute(goal):
         for i in range(10):
             if goal.cancel.wait(seconds / 10):
-                return Done(State.PREEMPTED, S.new(f"{GRIPPER}Result", position=0.5), "stopped")
+                return ActionOutcome(GoalState.PREEMPTED, S.new(f"{GRIPPER}Result", position=0.5), "stopped")
             goal.feedback(S.new(f"{GRIPPER}Feedback", position=(i + 1) / 10))
         if goal.message.command.position < 0:
-            return Done(State.REJECTED, S.new(f"{GRIPPER}Result"), "cannot open so far")
+            return ActionOutcome(GoalState.REJECTED, S.new(f"{GRIPPER}Result"), "cannot open so far")
         result = S.new(f"{GRIPPER}Result", position=goal.message.command.position, reached_goal=True)
-        return Done(State.SUCCEEDED, result)
+        return ActionOutcome(GoalState.SUCCEEDED, result)
 
     return ActionServer(bus, "/hand/gripper_cmd", GRIPPER, execute)
 
@@ -256,7 +256,7 @@ def test_an_action_of_the_bus_for_a_ros2_client(bus, bridge, peer):
 def test_every_endpoint_carries_its_type_hash(bus, bridge, peer):
     """ROS 2 nodes warn of an endpoint without user data, and compare services and actions by the hashes."""
     with (
-        ActionServer(bus, "/hashed", GRIPPER, lambda goal: Done(State.SUCCEEDED, goal.message)),
+        ActionServer(bus, "/hashed", GRIPPER, lambda goal: ActionOutcome(GoalState.SUCCEEDED, goal.message)),
         bus.serve("/hashed_service", TRIGGER, lambda request: request),
         bus.advertise("/hashed_topic", "std_msgs/String"),
         bus.subscribe("/heard_topic", "std_msgs/String"),
@@ -292,7 +292,7 @@ def test_fields_that_only_ros2_has_cross_the_bridge(bus, bridge, peer):
     def refuse(goal):
         asked.append(goal.message.controller_names)
         code = S.new("moveit_msgs/MoveItErrorCodes", -4)
-        return Done(State.ABORTED, S.new(f"{name}Result", code), "the arm is elsewhere")
+        return ActionOutcome(GoalState.ABORTED, S.new(f"{name}Result", code), "the arm is elsewhere")
 
     with ActionServer(bus, "/execute_trajectory", name, refuse):
         goal_id = {"uuid": [5] * 16}
@@ -338,14 +338,14 @@ def test_an_action_of_ros2_for_a_client_on_the_bus(bus, bridge, peer):
         assert until(lambda: bridge._reaching)
         goal, told = S.new(f"{GRIPPER}Goal"), []
         goal.command.position = 0.03
-        sent = client.send(goal, told.append)
-        assert sent.wait(10) and sent.state is State.SUCCEEDED
+        sent = client.send_goal(goal, told.append)
+        assert sent.wait(10) and sent.state is GoalState.SUCCEEDED
         assert sent.result.position == 0.03 and sent.result.reached_goal
         assert 8 <= len(told) <= 10 and told[-1].position == 1.0
-        sent = client.send(goal)
+        sent = client.send_goal(goal)
         time.sleep(0.2)
         sent.cancel()
-        assert sent.wait(10) and sent.state is State.PREEMPTED and not sent.result.reached_goal
+        assert sent.wait(10) and sent.state is GoalState.PREEMPTED and not sent.result.reached_goal
     assert until(lambda: not bridge._reaching)
 
 
@@ -355,7 +355,7 @@ def test_move_group_has_moveit_2s_name_outside(bus, bridge, peer):
 
     def execute(goal):
         result = S.new(f"{MOVE}Result", error_code=S.new("moveit_msgs/MoveItErrorCodes", 1))
-        return Done(State.SUCCEEDED, result)
+        return ActionOutcome(GoalState.SUCCEEDED, result)
 
     with (
         ActionServer(bus, "/move_group", MOVE, execute),
@@ -363,8 +363,8 @@ def test_move_group_has_moveit_2s_name_outside(bus, bridge, peer):
         ActionClient(other, "/move_group", MOVE) as client,
     ):
         assert client.wait_for_server(10)
-        sent = client.send(S.new(f"{MOVE}Goal"))
-        assert sent.wait(10) and sent.state is State.SUCCEEDED and sent.result.error_code.val == 1
+        sent = client.send_goal(S.new(f"{MOVE}Goal"))
+        assert sent.wait(10) and sent.state is GoalState.SUCCEEDED and sent.result.error_code.val == 1
         assert asking.services()["/move_action/_action/send_goal"] == f"{MOVE}_SendGoal"
         assert "rq/move_action/_action/send_goalRequest" in {found[0] for found in peer.found()}
 
@@ -374,10 +374,10 @@ def test_an_action_server_that_dies_aborts_the_goal(bus, bridge, mortal):
     mortal.serve_gripper("/mortal/gripper_cmd", 60.0)
     with ActionClient(bus, "/mortal/gripper_cmd", GRIPPER) as client:
         until(lambda: bridge._reaching)
-        sent = client.send(S.new(f"{GRIPPER}Goal"))
+        sent = client.send_goal(S.new(f"{GRIPPER}Goal"))
         assert not sent.wait(1.0)
         mortal.process.kill()
-        assert sent.wait(30) and sent.state is State.ABORTED and "went away" in sent.text
+        assert sent.wait(30) and sent.state is GoalState.ABORTED and "went away" in sent.text
     assert until(lambda: not bridge._reaching)
 
 
@@ -482,10 +482,10 @@ def subscriptions():
 @pytest.mark.slow
 def test_a_program_that_forgets_to_close_ends_all_the_same(reach):
     script = f"""
-from armcell.ros import Bus, Reach, Ros2Bridge, Ros2Settings
+from armcell.ros import Bus, DomainScope, Ros2Bridge, Ros2Settings
 bus = Bus()
 bus.subscribe("/a", "std_msgs/String")
-Ros2Bridge(bus, Ros2Settings(Reach({reach.domain}, config={reach.config!r}))).start()
+Ros2Bridge(bus, Ros2Settings(DomainScope({reach.domain}, config={reach.config!r}))).start()
 raise SystemExit(3)
 """
     ended = programs.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
@@ -494,7 +494,7 @@ raise SystemExit(3)
 
 def test_a_domain_that_is_joined_differently_already(reach, bus):
     with Ros2Bridge(bus, Ros2Settings(reach)):
-        other = Reach(reach.domain, "SUBNET", config=reach.config)
+        other = DomainScope(reach.domain, "SUBNET", config=reach.config)
         with pytest.raises(InputError, match="another reach already"):
             Ros2Bridge(Bus(), Ros2Settings(other)).start()
     with Ros2Bridge(Bus(), Ros2Settings(other)):  # the first one has left
@@ -510,18 +510,18 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch, bus):
     library.cache_clear()
     monkeypatch.setitem(sys.modules, "cyclonedds", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'armcell\[ros2\]'"):
-        Ros2Bridge(bus, Ros2Settings(Reach(3))).start()
+        Ros2Bridge(bus, Ros2Settings(DomainScope(3))).start()
     library.cache_clear()
 
 
 def test_wrong_settings(bus):
     with pytest.raises(InputError, match="unknown ROS 2 distribution 'noetic'"):
-        Ros2Bridge(bus, Ros2Settings(Reach(3), distro="noetic")).start()
+        Ros2Bridge(bus, Ros2Settings(DomainScope(3), distro="noetic")).start()
     for domain in (-1, 233):
         with pytest.raises(InputError, match="0 to 232"):
-            Reach(domain)
+            DomainScope(domain)
     with pytest.raises(InputError, match="LOCALHOST"):
-        Reach(0, "NEAR")
+        DomainScope(0, "NEAR")
     with pytest.raises(InputError, match="no topic or service name"):
-        Ros2Settings(Reach(3), node="my node")
+        Ros2Settings(DomainScope(3), node="my node")
     logging.getLogger("armcell").debug("nothing was started")

@@ -92,7 +92,7 @@ def test_a_namespaced_and_remapped_cell(reach, peer):
     """As `armcell serve --ros2 --namespace arm_left --remap ...`; the peers come late."""
     bus, action, states = Bus(), "/follow", "rt/arm_left/joint_states"
     live = load("panda_pick").connect("fake", 0, time_scale=4.0)
-    renamed = bus.renamed(name_map("armcell", "arm_left", [f"{ARM}:={action}"]))
+    renamed = bus.with_remapping(name_map("armcell", "arm_left", [f"{ARM}:={action}"]))
     bridge = Ros2Bridge(bus, Ros2Settings(reach, "/arm_left/armcell", distro="jazzy"))
     with bridge, ServedCell(live, renamed):
         peer.subscribe("rt/arm_left/robot_description", "String", reliable=True, latched=True)

@@ -63,7 +63,7 @@ def test_humbles_discovery_info_as_rosbags_reads_it(reach):
         other.reader(names.DISCOVERY, DISCOVERY_READER, heard.put)
         announcer = Announcer(one, codec, "/lab/armcell")
         announcer.add(bytes(range(16)), True)
-        announcer.tell()
+        announcer.announce()
         store = get_typestore(Stores.ROS2_HUMBLE)
         info = store.deserialize_cdr(heard.get(timeout=5).data, "rmw_dds_common/msg/ParticipantEntitiesInfo")
         node = info.node_entities_info_seq[0]

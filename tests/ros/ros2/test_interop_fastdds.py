@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from tests.ros.ros2.conftest import DOMAINS
 
 from armcell.ros import Bus, schema
-from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
+from armcell.ros.ros2 import DomainScope, Ros2Bridge, Ros2Settings
 
 pytestmark = [pytest.mark.interop, pytest.mark.slow]
 S = schema()
@@ -91,7 +91,9 @@ def program(tmp_path_factory):
 @pytest.fixture(params=["LOCALHOST", "SUBNET"])
 def bridge(request):
     """A bus in a domain of its own: Fast DDS has no discovery tags."""
-    made = Ros2Bridge(Bus(), Ros2Settings(Reach(100 + next(DOMAINS) % 100, request.param), distro="jazzy"))
+    made = Ros2Bridge(
+        Bus(), Ros2Settings(DomainScope(100 + next(DOMAINS) % 100, request.param), distro="jazzy")
+    )
     with made:
         yield made
 

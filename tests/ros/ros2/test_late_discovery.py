@@ -8,7 +8,7 @@ import pytest
 from tests.ros.ros2.conftest import LOCALHOST, PeerProcess
 
 from armcell.ros import Bus, schema
-from armcell.ros.ros2 import Reach, Ros2Bridge, Ros2Settings
+from armcell.ros.ros2 import DomainScope, Ros2Bridge, Ros2Settings
 
 ALONE = 35.0  # [s]
 SUBNET = (
@@ -30,7 +30,7 @@ def test_nodes_that_start_after_half_a_minute_are_found_at_once():
     with ExitStack() as stack:
         alone = {}
         for k, name in enumerate(("LOCALHOST", "SUBNET")):
-            reach = Reach(140 + 2 * k, name, config=TAG.format(uuid.uuid4().hex))
+            reach = DomainScope(140 + 2 * k, name, config=TAG.format(uuid.uuid4().hex))
             bus = Bus(schema())
             stack.enter_context(Ros2Bridge(bus, Ros2Settings(reach, distro="jazzy")))
             bus.advertise("/late", "std_msgs/String")
@@ -59,7 +59,7 @@ def test_nodes_that_start_after_half_a_minute_are_found_at_once():
 def test_nodes_find_each_other_in_every_range_and_order(range_, config, first):
     """A node of Humble with ROS_LOCALHOST_ONLY uses the loopback interface alone."""
     pytest.importorskip("cyclonedds", reason="cyclonedds is not installed (pip install 'armcell[ros2]')")
-    reach = Reach(146, range_, config=TAG.format(uuid.uuid4().hex))
+    reach = DomainScope(146, range_, config=TAG.format(uuid.uuid4().hex))
     with ExitStack() as stack:
 
         def armcell():

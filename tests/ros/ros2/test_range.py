@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from armcell.core import InputError
-from armcell.ros.ros2 import Profile, from_environment
-from armcell.ros.ros2.qos import LATCHED, offered, requested
+from armcell.ros.ros2 import QosProfile, from_environment
+from armcell.ros.ros2.qos import LATCHED, publisher_profile, subscriber_profile
 
 
 def read(reach):
@@ -57,16 +57,21 @@ def test_static_peers_and_an_own_configuration():
 
 
 def test_profiles():
-    assert offered("/joint_states", "sensor_msgs/JointState", False) == Profile(True, False, 10)
-    assert offered("/robot_description", "std_msgs/String", True) == LATCHED
-    assert offered("/tf_static", "tf2_msgs/TFMessage", False).latched
-    assert offered("/tf", "tf2_msgs/TFMessage", False).depth == 100
-    assert offered("/camera/image", "sensor_msgs/Image", False).depth == 5
-    best_effort, latched = Profile(reliable=False), Profile(latched=True)
-    assert requested([]) == Profile()
-    assert requested([Profile(), best_effort]) == best_effort
-    assert requested([latched, latched]) == latched and requested([latched, Profile()]) == Profile()
-    assert best_effort.lacks(Profile()) == ["reliable delivery"] and not Profile().lacks(best_effort)
-    assert len(best_effort.lacks(latched)) == 2
+    assert publisher_profile("/joint_states", "sensor_msgs/JointState", False) == QosProfile(True, False, 10)
+    assert publisher_profile("/robot_description", "std_msgs/String", True) == LATCHED
+    assert publisher_profile("/tf_static", "tf2_msgs/TFMessage", False).latched
+    assert publisher_profile("/tf", "tf2_msgs/TFMessage", False).depth == 100
+    assert publisher_profile("/camera/image", "sensor_msgs/Image", False).depth == 5
+    best_effort, latched = QosProfile(reliable=False), QosProfile(latched=True)
+    assert subscriber_profile([]) == QosProfile()
+    assert subscriber_profile([QosProfile(), best_effort]) == best_effort
+    assert (
+        subscriber_profile([latched, latched]) == latched
+        and subscriber_profile([latched, QosProfile()]) == QosProfile()
+    )
+    assert best_effort.missing_policies(QosProfile()) == [
+        "reliable delivery"
+    ] and not QosProfile().missing_policies(best_effort)
+    assert len(best_effort.missing_policies(latched)) == 2
     with pytest.raises(InputError, match="depth"):
-        Profile(depth=-1)
+        QosProfile(depth=-1)

@@ -5,7 +5,7 @@ import pytest
 from tests.ros.ros1.conftest import eventually
 
 from armcell.cell import load
-from armcell.ros import ActionClient, Bus, Ros2Bridge, Ros2Settings, State, schema
+from armcell.ros import ActionClient, Bus, GoalState, Ros2Bridge, Ros2Settings, schema
 from armcell.ros.nodes import ServedPlanner
 
 pytestmark = pytest.mark.slow
@@ -44,7 +44,7 @@ def move(served, turn, scaling=1.0, cancel=False):
     goal.request.max_velocity_scaling_factor = goal.request.max_acceleration_scaling_factor = scaling
     goal.planning_options.planning_scene_diff.is_diff = True
     with ActionClient(served.bus, "/move_group", "moveit_msgs/MoveGroup") as client:
-        begun = client.send(goal)
+        begun = client.send_goal(goal)
         if cancel:
             assert not begun.wait(2.0)
             begun.cancel()
@@ -55,7 +55,7 @@ def move(served, turn, scaling=1.0, cancel=False):
 def test_a_plan_drives_the_robots_action_and_a_cancel_reaches_it(planner, peer):
     start = planner.cell.scene().state
     done = move(planner, 0.3)
-    assert done.state is State.SUCCEEDED, done.text
+    assert done.state is GoalState.SUCCEEDED, done.text
     joints, points = peer.goals_taken()[0]
     assert joints == list(start.joint_names) and points >= 2
     end = start.positions + 0.3 * np.eye(6)[0]
@@ -63,7 +63,7 @@ def test_a_plan_drives_the_robots_action_and_a_cancel_reaches_it(planner, peer):
         lambda: np.allclose(planner.cell.scene().state.positions, end, atol=1e-3)
     )  # states come at 50 Hz
     done = move(planner, -1.5, scaling=0.05, cancel=True)
-    assert done.state is State.PREEMPTED and done.result.error_code.val == -7
+    assert done.state is GoalState.PREEMPTED and done.result.error_code.val == -7
     now = planner.cell.scene().state.positions[0]
     assert start.positions[0] + 0.3 - 1.0 < now < start.positions[0] + 0.3  # on the way
     assert len(peer.goals_taken()) == 2

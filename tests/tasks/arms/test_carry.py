@@ -12,7 +12,7 @@ from armcell.kinematics import kinematic_tree
 from armcell.planning.multi_arm.carry import plan_carry
 from armcell.planning.multi_arm.closed_chain import CarriedObject
 from armcell.tasks import checked
-from armcell.tasks.arms import CarrySettings, shifted
+from armcell.tasks.arms import CarrySettings, moved_object_pose
 
 pytestmark = pytest.mark.slow  # two arms: proofs, searches and physics by the second
 
@@ -47,7 +47,7 @@ def test_the_hands_keep_their_relative_pose_within_microns_in_the_plan(cell):
     with cell.connect("fake", observers=[kept]) as live:
         rod = live.carry("rod", **ENDS)
         start = live.scene().object("rod").T_world_object
-        over = shifted(start, 0.05, -0.1, 0.2, turn_deg=15)
+        over = moved_object_pose(start, 0.05, -0.1, 0.2, turn_deg=15)
         checked(rod.grasp(route=[over]))
         checked(rod.move(over))
         assert live.driver.object_poses()["rod"].isclose(over, 1e-5, 1e-5)
@@ -57,7 +57,7 @@ def test_the_hands_keep_their_relative_pose_within_microns_in_the_plan(cell):
     for t in np.arange(0, trajectory.duration, 1e-3):
         full[columns] = trajectory.sample(t)[0]
         hands = [tree.link_pose(full, f"{side}_gripper_tcp") for side in ("left", "right")]
-        between = hands[0].inv() @ hands[1]
+        between = hands[0].inverse() @ hands[1]
         first = between if first is None else first
         worst = tuple(max(a, b) for a, b in zip(worst, first.distance_to(between), strict=True))
     assert worst[0] < 2e-5 and worst[1] < 2e-5
@@ -72,9 +72,9 @@ def test_a_way_out_of_reach_or_blocked_says_who_and_where(cell):
         rod = live.carry("rod", **ENDS)
         start = live.scene().object("rod").T_world_object
         checked(rod.grasp())
-        far = rod.move(shifted(start, x=1.5))
+        far = rod.move(moved_object_pose(start, x=1.5))
         assert not far.ok and "_arm" in far.message and "%" in far.message
-        blocked = rod.move(shifted(start, z=-0.3))
+        blocked = rod.move(moved_object_pose(start, z=-0.3))
         assert not blocked.ok
         assert checked(rod.shift(z=0.1)).ok  # and it can still be carried
 
@@ -84,7 +84,7 @@ def test_more_squeeze_than_allowed_stops_both(cell):
         rod = live.carry("rod", CarrySettings(max_squeeze=0.5), **ENDS)
         start = live.scene().object("rod").T_world_object
         checked(rod.grasp())
-        result = rod.move(shifted(start, z=0.15))
+        result = rod.move(moved_object_pose(start, z=0.15))
         assert result.code is ErrorCode.CONTROL_FAILED and "squeeze" in result.message
         live.driver.advance(0.5)
         assert np.abs(live.driver.joint_state().velocities).max() < 5e-3
@@ -104,7 +104,7 @@ def test_admittance_takes_a_squeeze_away(cell):
             rod = live.carry("rod", settings, **ENDS)
             start = live.scene().object("rod").T_world_object
             checked(rod.grasp())
-            checked(rod.move(shifted(start, z=0.1)))
+            checked(rod.move(moved_object_pose(start, z=0.1)))
             rod._held.carried.grasps["right_arm"] = rod._held.carried.grasps["right_arm"] @ SE3.from_xyz(
                 3e-4, 0, 0
             )

@@ -12,7 +12,7 @@ from tests.tasks.test_merger import planned
 
 from armcell.cell import load
 from armcell.tasks import Merger, TaskFailed, TaskSettings, checked
-from armcell.tasks.arms.order import earliest, timetable
+from armcell.tasks.arms.object_order import best_order, timetable
 from armcell.tasks.arms.tour_cost import TourSegment
 from armcell.tasks.stages import Connect
 
@@ -127,7 +127,7 @@ def test_of_all_orders_of_three_arms_none_is_done_earlier():
     def ends(orders):
         return max(spans[-1][2] for spans in timetable([segments(order) for order in orders]))
 
-    best = earliest(streams, (segments,) * 3)
+    best = best_order(streams, (segments,) * 3)
     assert ends(best) == min(ends(orders) for orders in product(*map(permutations, streams))) < ends(streams)
 
 

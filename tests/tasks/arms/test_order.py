@@ -13,7 +13,7 @@ from armcell.core import InputError, JointState, UnknownNameError
 from armcell.planning import RunningMotion
 from armcell.tasks import TaskSettings, checked
 from armcell.tasks.arms import CycleTimes, orders
-from armcell.tasks.arms.order import ConflictCache, earliest
+from armcell.tasks.arms.object_order import ConflictCache, best_order
 from armcell.tasks.arms.tour_cost import TourEstimator, TourSegment
 
 TRAYS = ("red_tray", "blue_tray")
@@ -75,7 +75,7 @@ def by_trays_alone(streams):
             for segment in (TourSegment(2.0, 3.0), TourSegment(2.0, 3.0, tray_of(item)))
         )
 
-    best = earliest((streams[LEFT], streams[RIGHT]), (segments, segments))
+    best = best_order((streams[LEFT], streams[RIGHT]), (segments, segments))
     return dict(zip((LEFT, RIGHT), best, strict=True))
 
 
@@ -162,12 +162,12 @@ def test_where_arms_meet(cell):
         ]
 
     def stands(group, q):
-        return RunningMotion.standing(scene.with_state(JointState(names[group], q)), group)
+        return RunningMotion.at_rest(scene.with_state(JointState(names[group], q)), group)
 
     met = 0
     for k in range(40):
         segment, other = segments[RIGHT][int(rng.integers(54))], segments[LEFT][int(rng.integers(54))]
-        share = conflicts.share(1, segment, 0, other)
+        share = conflicts.conflict_section(1, segment, 0, other)
         begin, end = segment.motion_ends
         there = stands(LEFT, other.motion_ends[1])
         along = np.linspace(0.0, 1.0, 61)

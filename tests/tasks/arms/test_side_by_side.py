@@ -38,7 +38,7 @@ def nearest(cell, watch, group="both_arms") -> float:
     """By coal, over all that was executed [m]."""
     judge, best = Judge(cell.scene(), group), 0.1
     for _, state in watch.samples:
-        judge.checker.place(state.reindexed(judge.names).positions)
+        judge.checker.set_configuration(state.reindexed(judge.names).positions)
         for a, b in judge.pairs[judge.checker.pair_gaps(judge.pairs) < best]:
             best = min(best, judge.checker.pair_distance(int(a), int(b)))
     return best

@@ -18,6 +18,7 @@ import numpy as np
 from numba import cfunc, njit, types
 
 from armcell._inner_njit import inner_njit
+from armcell.collision.kernel.exact_checks import run_exact_tests
 from armcell.collision.kernel.frames import (
     ALIVE,
     EXACT,
@@ -32,8 +33,7 @@ from armcell.collision.kernel.frames import (
 )
 from armcell.collision.kernel.pairs import pairs_block
 from armcell.collision.kernel.simd import L, at_address, call, pointer
-from armcell.collision.kernel.undecided import decide
-from armcell.collision.kernel.world import world_block
+from armcell.collision.kernel.world_collision import world_block
 
 EVERY = np.int64((1 << L) - 1)  # all lanes
 
@@ -68,7 +68,7 @@ def _check_arrays(I, F, D, w, state, s, slack, slack_pair, lanes, mode):
         I, F, D, w, state, s, slack, slack_pair, mode
     )
     if not done and state[WAITING] != 0:
-        decide(I, F, D, w, state, s, slack, slack_pair, mode)
+        run_exact_tests(I, F, D, w, state, s, slack, slack_pair, mode)
     return lanes & ~state[ALIVE]
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell._array_store import keep, key_of, recall
-from armcell.collision import decompose
-from armcell.collision.convex import VERSION as PIECES_VERSION
-from armcell.collision.convex import convex_pieces
+from armcell.collision import object_decomposition
+from armcell.collision.convex_decomposition import VERSION as PIECES_VERSION
+from armcell.collision.convex_decomposition import convex_pieces
+from armcell.collision.kernel.convex_pieces import ConvexPieces, HullVertices, Splitter, pieces_of
 from armcell.collision.kernel.cover import FIT_VERSION, GROUP, Cover, bounding_sphere, cover
-from armcell.collision.kernel.pieces import Corners, Pieces, Splitter, pieces_of
 from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Shape, Sphere
 from armcell.core.geometry import local_bounds
 from armcell.model import Link
@@ -44,7 +44,7 @@ class Body:
     spheres: F64
     groups: F64
     sizes: list[int]
-    pieces: Pieces
+    pieces: ConvexPieces
 
     @cached_property
     def _centers(self) -> F64:
@@ -98,7 +98,7 @@ def link_body(link: Link, scale: float, overshoot: float) -> Body:
 
 def held_body(shapes: tuple[tuple[Shape, SE3], ...]) -> Body:
     """Return the kernel's data of a held object, from its shapes and their poses in the object."""
-    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes], decompose.object_pieces)
+    return _body([(s, t.matrix, _object_overshoot(s)) for s, t in shapes], object_decomposition.object_pieces)
 
 
 def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_pieces) -> Body:
@@ -109,7 +109,7 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
     """
     if not any(isinstance(shape, Mesh) for shape, _, _ in shapes):
         return _new_body(shapes, split)
-    version = PIECES_VERSION if split is convex_pieces else (split.__name__, decompose.VERSION)
+    version = PIECES_VERSION if split is convex_pieces else (split.__name__, object_decomposition.VERSION)
     versions = repr((BODY_VERSION, FIT_VERSION, version, GROUP))
     key = key_of(versions, *(part for shape, T, over in shapes for part in _content(shape, T, over)))
     stored = recall("bodies", key)
@@ -122,8 +122,8 @@ def _body(shapes: list[tuple[Shape, F64, float]], split: Splitter = convex_piece
             piece_ball=p.ball, corner_count=p.corners.count, corners=p.corners.points,
         )  # fmt: skip
         return body
-    corners = Corners(stored["corner_count"], stored["corners"])
-    pieces = Pieces(
+    corners = HullVertices(stored["corner_count"], stored["corners"])
+    pieces = ConvexPieces(
         stored["piece_kind"], stored["piece_size"], stored["piece_pose"], stored["piece_ball"], corners
     )
     return Body(stored["around"], stored["spheres"], stored["groups"], stored["sizes"].tolist(), pieces)

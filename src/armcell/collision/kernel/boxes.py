@@ -9,7 +9,7 @@ from armcell.collision.kernel.simd import L, fma, load, mask_lt, splat
 
 
 @inner_njit(forceinline=True)
-def into(F, m, cx, cy, cz):
+def to_shape_frame(F, m, cx, cy, cz):
     """Transform points from the world frame to the frame of a world shape, one point per SIMD lane.
 
     The rows of the transform's 3x4 matrix are stored in F, beginning at F[m].
@@ -21,7 +21,7 @@ def into(F, m, cx, cy, cz):
 
 
 @inner_njit(forceinline=True)
-def turned(F, m, cx, cy, cz):
+def rotate_to_shape_frame(F, m, cx, cy, cz):
     """Rotate vectors from the world frame to the frame of a world shape, one vector per SIMD lane.
 
     The rows of the transform's 3x4 matrix are stored in F, beginning at F[m]. Its translation is ignored.

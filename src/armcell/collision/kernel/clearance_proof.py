@@ -10,7 +10,7 @@ from numba import njit
 from armcell.collision.kernel import gjk
 from armcell.collision.kernel.block import AT_S, AT_SLACK_PAIR, FIRST, ints
 from armcell.collision.kernel.layout import PAIRS
-from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
+from armcell.collision.kernel.motion import FINEST, PROVEN, deviation_margins, prove
 from armcell.collision.kernel.simd import at_address, pointer
 
 
@@ -29,7 +29,7 @@ def first_below_clearance(handle, points, room, distance):
     I, s = ints(k), at_address(np.float64, k[AT_S])
     slack_pair = at_address(np.float32, k[AT_SLACK_PAIR])
     rows, at = np.arange(n) * dof, np.empty(n)  # used after the call, to stay alive
-    loosen(k, pointer(room))
+    deviation_margins(k, pointer(room))
     for b in range(I[PAIRS]):
         slack_pair[b] += np.float32(distance)
     s[gjk.CLOSE] = distance

@@ -14,7 +14,7 @@ import numpy as np
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
-from armcell.collision.kernel.boxes import boxes_hit, into, turned
+from armcell.collision.kernel.boxes import boxes_hit, rotate_to_shape_frame, to_shape_frame
 from armcell.collision.kernel.frames import (
     ALIVE,
     EXACT,
@@ -26,9 +26,9 @@ from armcell.collision.kernel.frames import (
     STACK,
     ball_at,
     center,
-    half_at,
+    interval_half_width_at,
     local_at,
-    need_at,
+    required_distance_at,
     velocity_at,
 )
 from armcell.collision.kernel.layout import (
@@ -47,6 +47,7 @@ from armcell.collision.kernel.layout import (
     SHAPE_POSE,
     SPHERE,
 )
+from armcell.collision.kernel.record_result import record_collision, record_contact
 from armcell.collision.kernel.simd import (
     L,
     fma,
@@ -63,7 +64,6 @@ from armcell.collision.kernel.simd import (
     vmin,
     vsqrt,
 )
-from armcell.collision.kernel.verdict import fail, touch
 
 NO_GROUP = np.int64(-1)
 DONE = np.int64(-1)
@@ -159,13 +159,13 @@ def _local(I, F, w, state, o, g, f, mode):
     m, out, first = I[SHAPE_POSE] + 12 * o, local_at(I), I[BODIES] + I[GROUPS]
     for k in range(I[I[GROUP_SPHERES] + g], I[I[GROUP_SPHERES] + g + 1]):
         at = center(I, F, w, state, first + k, f, I[SPHERE] + 5 * k, mode)
-        x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+        x, y, z = to_shape_frame(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
         store(w, out, x)
         store(w, out + L, y)
         store(w, out + 2 * L, z)
         if mode & PROVE:
             v = velocity_at(I, first + k)
-            x, y, z = turned(F, m, load(w, v), load(w, v + L), load(w, v + 2 * L))
+            x, y, z = rotate_to_shape_frame(F, m, load(w, v), load(w, v + L), load(w, v + 2 * L))
             store(w, out + 3 * L, x)
             store(w, out + 4 * L, y)
             store(w, out + 5 * L, z)
@@ -201,7 +201,7 @@ def _group_to_parts(I, F, w, state, o, g, f, kind, at, lane, more, mode):
         if mode & PROVE:
             rate = fma(dx, splat(w[b + 3 * L]), fma(dy, splat(w[b + 4 * L]), dz * splat(w[b + 5 * L])))
             length = vsqrt(fma(dx, dx, fma(dy, dy, fma(dz, dz, tiny))))
-            need = fma(splat(w[half_at(I) + lane]), vabs(rate) / length, need)
+            need = fma(splat(w[interval_half_width_at(I) + lane]), vabs(rate) / length, need)
         b += 6 * L
         hit = mask_lt(gap, splat(F[sphere + 3]) + need)
         if hit == 0:
@@ -228,13 +228,13 @@ def _parts_block(I, F, w, state, o, g, f, kind, at, lanes, open_lanes, more_at, 
             continue
         bit = np.int64(1) << lane
         if mode & EXACT == 0:
-            if fail(state, bit, mode):
+            if record_collision(state, bit, mode):
                 return DONE
         elif sure != 0:
-            if touch(state, bit, mode):
+            if record_contact(state, bit, mode):
                 return DONE
         elif close != 0:
-            if fail(state, bit, mode):
+            if record_collision(state, bit, mode):
                 return DONE
         else:
             open_lanes |= bit
@@ -312,7 +312,11 @@ def _grown(I, w, i, radius, more, mode):
     The ball is around center i.
     """
     reach = splat(radius) + more
-    return fma(load(w, half_at(I)), load(w, velocity_at(I, i) + 3 * L), reach) if mode & PROVE else reach
+    return (
+        fma(load(w, interval_half_width_at(I)), load(w, velocity_at(I, i) + 3 * L), reach)
+        if mode & PROVE
+        else reach
+    )
 
 
 @inner_njit
@@ -321,17 +325,17 @@ def body_to_cloud(I, F, w, state, body, o, more, lanes, mode):
     Return a bit mask of the SIMD lanes that need an exact test, or DONE if the check can stop early.
     """
     f, bodies, m, open_lanes = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, np.int64(0)
-    more_at = need_at(I) + L
+    more_at = required_distance_at(I) + L
     store(w, more_at, more)
     at = center(I, F, w, state, body, f, I[BODY_SPHERE] + 4 * body, mode)
-    x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+    x, y, z = to_shape_frame(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
     reach = _grown(I, w, body, F[I[BODY_SPHERE] + 4 * body + 3], more, mode)
     if _walk(I, F, w, state, o, NO_GROUP, f, x, y, z, reach, lanes, more_at, mode) == 0:
         return open_lanes
     for g in range(I[I[BODY_GROUPS] + body], I[I[BODY_GROUPS] + body + 1]):
         sphere = I[GROUP_SPHERE] + 4 * g
         at = center(I, F, w, state, bodies + g, f, sphere, mode)
-        x, y, z = into(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
+        x, y, z = to_shape_frame(F, m, load(w, at), load(w, at + L), load(w, at + 2 * L))
         reach = _grown(I, w, bodies + g, F[sphere + 3], more, mode)
         left = lanes & ~open_lanes if mode & PROVE else lanes
         found = _walk(I, F, w, state, o, np.int64(g), f, x, y, z, reach, left, more_at, mode)
@@ -354,12 +358,17 @@ def next_parts(I, F, w, state, body, o, lane, mode, group, top, count):
         count: number of listed parts.
     """
     f, bodies, m, c = I[I[FRAME] + body], I[BODIES], I[SHAPE_POSE] + 12 * o, _cloud_of(I, o)
-    need, more = w[need_at(I) + lane], w[need_at(I) + (L if mode & PROVE else 0) + lane]
+    need, more = (
+        w[required_distance_at(I) + lane],
+        w[required_distance_at(I) + (L if mode & PROVE else 0) + lane],
+    )
     zero, stack = splat(np.float32(0.0)), STACK + MAX_STACK // 2
     while group < I[I[BODY_GROUPS] + body + 1]:
         sphere = I[GROUP_SPHERE] + 4 * group
         at = center(I, F, w, state, bodies + group, f, sphere, mode)
-        x, y, z = into(F, m, splat(w[at + lane]), splat(w[at + L + lane]), splat(w[at + 2 * L + lane]))
+        x, y, z = to_shape_frame(
+            F, m, splat(w[at + lane]), splat(w[at + L + lane]), splat(w[at + 2 * L + lane])
+        )
         reach = splat(F[sphere + 3] + need)
         if top == 0:
             state[stack] = 0

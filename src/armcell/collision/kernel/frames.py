@@ -82,7 +82,7 @@ def rate_at(I, j):
 
 
 @inner_njit(forceinline=True)
-def half_at(I):
+def interval_half_width_at(I):
     """Return the index in the workspace array `w` of the interval half-widths, one per SIMD lane.
     In a motion proof, each lane certifies an interval of the edge around its configuration.
 
@@ -92,7 +92,7 @@ def half_at(I):
 
 
 @inner_njit(forceinline=True)
-def need_at(I):
+def required_distance_at(I):
     """Return the index in the workspace array `w` of the 8 vectors in which the kernel stores a body pair's
     margins for exact tests.
     """
@@ -133,10 +133,11 @@ def velocity_at(I, i):
 
 
 @inner_njit(forceinline=True)
-def more_at(I, body):
+def body_margin_at(I, body):
     """Return the index in the workspace array `w` of the margin by which a motion proof enlarges a body.
 
-    The margin covers deviations and changes of velocity, but not the motion at constant speed (see `bend`).
+    The margin covers deviations and changes of velocity, but not the motion at constant speed
+    (see `motion_margin`).
     """
     return velocity_at(I, I[BODIES] + I[GROUPS] + I[SPHERES]) + body * L
 
@@ -148,7 +149,7 @@ def local_at(I):
 
     Each sphere has 6 vectors.
     """
-    return more_at(I, I[BODIES])
+    return body_margin_at(I, I[BODIES])
 
 
 @inner_njit(forceinline=True)
@@ -252,7 +253,7 @@ def twist_block(I, F, w):
         store(w, dst + 4 * L, vy if turns else vy + ay)
         store(w, dst + 5 * L, vz if turns else vz + az)
         turning = turning + (vabs(rate) if turns else zero)
-    store(w, half_at(I) + L, turning)
+    store(w, interval_half_width_at(I) + L, turning)
 
 
 @inner_njit(forceinline=True)
@@ -290,7 +291,7 @@ def center(I, F, w, state, i, f, sphere, mode):
 
 
 @inner_njit
-def bend(I, F, w, reach, slack):
+def motion_margin(I, F, w, reach, slack):
     """Return the margin by which a motion proof enlarges the spheres of a body,
     to allow for deviations and changes of velocity.
 
@@ -299,7 +300,7 @@ def bend(I, F, w, reach, slack):
     prismatic joints. This bound times the squared half width covers the motion that the velocity in the
     middle of the interval does not include.
     """
-    at = half_at(I)
+    at = interval_half_width_at(I)
     total = splat(np.float32(0.0))
     for j in range(I[DOF]):
         total = fma(vabs(load(w, rate_at(I, j))), splat(F[reach + j]), total)

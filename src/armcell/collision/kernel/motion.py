@@ -24,7 +24,7 @@ from armcell.collision.kernel.block import (
     ints,
     lanes_of,
 )
-from armcell.collision.kernel.frames import TOUCHING, half_at, rate_at
+from armcell.collision.kernel.frames import TOUCHING, interval_half_width_at, rate_at
 from armcell.collision.kernel.layout import BODIES, DOF, PAIR_REACH, PAIRS, REACH
 from armcell.collision.kernel.simd import L, at_address, fma, iota, pointer, splat, store
 
@@ -42,7 +42,7 @@ ROOM = 2048  # capacity of a proof's stack of intervals
 
 
 @inner_njit(forceinline=True)
-def spread(I, w, p, a, b, at, step):
+def fill_lanes(I, w, p, a, b, at, step):
     """Fill the 16 SIMD lanes with evenly spaced configurations on one edge of a motion.
 
     The edge leads from p[a:] to p[b:]; the fractions of the edge are at, at + step, ...
@@ -64,7 +64,7 @@ def edge_free(k, p, a, b, step):
         length += (p[b + j] - p[a + j]) ** 2
     blocks = max(int(np.ceil(np.sqrt(length) / (L * step))), 1)
     for n in range(blocks):
-        spread(I, w, p, a, b, (1.0 - n / blocks) / L, 1.0 / L)
+        fill_lanes(I, w, p, a, b, (1.0 - n / blocks) / L, 1.0 / L)
         if check_block(k, EVERY, np.int64(EXACT | PADDED)) != 0:
             return False
     return True
@@ -122,7 +122,7 @@ def prove(k, p, first, last, count, at, mode, finest):
                 rate = p[b + j] - p[a + j]
                 w[j * L + lane] = np.float32(p[a + j] + t * rate)
                 w[rate_at(I, j) + lane] = np.float32(rate)
-            w[half_at(I) + lane] = np.float32(half[slot])
+            w[interval_half_width_at(I) + lane] = np.float32(half[slot])
         lanes = (np.int64(1) << n) - 1
         left = check_block(k, lanes, np.int64(mode))
         if left == 0:
@@ -150,7 +150,7 @@ def prove(k, p, first, last, count, at, mode, finest):
 
 
 @inner_njit
-def loosen(k, room):
+def deviation_margins(k, room):
     """Compute how far [m] bodies may deviate from the motion that a proof checks,
     given the largest deviation of each joint.
 
@@ -172,7 +172,7 @@ def loosen(k, room):
 
 
 @njit(cache=True, nogil=True)
-def free_edge(handle, ends, step):
+def check_edge(handle, ends, step):
     """Return whether the straight motion in joint space between two
     configurations `ends` (2, dof) is collision-free.
 
@@ -196,7 +196,7 @@ def prove_points(handle, points, room, distance, mode):
     I, s = ints(k), at_address(np.float64, k[AT_S])
     slack, slack_pair = at_address(np.float32, k[AT_SLACK]), at_address(np.float32, k[AT_SLACK_PAIR])
     rows, at = np.arange(n) * dof, np.empty(n)  # used after the call, to stay alive
-    loosen(k, pointer(room))
+    deviation_margins(k, pointer(room))
     for b in range(I[BODIES]):
         slack[b] += np.float32(distance)
     for b in range(I[PAIRS]):

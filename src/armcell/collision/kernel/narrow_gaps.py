@@ -11,8 +11,8 @@ import coal
 import numpy as np
 
 from armcell._array_store import keep, key_of, recall
+from armcell.collision.coal_shapes import solid
 from armcell.collision.kernel.bodies import FINE_OVERSHOOT, LINK_OVERSHOOT
-from armcell.collision.shapes import solid
 from armcell.core import Mesh
 from armcell.kinematics import kinematic_tree
 from armcell.kinematics.tree import FIXED

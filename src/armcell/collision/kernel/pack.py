@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.kernel.pieces import join_pieces
-from armcell.collision.kernel.robot_part import RobotPart
+from armcell.collision.kernel.convex_pieces import join_pieces
+from armcell.collision.kernel.robot_arrays import RobotPart
 from armcell.collision.kernel.world_arrays import World
 from armcell.scene import PlanningScene
 

@@ -72,7 +72,7 @@ class PairSampler:
         names = checker.names.bodies
         self.pairs = [(names[i], names[j]) for i, j in checker.pack.pairs]
 
-    def close(
+    def contact_masks(
         self, numbers: I64, q: F64, within: float = 0.0, progress: Callable[[int], None] | None = None
     ) -> NDArray[np.bool_]:
         """Return a mask (len(numbers), samples) of the sampled configurations in which a body pair is in

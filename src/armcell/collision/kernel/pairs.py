@@ -8,15 +8,16 @@ import numpy as np
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel import gjk
+from armcell.collision.kernel.exact_checks import queue_exact_test
 from armcell.collision.kernel.frames import (
     ALIVE,
     EXACT,
     PROVE,
-    bend,
+    body_margin_at,
     center,
     center_at,
-    half_at,
-    more_at,
+    interval_half_width_at,
+    motion_margin,
     velocity_at,
 )
 from armcell.collision.kernel.layout import (
@@ -37,9 +38,8 @@ from armcell.collision.kernel.layout import (
     PAIRS,
     SPHERE,
 )
+from armcell.collision.kernel.record_result import record_collision, record_contact
 from armcell.collision.kernel.simd import L, fma, load, mask_lt, splat, vabs, vsqrt
-from armcell.collision.kernel.undecided import wait
-from armcell.collision.kernel.verdict import fail, touch
 
 DONE = np.int64(-1)
 
@@ -59,7 +59,7 @@ def _near(I, w, state, i, j, radii, more, mode):
     apart2, need = fma(dx, dx, fma(dy, dy, dz * dz)), splat(radii) + more
     if mode & PROVE == 0:
         return mask_lt(apart2, need * need) & state[ALIVE]
-    u, v, half = velocity_at(I, i), velocity_at(I, j), load(w, half_at(I))
+    u, v, half = velocity_at(I, i), velocity_at(I, j), load(w, interval_half_width_at(I))
     apart = vsqrt(apart2 + splat(np.float32(1e-12)))
     rate = dx * (load(w, u) - load(w, v))
     rate = fma(dy, load(w, u + L) - load(w, v + L), rate)
@@ -76,10 +76,10 @@ def _far(I, F, w, state, i, j, radii):
     a, b = center_at(I, i), center_at(I, j)
     dx, dy = load(w, a) - load(w, b), load(w, a + L) - load(w, b + L)
     dz = load(w, a + 2 * L) - load(w, b + 2 * L)
-    need, half = splat(radii), load(w, half_at(I))
+    need, half = splat(radii), load(w, interval_half_width_at(I))
     for body in (i, j):
         if I[I[FRAME] + body] > 0:
-            need = fma(half, load(w, velocity_at(I, body) + 3 * L), need + load(w, more_at(I, body)))
+            need = fma(half, load(w, velocity_at(I, body) + 3 * L), need + load(w, body_margin_at(I, body)))
     return mask_lt(fma(dx, dx, fma(dy, dy, dz * dz)), need * need) & state[ALIVE] == 0
 
 
@@ -115,7 +115,7 @@ def _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode):
                     splat(close),
                     np.int64(EXACT),
                 )
-                if surely != 0 and touch(state, surely, mode):
+                if surely != 0 and record_contact(state, surely, mode):
                     return DONE
             near |= hit
     return near
@@ -141,14 +141,14 @@ def _pair_of_bodies(I, F, D, w, state, s, slack, slack_pair, pair, more, close, 
             near = _groups_of_pair(I, F, w, state, s, g, h, f, e, more, close, mode)
             if near == DONE:
                 return True
-            if near != 0 and mode & EXACT == 0 and fail(state, near, mode):
+            if near != 0 and mode & EXACT == 0 and record_collision(state, near, mode):
                 return True
             open_lanes |= near
     open_lanes &= state[ALIVE]
     return (
         mode & EXACT != 0
         and open_lanes != 0
-        and wait(I, F, D, w, state, s, slack, slack_pair, i, -1 - pair, open_lanes, mode)
+        and queue_exact_test(I, F, D, w, state, s, slack, slack_pair, i, -1 - pair, open_lanes, mode)
     )
 
 
@@ -169,7 +169,7 @@ def pairs_block(I, F, D, w, state, s, slack, slack_pair, mode):
         if mode & PROVE:
             if _far(I, F, w, state, i, j, F[si + 3] + F[sj + 3] + margin + slack_pair[pair]):
                 continue
-            more = more + bend(I, F, w, I[PAIR_RATE] + I[DOF] * pair, slack_pair[pair])
+            more = more + motion_margin(I, F, w, I[PAIR_RATE] + I[DOF] * pair, slack_pair[pair])
         if _near(I, w, state, i, j, F[si + 3] + F[sj + 3], more, mode) == 0:
             continue
         close = max(np.float32(s[gjk.CLOSE]), margin)

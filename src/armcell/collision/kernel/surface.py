@@ -6,7 +6,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.shapes import triangle_model
+from armcell.collision.coal_shapes import triangle_model
 from armcell.collision.winding import winding_numbers
 from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
 

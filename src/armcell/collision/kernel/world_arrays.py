@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.box_tree import box_tree
-from armcell.collision.kernel.world_part import (
+from armcell.collision.kernel.object_tables import (
     BLOCKS,
     CLOUDS,
     NUMBERS,

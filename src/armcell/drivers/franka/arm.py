@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError, JointTrajectory
-from armcell.drivers.following import RUNNING, Following
+from armcell.drivers.execution_handle import RUNNING, ExecutionHandle
 from armcell.drivers.franka.hand import FrankaHand
 from armcell.drivers.franka.identity import HINTS, FrankaIdentity, check_position, identify
 from armcell.drivers.franka.link import WorkerLink
@@ -18,7 +18,7 @@ from armcell.drivers.franka.streaming import TICK
 from armcell.drivers.franka.wire.commands import REQUESTS, Command, RecoveryStatus
 from armcell.drivers.franka.wire.limits import FrankaLimits, limits_of
 from armcell.drivers.franka.wire.state import GeneratorMode, RobotMode, RobotState
-from armcell.drivers.guarding import ArmSample
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real import RealArm, RealGripper, RealSettings
 from armcell.drivers.safety import Fault
 from armcell.model import Gripper
@@ -279,7 +279,7 @@ class FrankaArm(RealArm):
             time.sleep(0.005)
 
     # --- motion ---
-    def follow(self, trajectory: JointTrajectory) -> Following:
+    def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
         return Played(self, trajectory.reindexed(self.joint_names))
 
     def play(self, trajectory: JointTrajectory) -> tuple[int, float]:
@@ -325,7 +325,7 @@ class Played:
         self._arm, self._duration = arm, trajectory.duration
         self._number, self._slower = arm.play(trajectory)
 
-    def clock(self) -> float:
+    def trajectory_time(self) -> float:
         if self.state() == "done":
             return self._duration
         return min(self._arm.clock(self._number) / self._slower, self._duration)

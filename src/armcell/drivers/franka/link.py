@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.core import InputError
-from armcell.drivers.following import RUNNING
+from armcell.drivers.execution_handle import RUNNING
 from armcell.drivers.franka import frames
 from armcell.drivers.franka.wire.commands import Command, WireError
 from armcell.drivers.franka.wire.state import RobotState, read_state

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, JointTrajectory
-from armcell.drivers.following import Following
-from armcell.drivers.guarding import ArmSample
+from armcell.drivers.execution_handle import ExecutionHandle
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real.identity import RobotIdentity
 from armcell.drivers.safety import Fault
 from armcell.model import Gripper
@@ -182,7 +182,7 @@ class RealArm(ABC):
 
     # --- motion ---
     @abstractmethod
-    def follow(self, trajectory: JointTrajectory) -> Following:
+    def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
         """Start a trajectory that a real arm plays itself, and return a handle for it.
 
         A robot without such a function streams the setpoints in a thread of its own: see `motion.Streamed`.

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from armcell import _interrupts
 from armcell.core import SE3, InputError, JointState, JointTrajectory, Outcome
 from armcell.drivers.driver import Capability, Driver, DriverOptions, GripperReading, drivers
-from armcell.drivers.following import Following, SentClock
-from armcell.drivers.guarding import MotionGuard
+from armcell.drivers.execution_handle import ExecutionHandle, SetpointHistory
+from armcell.drivers.motion_guard import MotionGuard
 from armcell.drivers.real.arm import RealArm, RealGripper
 from armcell.drivers.real.block import real_settings
 from armcell.drivers.real.heartbeat import Heartbeat
@@ -154,12 +154,12 @@ class RealDriver(Driver):
             )
         return self._supervisor
 
-    def rehearse(self, trajectory: JointTrajectory) -> Outcome | None:
+    def dry_run(self, trajectory: JointTrajectory) -> Outcome | None:
         """Dry-run a trajectory for the real driver in the twin. Return the reason to refuse it, or None."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
         held = {gripper: item for gripper, (item, _) in self._held.items()}
-        return self.guard.rehearse(trajectory, self.joint_state(), self._poses, held)
+        return self.guard.dry_run(trajectory, self.joint_state(), self._poses, held)
 
     def __exit__(self, *exc: object) -> None:
         self._supervisor = None
@@ -234,7 +234,7 @@ class RealDriver(Driver):
         return self._advanced
 
     @property
-    def tick(self) -> float:
+    def next_command_time(self) -> float:
         """Return the real driver's time [s] for the next command.
         Each call of `advance` adds its duration to this time.
 
@@ -255,7 +255,7 @@ class RealDriver(Driver):
     ) -> JointState:
         """Stream a joint target to the real driver's arms that own the joints. After a stop, nothing is sent.
 
-        The target is due `stream_lead` after `tick`, on one clock for all arms.
+        The target is due `stream_lead` after `next_command_time`, on one clock for all arms.
         """
         sent = JointState(joint_names, positions, velocities, time=self.now)  # type: ignore[arg-type]
         if self.fault() is None:
@@ -266,7 +266,7 @@ class RealDriver(Driver):
                 arm.servo(mine.positions, speed, at)
         return sent
 
-    def follow(self, trajectory: JointTrajectory) -> Following:
+    def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
         """Start a trajectory on real arms.
         A single arm receives the whole trajectory. Several arms receive streamed setpoints.
 
@@ -281,7 +281,7 @@ class RealDriver(Driver):
         streamed = Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
         return self._guarded(supervisor, streamed, trajectory, arms, streamed.sent_for)
 
-    def watch(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
+    def monitor_execution(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
         """Return the real driver's monitor that compares a streamed motion with its dry run."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
@@ -292,12 +292,17 @@ class RealDriver(Driver):
         return moving
 
     def _guarded(
-        self, supervisor: Supervisor, following: Following, trajectory: JointTrajectory, arms: list[RealArm],
-        sent_for: SentClock | None = None, forced: bool = False,
-    ) -> Following:  # fmt: skip
+        self,
+        supervisor: Supervisor,
+        following: ExecutionHandle,
+        trajectory: JointTrajectory,
+        arms: list[RealArm],
+        sent_for: SetpointHistory | None = None,
+        forced: bool = False,
+    ) -> ExecutionHandle:
         if self.guard is None:
             return following
-        return self.guard.watching(following, trajectory, arms, supervisor.trip, sent_for, forced)
+        return self.guard.monitor(following, trajectory, arms, supervisor.trip, sent_for, forced)
 
     def _arms_of(self, joint_names: Iterable[str]) -> list[RealArm]:
         names = set(joint_names)
@@ -467,9 +472,9 @@ class RealDriver(Driver):
         else:
             for item, pose in self._poses.items():
                 low, high = self._scene.object(item).bounds()
-                point = pose.inv().apply(T_world_tcp.translation)
+                point = pose.inverse().apply(T_world_tcp.translation)
                 if np.all(point >= low) and np.all(point <= high):
-                    self._held[gripper] = (item, T_world_tcp.inv() @ pose)
+                    self._held[gripper] = (item, T_world_tcp.inverse() @ pose)
                     break
 
     def object_poses(self) -> dict[str, SE3]:
@@ -484,15 +489,15 @@ class RealDriver(Driver):
     # A real robot detects contacts only by protective stops; the twin's simulation detects all of them.
     def expect_contact(self, body: str, others: Iterable[str], expected: bool = True) -> None:
         if self.guard is not None:
-            self.guard.stage.expect_contact(body, tuple(others), expected)
+            self.guard.simulation.expect_contact(body, tuple(others), expected)
 
     def watch_object(self, name: str, supports: Iterable[str] = ()) -> None:
         if self.guard is not None:
-            self.guard.stage.watch_object(name, tuple(supports))
+            self.guard.simulation.watch_object(name, tuple(supports))
 
     def unwatch_object(self, name: str) -> None:
         if self.guard is not None:
-            self.guard.stage.unwatch_object(name)
+            self.guard.simulation.unwatch_object(name)
 
 
 drivers.register("real")(RealDriver)

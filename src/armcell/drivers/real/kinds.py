@@ -88,7 +88,7 @@ class RobotKind(ABC, Generic[A, I]):
 
     @abstractmethod
     def calibrated(self, model: RobotModel, group: str, found: I) -> RobotModel:
-        """Return the model with the factory calibration of an arm, as the robot kind reports it.
+        """Return a robot model that includes the factory calibration, which the arm's controller reports.
 
         Raises:
             InputError: the calibration does not fit the model, or robots of this kind report none.

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from armcell.core import JointTrajectory
-from armcell.drivers.following import CANCELLED, DONE, RUNNING, Following, SentClock
+from armcell.drivers.execution_handle import CANCELLED, DONE, RUNNING, ExecutionHandle, SetpointHistory
 from armcell.drivers.real.arm import Array, RealArm
 from armcell.drivers.safety import Fault
 
@@ -22,7 +22,7 @@ class Streamed:
         self._lead = lead  # [s] from sending a point until its due time
         self._arms, self._trajectory, self._fault = arms, trajectory, fault
         self._clock, self._state = 0.0, RUNNING
-        self.sent_for = SentClock()
+        self.sent_for = SetpointHistory()
         self.sent_at: list[float] = []  # send times of the points [s, monotonic]
         self._cancel = threading.Event()
         threading.Thread(target=self._stream, name="arm stream", daemon=True).start()
@@ -37,7 +37,7 @@ class Streamed:
             scaling = min(arm.scaling for arm in self._arms)
             q, v, _ = self._trajectory.sample(first + self._clock)
             self.sent_at.append(time.monotonic())
-            self.sent_for.sent(due + self._lead, self._clock)
+            self.sent_for.record(due + self._lead, self._clock)
             for arm, own in zip(self._arms, columns):
                 arm.servo(q[own], v[own] * scaling, due + self._lead)
             if self._clock >= duration:
@@ -51,7 +51,7 @@ class Streamed:
         for arm in self._arms:
             arm.cancel()
 
-    def clock(self) -> float:
+    def trajectory_time(self) -> float:
         return self.sent_for.at(time.monotonic())[0]
 
     def state(self) -> str:
@@ -73,20 +73,22 @@ class Commanded:
 
     def __init__(self, due: Callable[[], float]):
         self._due, self._state = due, RUNNING
-        self.sent_for = SentClock()
-        self.watched: Following = self  # the handle that compares the motion with its twin, if there is one
+        self.sent_for = SetpointHistory()
+        self.watched: ExecutionHandle = (
+            self  # the handle that compares the motion with its twin, if there is one
+        )
 
-    def sent(self, clock: float, off: Array) -> None:
-        self.sent_for.sent(self._due(), clock, off)
+    def record_setpoint(self, clock: float, off: Array) -> None:
+        self.sent_for.record(self._due(), clock, off)
 
-    def look(self) -> None:
-        self.watched.clock()
+    def check(self) -> None:
+        self.watched.trajectory_time()
 
     def end(self, how: str) -> None:
         self._state = how
         self.watched.state()
 
-    def clock(self) -> float:
+    def trajectory_time(self) -> float:
         return self.sent_for.at(time.monotonic())[0]
 
     def state(self) -> str:

@@ -13,17 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell import _interrupts
 from armcell.core import ArmcellError, InputError, JointTrajectory
-from armcell.drivers.following import RUNNING, Following
-from armcell.drivers.guarding import ArmSample
+from armcell.drivers.execution_handle import RUNNING, ExecutionHandle
+from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real import RealArm, RealGripper, RealSettings
 from armcell.drivers.safety import Fault
 from armcell.drivers.ur import program as commands
 from armcell.drivers.ur.calibration import HALF_TURN
 from armcell.drivers.ur.dashboard import DashboardClient
 from armcell.drivers.ur.gripper import SocketGripper, ToolGripper
-from armcell.drivers.ur.identity import Identity, check_ready, identify
+from armcell.drivers.ur.identity import UrIdentity, check_ready, identify
 from armcell.drivers.ur.pinger import Pinger
-from armcell.drivers.ur.program import ProgramLink, ProgramSettings
+from armcell.drivers.ur.program import ProgramConnection, ProgramSettings
 from armcell.drivers.ur.rtde_client import RobotState, RtdeClient
 from armcell.drivers.ur.settings import UrArmSettings
 from armcell.drivers.ur.wire.kinematics import forward
@@ -46,8 +46,10 @@ _CURES = {
 }
 
 
-class MotionLink(Protocol):
-    """Interface of the link over which a real UR arm is moved. `ProgramLink` and `RtdeLink` implement it."""
+class MotionConnection(Protocol):
+    """Interface of the connection over which a real UR arm is moved. `ProgramConnection` and
+    `UrRtdeConnection` implement it.
+    """
 
     result: str
 
@@ -65,12 +67,12 @@ class UrArm(RealArm):
     """Real UR arm, which connects to the robot, forwards trajectories, streams setpoints and stops."""
 
     T_link_base = HALF_TURN
-    identity: Identity
+    identity: UrIdentity
     inputs: tuple[tuple[str, ...], ...] = INPUTS  # names of the RTDE inputs, by recipe
 
     def __init__(
         self, name: str, joint_names: Sequence[str], settings: UrArmSettings, limits: RealSettings,
-        identity: Identity, on_state: Callable[[], None],
+        identity: UrIdentity, on_state: Callable[[], None],
     ):  # fmt: skip
         self.name, self.joint_names = name, tuple(joint_names)
         self.settings, self.identity = settings, identity
@@ -87,9 +89,9 @@ class UrArm(RealArm):
         self._unsent_slider: float | None = None  # requested while the link was lost
         self._pinger: Pinger | None = None
 
-    def _made_link(self, settings: ProgramSettings) -> MotionLink:
+    def _made_link(self, settings: ProgramSettings) -> MotionConnection:
         own = self.settings
-        return ProgramLink(self.name, own.host, own.port, own.own_host, settings)
+        return ProgramConnection(self.name, own.host, own.port, own.own_host, settings)
 
     # --- connection ---
     def connect(self) -> None:
@@ -142,7 +144,7 @@ class UrArm(RealArm):
     def start_round_trips(self) -> Callable[[], float]:
         self._pinger = Pinger(self.settings.host)
         self._pinger.start()
-        return self._pinger.trip
+        return self._pinger.round_trip_time
 
     def close(self) -> None:
         """End the robot program of the UR arm, and close the connections to the robot."""
@@ -171,9 +173,9 @@ class UrArm(RealArm):
         )
 
     @property
-    def age(self) -> float:
+    def state_age(self) -> float:
         """Return the age [s] of the latest state of the UR arm."""
-        return self._rtde.age
+        return self._rtde.state_age
 
     @property
     def q(self) -> Array:
@@ -236,13 +238,13 @@ class UrArm(RealArm):
             return self._found(
                 "not running", f"robot mode {names.get(mode, mode)}", "power on, release brakes"
             )
-        age = self.age
+        age = self.state_age
         moving = self.moving
         if self.armed and age > (limits.max_state_age if moving else limits.max_silence):
             return self._found("stale state", f"its state is {age * 1000:.0f} ms old", "check the network")
         # A delay of this process shorter than the watchdog does not stop the robot; a longer one does,
         # whatever state the robot last reported.
-        blind = self._rtde.blind
+        blind = self._rtde.time_since_check
         if self.armed and blind > (limits.watchdog if moving else limits.max_silence):
             text = f"this computer was held up for {blind * 1000:.0f} ms"
             return self._found("stale state", text, "give it less to do, or priority: chrt -f 10 armcell ...")
@@ -275,8 +277,8 @@ class UrArm(RealArm):
         return Fault(self.name, kind, text, hint)
 
     # --- motion ---
-    def follow(self, trajectory: JointTrajectory) -> Following:
-        return Forwarded(self, trajectory)
+    def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
+        return UrExecution(self, trajectory)
 
     def forward(self, trajectory: JointTrajectory) -> int:
         """Forward a trajectory to the UR arm, which plays it itself. Return the number of the trajectory."""
@@ -372,11 +374,11 @@ class UrArm(RealArm):
         self.armed = False
         self._streamed = 0.0
         self._link.send(commands.END)
-        halting = threading.Thread(target=self._make_sure, name=f"halt {self.name}", daemon=True)
+        halting = threading.Thread(target=self._stop_over_dashboard, name=f"halt {self.name}", daemon=True)
         halting.start()
         self._halting = halting  # assigned after the start, because other threads join it
 
-    def _make_sure(self) -> None:
+    def _stop_over_dashboard(self) -> None:
         """Stop the robot program of the UR arm over the dashboard too,
         in case the program does not receive commands.
 
@@ -442,14 +444,14 @@ class UrArm(RealArm):
         return bool(self.state.actual_digital_input_bits >> bit & 1)
 
 
-class Forwarded:
+class UrExecution:
     """Handle of a trajectory that a UR arm plays itself. The slider and pauses slow its clock."""
 
     def __init__(self, arm: UrArm, trajectory: JointTrajectory):
         self._arm = arm
         self._number = arm.forward(trajectory)
 
-    def clock(self) -> float:
+    def trajectory_time(self) -> float:
         return self._arm.clock(self._number)
 
     def state(self) -> str:

@@ -31,7 +31,7 @@ SAME = 2e-3  # [m, rad] largest error of the model's axes from the nominal ones
 LARGEST = 0.05  # [m] largest correction of a joint origin: more indicates another robot
 
 
-def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinematics) -> RobotModel:
+def calibrated_model(model: RobotModel, group: str, nominal: Kinematics, own: Kinematics) -> RobotModel:
     """Return the robot model with the joint origins of a UR arm replaced by those of its factory calibration.
 
     Args:
@@ -65,7 +65,7 @@ def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinemati
     joints[names[0]] = replace(before[0], T_parent_joint=origin)
     for i in range(5):
         K = _behind_joint(own, i)
-        origin = C[i].inv() @ Z[i].inv() @ K @ Z[i + 1] @ C[i + 1]
+        origin = C[i].inverse() @ Z[i].inverse() @ K @ Z[i + 1] @ C[i + 1]
         moved = float(np.linalg.norm(origin.translation - before[i + 1].T_parent_joint.translation))
         if moved > LARGEST:
             raise InputError(
@@ -74,7 +74,7 @@ def calibrated(model: RobotModel, group: str, nominal: Kinematics, own: Kinemati
                 hint="is it the right robot, and its type ('model') right in the cell file?",
             )
         joints[names[i + 1]] = replace(before[i + 1], T_parent_joint=origin)
-    D = C[5].inv() @ Z[5].inv() @ _behind_joint(own, 5) @ _behind_joint(nominal, 5).inv() @ C[5]
+    D = C[5].inverse() @ Z[5].inverse() @ _behind_joint(own, 5) @ _behind_joint(nominal, 5).inverse() @ C[5]
     for name, joint in model.joints.items():
         if joint.parent == before[5].child:  # flange, tool, sensor
             joints[name] = replace(joint, T_parent_joint=D @ joint.T_parent_joint)
@@ -101,7 +101,7 @@ def _frames(model: RobotModel, group: str, nominal: Kinematics) -> list[SE3]:
     for i, name in enumerate(names):
         joint = model.joints[name]
         T_base_joint = T_base_joint @ joint.T_parent_joint
-        C = T_base_dh.inv() @ T_base_joint
+        C = T_base_dh.inverse() @ T_base_joint
         axis = C.rotation.matrix @ np.asarray(joint.axis)
         off = max(float(np.linalg.norm(axis - (0.0, 0.0, 1.0))), float(np.linalg.norm(C.translation[:2])))
         if off > SAME:
@@ -137,5 +137,7 @@ def _fitting(own: SE3, wanted: Array, nominal: SE3, slide: float) -> tuple[float
         turn = np.arctan2(through[1], through[0]) - np.arctan2(wanted[1], wanted[0])
     turn = float((turn + np.pi) % (2 * np.pi) - np.pi)
     at = SO3.exp((0.0, 0.0, turn)).matrix @ wanted
-    offset = nominal.inv().apply(wanted - np.array([0.0, 0.0, slide]))[2]  # nominal, along the joint's axis
+    offset = nominal.inverse().apply(wanted - np.array([0.0, 0.0, slide]))[
+        2
+    ]  # nominal, along the joint's axis
     return turn, float((at - p) @ z - offset)

@@ -23,7 +23,7 @@ NEAR = 0.02  # [m] largest difference of a calibrated geometry from its model; m
 
 
 @dataclass(frozen=True)
-class Identity:
+class UrIdentity:
     """Identity and state of a UR robot, as its controllers report them."""
 
     host: str
@@ -47,7 +47,7 @@ class Identity:
         return hashlib.sha256(data).hexdigest()[:12]
 
 
-def identify(host: str) -> Identity:
+def identify(host: str) -> UrIdentity:
     """Query the identity and state of a UR robot over its dashboard and primary interface.
 
     Raises:
@@ -68,7 +68,7 @@ def identify(host: str) -> Identity:
             f"(the nearest, {model.name}, is {distance * 1000:.0f} mm off)",
             hint="armcell drives these models only",
         )
-    return Identity(host, model, version, serial, geometry, remote, mode, safety)
+    return UrIdentity(host, model, version, serial, geometry, remote, mode, safety)
 
 
 def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
@@ -98,7 +98,7 @@ def read_geometry(host: str, timeout: float = 3.0) -> primary.Kinematics:
     raise InputError(f"{host}:{PRIMARY_PORT} did not tell its geometry within {timeout:g} s")
 
 
-def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
+def check_identity(arm: str, wanted: UrArmSettings, found: UrIdentity) -> None:
     """Check the identity of a UR robot: its model,
     serial number and calibration must be those in the cell file.
 
@@ -114,7 +114,7 @@ def check_identity(arm: str, wanted: UrArmSettings, found: Identity) -> None:
     check_numbers(arm, wanted, found)
 
 
-def check_ready(arm: str, found: Identity) -> None:
+def check_ready(arm: str, found: UrIdentity) -> None:
     """Check, after a UR robot was identified, that it is in remote control, running and not stopped.
 
     Raises:

@@ -39,7 +39,7 @@ class Pinger:
         self._thread = threading.Thread(target=self._run, name=f"ping {self._address[0]}", daemon=True)
         self._thread.start()
 
-    def trip(self) -> float:
+    def round_trip_time(self) -> float:
         """Return the shortest of the last network round trips [s] that the pinger measured to a UR robot, or
         NaN before the first measurement.
 

@@ -49,7 +49,7 @@ def program_text(host: str, port: int, session: int, settings: ProgramSettings) 
     return text
 
 
-def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[bytes]:
+def trajectory_messages(trajectory: JointTrajectory, step: float, number: int) -> list[bytes]:
     """Encode all points of a trajectory except the first as messages for armcell's robot program on a UR arm.
 
     Points are at least two steps apart; nearer points are omitted. The robot interpolates between the points
@@ -76,7 +76,7 @@ def points_of(trajectory: JointTrajectory, step: float, number: int) -> list[byt
     return messages
 
 
-class ProgramLink:
+class ProgramConnection:
     """Connection from this computer to armcell's robot program.
     It uploads the program and sends commands to it.
 
@@ -195,7 +195,7 @@ class ProgramLink:
         Return the number under which `result` reports it.
         """
         self._number = self._number % 1000 + 1
-        points = points_of(trajectory, step, self._number)
+        points = trajectory_messages(trajectory, step, self._number)
         self.result = RUNNING
         self.send(TRAJECTORY, (self._number,), len(points))
         self._send(self._points, b"".join(points))

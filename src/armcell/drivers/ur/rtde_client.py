@@ -59,7 +59,7 @@ class RobotClock:
         self.offset = 0.0  # [s] this computer's monotonic clock minus the robot's clock
         self._last = 0.0
 
-    def seen(self, stamp: float, received: float) -> None:
+    def update(self, stamp: float, received: float) -> None:
         """Update the clock offset of a UR robot with the time stamp
         and the arrival time [s] of an RTDE packet.
         """
@@ -168,7 +168,7 @@ class RtdeClient:
                 for kind, body in rtde.frames(self._buffer):
                     if kind == rtde.DATA and body[:1] == bytes([self._output_id]):
                         newest = RobotState(self._output.unpack(body[1:]), time.monotonic())
-                        self.clock.seen(newest.timestamp, newest.received)
+                        self.clock.update(newest.timestamp, newest.received)
                         self.last_two = (self.last_two or (newest, newest))[1], newest
                         self.history.append(newest)
                 if newest is not None:
@@ -186,7 +186,7 @@ class RtdeClient:
             waiting.close()
 
     @property
-    def age(self) -> float:
+    def state_age(self) -> float:
         """Return how old [s] the latest state was when the RTDE client last checked for packets.
 
         The age uses the robot's time stamp: a packet that waited in a buffer is not new.
@@ -196,7 +196,7 @@ class RtdeClient:
         return max(self._looked - self.latest.timestamp - self.clock.offset, 0.0)
 
     @property
-    def blind(self) -> float:
+    def time_since_check(self) -> float:
         """Return the time [s] since the RTDE client last checked for packets.
         It is large if the process hangs.
         """

@@ -12,7 +12,7 @@ from armcell.drivers.franka.wire.state import COMMANDS, RobotCommand, read_comma
 from armcell.emulators.franka.generators import Reflex
 from armcell.emulators.franka.robot import Robot
 from armcell.emulators.franka.robot_state import StateWriter
-from armcell.emulators.network import Link, Network
+from armcell.emulators.network import Network, TcpConnection
 
 MAX_CUTOFF = 1000.0  # [Hz]; disables a filter
 
@@ -27,7 +27,7 @@ class CommandServer:
 
     def __init__(self, robot: Robot, network: Network, host: str, urdf: str, protocol: Protocol):
         self._robot, self._urdf, self._protocol = robot, urdf, protocol
-        self._client: Link | None = None
+        self._client: TcpConnection | None = None
         self._state_to: tuple[str, int] | None = None
         self.udp = network.datagrams(host, "FCI states")
         self._writer = StateWriter(robot, protocol.version)
@@ -46,7 +46,7 @@ class CommandServer:
         if not active and self._client is not None:
             self._client.close()
 
-    def _begin(self, link: Link) -> None:
+    def _begin(self, link: TcpConnection) -> None:
         if self._client is not None and self._client.open:
             self._client.read()  # notices a client that has just disconnected
         if not self.active or self.connected:
@@ -72,7 +72,7 @@ class CommandServer:
         if self.connected and self._state_to is not None:
             self.udp.send(self._writer.write(), self._state_to)
 
-    def _data(self, link: Link) -> None:
+    def _data(self, link: TcpConnection) -> None:
         while link.open:
             try:
                 request = wire.take_message(link.received)
@@ -84,7 +84,7 @@ class CommandServer:
                 return
             self._answer(link, *request)
 
-    def _answer(self, link: Link, code: int, identifier: int, payload: bytes) -> None:
+    def _answer(self, link: TcpConnection, code: int, identifier: int, payload: bytes) -> None:
         protocol = self._protocol
 
         def answer(status: IntEnum, more: bytes = b"") -> None:
@@ -119,7 +119,7 @@ class CommandServer:
             case _:
                 answer(self._set(command, values))
 
-    def _connect(self, link: Link, answer: Callable[..., None], version: int, port: int) -> None:
+    def _connect(self, link: TcpConnection, answer: Callable[..., None], version: int, port: int) -> None:
         own = self._protocol.version
         status = ConnectStatus.SUCCESS if version == own else ConnectStatus.INCOMPATIBLE_VERSION
         answer(status, struct.pack("<H", own))

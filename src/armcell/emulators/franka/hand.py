@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from armcell.drivers.franka.wire import gripper as wire
 from armcell.drivers.franka.wire.gripper import Command, Status
 from armcell.emulators.franka.plant import PERIOD, FrankaPlant
-from armcell.emulators.network import Link, Network
+from armcell.emulators.network import Network, TcpConnection
 
 MAX_SPEED = 0.1  # [m/s] of the width
 STATE_PERIOD = 10  # [ms]
@@ -142,11 +142,11 @@ class HandServer:
 
     def __init__(self, hand: Hand, network: Network, host: str, port: int = wire.PORT):
         self._hand, self._udp = hand, network.datagrams(host, "hand state")
-        self._clients: dict[Link, tuple[str, int]] = {}
+        self._clients: dict[TcpConnection, tuple[str, int]] = {}
         self._time = 0
         network.listen(host, port, self._begin, self._data, "hand")
 
-    def _begin(self, link: Link) -> None:
+    def _begin(self, link: TcpConnection) -> None:
         if not self._hand.present:
             link.close()
 
@@ -166,7 +166,7 @@ class HandServer:
             else:
                 del self._clients[link]
 
-    def _data(self, link: Link) -> None:
+    def _data(self, link: TcpConnection) -> None:
         while link.open:
             try:
                 request = wire.take_message(link.received)
@@ -177,7 +177,7 @@ class HandServer:
                 return
             self._answer(link, *request)
 
-    def _answer(self, link: Link, command: int, identifier: int, payload: bytes) -> None:
+    def _answer(self, link: TcpConnection, command: int, identifier: int, payload: bytes) -> None:
         def answer(status: int, more: bytes = b"") -> None:
             link.send(wire.message(command, identifier, wire.STATUS.pack(status) + more))
 

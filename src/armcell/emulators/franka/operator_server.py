@@ -13,7 +13,7 @@ from armcell.emulators.franka.command_server import CommandServer
 from armcell.emulators.franka.generators import Reflex
 from armcell.emulators.franka.hand import Hand
 from armcell.emulators.franka.robot import Robot
-from armcell.emulators.network import Link, Network
+from armcell.emulators.network import Network, TcpConnection
 
 PORT = 1340
 MAX_LINE = 1024
@@ -38,7 +38,7 @@ class OperatorServer:
         self._network = network
         network.listen(host, port, lambda link: None, self._data, "operator")
 
-    def _data(self, link: Link) -> None:
+    def _data(self, link: TcpConnection) -> None:
         while b"\n" in link.received:
             line, _, rest = bytes(link.received).partition(b"\n")
             link.received[:] = rest

@@ -14,7 +14,7 @@ from armcell.emulators.ur.builtins_force import force_functions, torque_function
 from armcell.emulators.ur.builtins_io import io_functions
 from armcell.emulators.ur.builtins_math import math_functions
 from armcell.emulators.ur.motion import (
-    Blended,
+    BlendedMotion,
     MoveC,
     MoveJ,
     MoveL,
@@ -28,7 +28,7 @@ from armcell.emulators.ur.motion import (
 )
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript.machine import ProgramError
-from armcell.emulators.ur.urscript.values import Pose, Vec, shown
+from armcell.emulators.ur.urscript.values import Pose, Vec, format_value
 
 Wait = Generator[None, None, Any]
 Functions = dict[str, Callable[..., Any]]
@@ -57,7 +57,7 @@ def motion_functions(robot: Robot) -> Functions:
             robot.waypoint = pose_of(goal)
         while robot.motion is motion and not (motion.done or getattr(motion, "near", False)):
             yield
-            robot.keep()
+            robot.mark_motion_in_use()
         yield
 
     def _along(make: Callable[[Setpoint], MoveJ | MoveL], goal: Any, radius: float) -> Wait:
@@ -67,8 +67,8 @@ def motion_functions(robot: Robot) -> Functions:
         Blend radii [m] are limited to half the path length, so that two blends do not overlap.
         """
         running = robot.motion
-        if isinstance(running, (MoveJ, MoveL, Blended)) and running.near and not s.compliant:
-            motion = Blended(s, running, make)
+        if isinstance(running, (MoveJ, MoveL, BlendedMotion)) and running.near and not s.compliant:
+            motion = BlendedMotion(s, running, make)
         else:
             motion = make(s)
         target = goal[:3, 3]
@@ -120,7 +120,7 @@ def motion_functions(robot: Robot) -> Functions:
             yield
             if robot.program_time > end - 1e-6:
                 return
-            robot.keep()
+            robot.mark_motion_in_use()
 
     def servoj(
         q: Any, a: float = 0.0, v: float = 0.0, t: float = 0.002, lookahead_time: float = 0.1,
@@ -220,7 +220,7 @@ def _state_functions(robot: Robot) -> Functions:
     def popup(
         text: Any, title: str = "Popup", warning: bool = False, error: bool = False, blocking: bool = False
     ) -> None:
-        robot.popup(shown(text), title=str(title), warning=bool(warning), error=bool(error))
+        robot.popup(format_value(text), title=str(title), warning=bool(warning), error=bool(error))
 
     def rtde_set_watchdog(variable: str, min_frequency: float, action: str = "pause") -> None:
         robot.set_watchdog(int(variable.rsplit("_", 1)[1]), float(min_frequency))
@@ -277,7 +277,7 @@ def _state_functions(robot: Robot) -> Functions:
         "get_gravity": lambda: Vec(robot.gravity),
         "get_joint_temp": lambda joint: 25.0,
         "get_controller_temp": lambda: 25.0,
-        "textmsg": lambda *parts: robot.textmsg("".join(shown(p) for p in parts)),
+        "textmsg": lambda *parts: robot.textmsg("".join(format_value(p) for p in parts)),
         "popup": popup,
         "rtde_set_watchdog": rtde_set_watchdog,
         "protective_stop": lambda: robot.protective_stop("called by the program"),

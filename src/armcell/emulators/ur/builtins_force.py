@@ -10,7 +10,7 @@ import numpy as np
 from armcell.drivers.ur.wire.dynamics import ArmDynamics, tool_jacobian
 from armcell.drivers.ur.wire.kinematics import matrix_of
 from armcell.emulators.ur.compliance import force_mode, freedrive
-from armcell.emulators.ur.motion import Torque
+from armcell.emulators.ur.motion import TorqueMotion
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript.machine import ProgramError
 from armcell.emulators.ur.urscript.values import Pose, Vec
@@ -32,7 +32,7 @@ def force_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
         before = robot.compliance
         if before is not None and not before.freedrive:
             compliance.keep_speed(before)
-        robot.comply(compliance)
+        robot.start_compliance(compliance)
 
     def freedrive_mode(freeAxes: Any = None, feature: Any = None) -> None:
         axes = np.ones(6, bool) if freeAxes is None else _six("freeAxes", freeAxes) != 0.0
@@ -40,10 +40,10 @@ def force_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
             frame = None if feature == "tool" else np.eye(4)
         else:
             frame = np.eye(4) if feature is None else matrix_of(feature)
-        robot.comply(freedrive(axes, frame))
+        robot.start_compliance(freedrive(axes, frame))
 
     def end() -> None:
-        robot.comply(None)
+        robot.start_compliance(None)
 
     def set_gain(scaling: float) -> None:
         if not 0.0 <= scaling <= 2.0:
@@ -59,7 +59,7 @@ def force_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
 
     def joint_torques() -> Vec:
         J = tool_jacobian(robot.dh, robot.plant.read()[0], s.tcp)
-        return Vec(float(x) for x in J.T @ robot.felt())
+        return Vec(float(x) for x in J.T @ robot.external_wrench())
 
     def dynamics() -> ArmDynamics:
         return ArmDynamics(robot.model, robot.dh, robot.payload, robot.payload_cog)
@@ -135,8 +135,8 @@ def torque_functions(robot: Robot) -> dict[str, Callable[..., Any]]:
         torque: Any, friction_comp: bool = True, viscous_scale: Any = None, coulomb_scale: Any = None
     ) -> Generator[None, None, None]:
         dynamics = ArmDynamics(robot.model, robot.dh, robot.payload, robot.payload_cog)
-        external = tool_jacobian(robot.dh, s.q, s.tcp).T @ robot.felt()
-        robot.start(Torque(s, torque, dynamics, external, FRICTION))
+        external = tool_jacobian(robot.dh, s.q, s.tcp).T @ robot.external_wrench()
+        robot.start(TorqueMotion(s, torque, dynamics, external, FRICTION))
         yield
 
     return {"direct_torque": direct_torque}

@@ -11,7 +11,7 @@ import numpy as np
 
 from armcell.core import SE3, SO3
 from armcell.drivers.ur.wire.kinematics import matrix_of, pose_of
-from armcell.emulators.ur.urscript.values import Pose, Vec, copied, shown
+from armcell.emulators.ur.urscript.values import Pose, Vec, copy_value, format_value
 
 
 def math_functions() -> dict[str, Callable[..., Any]]:
@@ -44,10 +44,10 @@ def _lists_and_text() -> dict[str, Callable[..., Any]]:
         "size": len,
         "length": len,
         "get_list_length": len,
-        "make_list": lambda n, value, capacity=0: Vec(copied(value) for _ in range(min(int(n), 10_000))),
+        "make_list": lambda n, value, capacity=0: Vec(copy_value(value) for _ in range(min(int(n), 10_000))),
         "to_num": _number,
-        "to_str": shown,
-        "str_cat": lambda a, b: shown(a) + shown(b),
+        "to_str": format_value,
+        "str_cat": lambda a, b: format_value(a) + format_value(b),
         "str_len": len,
         "str_at": lambda text, index: text[int(index)],
         "str_empty": lambda text: not text,

@@ -130,7 +130,7 @@ class UrController:
         self.network.close()
 
 
-class Rack(emulators.Rack[UrController]):
+class UrRack(emulators.Rack[UrController]):
     """Rack of several emulated UR controllers that run in one thread. Those with physics share one world.
 
     Args:

@@ -12,7 +12,7 @@ import numpy as np
 
 from armcell.drivers.ur.wire.models import JOINTS
 from armcell.drivers.ur.wire.modes import RuntimeState
-from armcell.emulators.network import Link, Network
+from armcell.emulators.network import Network, TcpConnection
 from armcell.emulators.ur.external_control import NAME, ExternalControl
 from armcell.emulators.ur.plant_faults import WORDS, set_fault
 from armcell.emulators.ur.robot import Robot
@@ -72,7 +72,7 @@ class DashboardServer:
             "close safety popup": lambda: "closing safety popup",
         }
 
-    def _data(self, link: Link) -> None:
+    def _data(self, link: TcpConnection) -> None:
         while b"\n" in link.received:
             line, _, rest = bytes(link.received).partition(b"\n")
             link.received[:] = rest
@@ -101,7 +101,7 @@ class DashboardServer:
         if command.startswith(("popup ", "addtolog ")):
             return "showing popup" if command.startswith("popup") else "Added log message"
         if command in self._acts or command.startswith(("load ", "set operational mode ")):
-            if not self._robot.remote_or_cb3:
+            if not self._robot.accepts_remote_commands:
                 return LOCAL_REFUSAL
             if command in self._acts:
                 return self._acts[command]()

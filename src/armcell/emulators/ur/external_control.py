@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from armcell.core import InputError
-from armcell.emulators.network import Link, Network
+from armcell.emulators.network import Network, TcpConnection
 from armcell.emulators.ur.programs import run_script
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.urscript.parser import MAX_SCRIPT
@@ -51,7 +51,7 @@ class ExternalControl:
     def __init__(self, robot: Robot, network: Network, remote: RemoteHost | None):
         self._robot, self._network, self._remote = robot, network, remote
         self.loaded = False
-        self._link: Link | None = None
+        self._link: TcpConnection | None = None
         self._size, self._since = 0, 0.0
 
     def load(self, name: str) -> bool:
@@ -72,7 +72,7 @@ class ExternalControl:
         if (
             not self.loaded
             or self._remote is None
-            or not self._robot.may_run
+            or not self._robot.can_run_program
             or self._robot.machine is not None
         ):
             return False

@@ -7,7 +7,7 @@ and public clients of this port.
 
 from __future__ import annotations
 
-from armcell.emulators.network import Link, Network
+from armcell.emulators.network import Network, TcpConnection
 from armcell.emulators.ur.robot import Robot
 
 PORT = 63352
@@ -20,7 +20,7 @@ class GripperServer:
         self._values = {"ACT": 0, "GTO": 0, "POS": 0, "SPE": 255, "FOR": 0, "ATR": 0, "ARD": 0}
         network.listen(host, port, lambda link: None, self._data, "gripper")
 
-    def _data(self, link: Link) -> None:
+    def _data(self, link: TcpConnection) -> None:
         while b"\n" in link.received:
             line, _, rest = bytes(link.received).partition(b"\n")
             link.received[:] = rest

@@ -46,7 +46,7 @@ class Setpoint:
         other.tcp, other.v_max = self.tcp, self.v_max
         return other
 
-    def towards(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
+    def accelerated_toward(self, v_wanted: Array, a: float, dt: float) -> tuple[Array, Array]:
         """Return the joint target after one step of an emulated UR arm's motion that accelerates toward a
         given velocity within the limits.
 
@@ -152,7 +152,7 @@ class MoveJ(_Along):
     def begin(self, s: Setpoint) -> None:
         self._start = s.q.copy()
 
-    def end(self, s: Setpoint) -> Array:
+    def goal_positions(self, s: Setpoint) -> Array:
         """Return the joint positions (6,) [rad] at the goal of a movej motion."""
         return self.goal
 
@@ -184,7 +184,7 @@ class MoveL(_Along):
         self._from = SE3.from_matrix(forward(s.dh, s.q, s.tcp))
         self._last = s.q
 
-    def end(self, s: Setpoint) -> Array:
+    def goal_positions(self, s: Setpoint) -> Array:
         """Return the joint positions (6,) [rad] at the goal of a movel motion. Of all solutions, the one
         nearest to the last joint positions is chosen.
         """
@@ -263,7 +263,7 @@ def _turn(a: Array, b: Array, axis: Array) -> float:
     return angle if angle > 0 else angle + 2.0 * np.pi
 
 
-class Blended:
+class BlendedMotion:
     """Blend (superposition) of two motions of an emulated UR arm.
     The second motion begins before the first one ends.
 
@@ -277,15 +277,15 @@ class Blended:
     """
 
     def __init__(self, s: Setpoint, first: Path, follow: Callable[[Setpoint], MoveJ | MoveL]):
-        self._first, self._corner = first, first.end(s)
+        self._first, self._corner = first, first.goal_positions(s)
         self._behind, self._ahead = s.resting_at(s.q), s.resting_at(self._corner)
         self._behind.v = s.v
         self._next = follow(self._ahead)
         self.near, self.done = False, False
 
-    def end(self, s: Setpoint) -> Array:
+    def goal_positions(self, s: Setpoint) -> Array:
         """Return the joint positions (6,) [rad] at the goal of the second of two blended UR motions."""
-        return self._next.end(s)
+        return self._next.goal_positions(s)
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
         for motion, place in ((self._first, self._behind), (self._next, self._ahead)):
@@ -318,7 +318,7 @@ class TrackL:
         if dt <= 0:
             return s.q, np.zeros(6)
         T = forward(s.dh, s.q, s.tcp)
-        rotation = SE3.from_matrix(self._goal).rotation @ SE3.from_matrix(T).rotation.inv()
+        rotation = SE3.from_matrix(self._goal).rotation @ SE3.from_matrix(T).rotation.inverse()
         error = np.concatenate((self._goal[:3, 3] - T[:3, 3], rotation.log()))
         left = max(float(np.linalg.norm(error[:3])), 0.3 * float(np.linalg.norm(error[3:])))
         self.near = left <= max(self._blend, 1e-4)
@@ -332,10 +332,10 @@ class TrackL:
         twist = now + change * min(1.0, self._a * dt / max(size, 1e-12))
         self.done = left < 2e-5 and float(np.linalg.norm(now)) < 2.0 * self._a * dt
         joints = np.asarray(np.linalg.solve(J.T @ J + 1e-8 * np.eye(6), J.T @ twist), dtype=float)
-        return s.towards(joints, s.model.acceleration, dt)
+        return s.accelerated_toward(joints, s.model.acceleration, dt)
 
 
-class Torque:
+class TorqueMotion:
     """Motion of an emulated UR arm driven by joint torques, in addition to gravity compensation.
 
     The arm's dynamics determine the acceleration.
@@ -380,7 +380,7 @@ class ServoJ:
             return s.q, np.zeros(6)
         error, a = self.goal - s.q, s.model.acceleration
         fastest = np.minimum(np.abs(error) / max(self._smooth, dt), np.sqrt(1.6 * a * np.abs(error)))
-        return s.towards(np.sign(error) * fastest, a, dt)
+        return s.accelerated_toward(np.sign(error) * fastest, a, dt)
 
 
 class SpeedJ:
@@ -396,7 +396,7 @@ class SpeedJ:
             raise MotionFault("speedj needs six finite numbers")
 
     def step(self, s: Setpoint, dt: float) -> tuple[Array, Array]:
-        return s.towards(self.v, self.a, dt)
+        return s.accelerated_toward(self.v, self.a, dt)
 
 
 class SpeedL(SpeedJ):
@@ -409,12 +409,12 @@ class SpeedL(SpeedJ):
         now = J @ s.v
         v = now + np.clip(self.v - now, -self.a * dt, self.a * dt)
         joints = np.asarray(np.linalg.solve(J.T @ J + 1e-6 * np.eye(6), J.T @ v), dtype=float)
-        return s.towards(joints, s.model.acceleration, dt)
+        return s.accelerated_toward(joints, s.model.acceleration, dt)
 
 
-Path = MoveJ | MoveL | Blended
+Path = MoveJ | MoveL | BlendedMotion
 """Motions that end at a goal, from which the next one may take over."""
 
-Motion = StopJ | Path | TrackL | ServoJ | SpeedJ | Torque
-KEPT = (ServoJ, SpeedJ, Torque)
+Motion = StopJ | Path | TrackL | ServoJ | SpeedJ | TorqueMotion
+KEPT = (ServoJ, SpeedJ, TorqueMotion)
 """Motions that end when the program stops renewing them."""

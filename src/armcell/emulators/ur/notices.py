@@ -8,7 +8,7 @@ from armcell.drivers.ur.wire.modes import SafetyMode
 
 
 @dataclass(frozen=True)
-class Text:
+class TextMessage:
     """Notice from the emulated UR controller: a URScript program has sent a text message with `textmsg`."""
 
     text: str
@@ -69,4 +69,4 @@ class SafetyChange:
         return f"safety mode {self.mode.name}"
 
 
-Notice = Text | ProgramState | ScriptFault | Popup | SafetyChange
+Notice = TextMessage | ProgramState | ScriptFault | Popup | SafetyChange

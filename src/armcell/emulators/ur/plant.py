@@ -155,11 +155,12 @@ class SharedWorld:
 
     def __init__(self, world: SimWorld, groups: Sequence[str]):
         self.world = world
-        self.plants = [WorldPlant(self, group) for group in groups]
+        self.plants = [PhysicsPlant(self, group) for group in groups]
         self._owed = 0.0  # [s]
 
     def reset(self) -> None:
-        """Reset all arms and objects in the world that the UR plants share to their initial state."""
+        """Return all arms and objects of the simulated world to their initial state. All UR plants share this
+        world."""
         self.world.reset()
         for plant in self.plants:
             plant.follow_reset()
@@ -172,12 +173,12 @@ class SharedWorld:
         step = self.world.timestep
         while self._owed >= step - 1e-9:
             for plant in self.plants:
-                plant.aim(self.world.time + step)
+                plant.set_joint_targets(self.world.time + step)
             self.world.step()
             self._owed -= step
 
 
-class WorldPlant:
+class PhysicsPlant:
     """Plant of an emulated UR controller: an arm with its gripper in a physics world."""
 
     def __init__(self, shared: SharedWorld, group: str):
@@ -219,22 +220,24 @@ class WorldPlant:
         self._speed, self._begun, self._span = np.zeros(6), self.world.time, 1.0
 
     def command(self, q: Array, v: Array, period: float) -> None:
-        self._from = self._aimed(self.world.time)
+        self._from = self._interpolated_targets(self.world.time)
         self._to, self._speed = np.array(q), np.array(v)
         self._begun, self._span = self.world.time, period
 
-    def _aimed(self, time: float) -> Array:
+    def _interpolated_targets(self, time: float) -> Array:
         share = min(max((time - self._begun) / self._span, 0.0), 1.0)
         return self._from + share * (self._to - self._from)
 
-    def aim(self, time: float) -> None:
+    def set_joint_targets(self, time: float) -> None:
         """Interpolate the latest joint command of the UR plant at a world time [s],
         and set the result as the joint targets in the physics world.
 
         If no new command arrives, the arm holds the latest target.
         """
         over = time > self._begun + 1.5 * self._span  # no new command: hold the target
-        self.world.set_arm_target(self._names, self._aimed(time), np.zeros(6) if over else self._speed)
+        self.world.set_arm_target(
+            self._names, self._interpolated_targets(time), np.zeros(6) if over else self._speed
+        )
 
     def step(self, dt: float) -> None:
         self._shared.advance(dt / len(self._shared.plants))
@@ -258,7 +261,7 @@ class WorldPlant:
         if self._gripper is None:
             return NOTHING
         felt = self.world.wrench(self._gripper.name)
-        T_base_world = (self.world.link_pose(self._base) @ ABOUT_Z).inv()
+        T_base_world = (self.world.link_pose(self._base) @ ABOUT_Z).inverse()
         R = T_base_world.rotation.matrix
         at = T_base_world.apply(self.world.link_pose(self._gripper.tcp_link).translation)
         return R @ felt[:3], R @ felt[3:], at

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from armcell.emulators.network import Network
 from armcell.emulators.ur.builtins import motion_functions, value_functions
 from armcell.emulators.ur.builtins_io import DigitalOutputs
+from armcell.emulators.ur.builtins_socket import socket_functions
 from armcell.emulators.ur.robot import Robot
-from armcell.emulators.ur.sockets import socket_functions
 from armcell.emulators.ur.urscript import Machine, ScriptError
 
 
@@ -54,7 +54,7 @@ def run_script(robot: Robot, network: Network, text: str, name: str = "") -> boo
         machine = Machine(text, motion_functions(robot) | waiting, value_functions(robot) | instant)
     except (ScriptError, SyntaxError, RecursionError) as error:
         robot.end_program()
-        robot.fault(error if isinstance(error, ScriptError) else ScriptError(str(error)))
+        robot.report_program_error(error if isinstance(error, ScriptError) else ScriptError(str(error)))
         return False
     if machine.secondary:
         robot.run_secondary(machine)

@@ -19,7 +19,7 @@ from armcell.drivers.ur.wire.primary import Kinematics
 from armcell.drivers.ur.wire.rtde import REGISTERS
 from armcell.emulators.ur.compliance import Compliance
 from armcell.emulators.ur.motion import KEPT, Motion, MotionFault, Setpoint, StopJ, TrackL
-from armcell.emulators.ur.notices import Notice, Popup, ProgramState, SafetyChange, ScriptFault, Text
+from armcell.emulators.ur.notices import Notice, Popup, ProgramState, SafetyChange, ScriptFault, TextMessage
 from armcell.emulators.ur.plant import Plant
 from armcell.emulators.ur.urscript import Machine, ProgramError, ScriptError
 
@@ -106,7 +106,9 @@ class Robot:
             try:
                 self.machine.step()
             except (ProgramError, MotionFault, ScriptError) as error:
-                self.fault(error if hasattr(error, "line") else ProgramError(str(error), self.machine.line))
+                self.report_program_error(
+                    error if hasattr(error, "line") else ProgramError(str(error), self.machine.line)
+                )
                 self.end_program()
             if self.machine is not None and not self.machine.running:
                 self.end_program()
@@ -140,7 +142,7 @@ class Robot:
             s.v = np.zeros(6) if self.compliance is None else s.v
         speed = s.v * (1.0 if isinstance(motion, StopJ) else self.scaling)
         self.plant.command(s.q, speed, self.period)
-        self._let_go(motion)
+        self._expire_motion(motion)
 
     def _choose_motion(self) -> float:
         """Replace the motion of the emulated UR robot with a stop if necessary. Return the time [s] by which
@@ -148,7 +150,7 @@ class Robot:
         """
         dt, s = self.period * self.scaling, self.setpoint
         if self.safety not in MAY_MOVE:
-            self.comply(None)
+            self.start_compliance(None)
             if not isinstance(self.motion, StopJ):
                 self.motion = StopJ(STOP_DECELERATION)
         elif self.motion is None and self.compliance is None and np.any(s.v):
@@ -162,9 +164,9 @@ class Robot:
         if self.compliance is None:
             return q, v
         by_hand = self.compliance.freedrive
-        return self.compliance.apply(s, q, self.felt(), self.period if by_hand else max(dt, 1e-9))
+        return self.compliance.apply(s, q, self.external_wrench(), self.period if by_hand else max(dt, 1e-9))
 
-    def _let_go(self, motion: Motion | None) -> None:
+    def _expire_motion(self, motion: Motion | None) -> None:
         """End a motion of the emulated UR robot, such as servoj or speedj,
         after the program has stopped renewing its command.
         """
@@ -206,11 +208,11 @@ class Robot:
             raise ProgramError("the robot is not running (power on, brake release)")
         self.motion, self._motion_used = motion, True
 
-    def keep(self) -> None:
+    def mark_motion_in_use(self) -> None:
         """Mark the motion of the emulated UR robot as in use, because the program still waits for its end."""
         self._motion_used = True
 
-    def comply(self, compliance: Compliance | None) -> None:
+    def start_compliance(self, compliance: Compliance | None) -> None:
         """Start the compliant mode of the emulated UR robot, in which forces move the tool.
         None ends the mode.
 
@@ -223,7 +225,7 @@ class Robot:
 
     # --- program ---
     @property
-    def may_run(self) -> bool:
+    def can_run_program(self) -> bool:
         """Return whether a program may start on the emulated UR robot: it must be running,
         and safety must permit motion.
         """
@@ -232,7 +234,7 @@ class Robot:
     def run(self, machine: Machine) -> None:
         """End the program that runs on the emulated UR robot, and start another URScript program."""
         self.end_program()
-        if not self.may_run:
+        if not self.can_run_program:
             self.popup(f"program not started: {self.mode.name}, {self.safety.name}")
             return
         self.machine, self.program_name = machine, machine.name
@@ -246,7 +248,9 @@ class Robot:
         try:
             machine.step()
         except (ProgramError, MotionFault) as error:
-            self.fault(error if hasattr(error, "line") else ProgramError(str(error), machine.line))
+            self.report_program_error(
+                error if hasattr(error, "line") else ProgramError(str(error), machine.line)
+            )
 
     def on_program_end(self, act: Callable[[], None]) -> None:
         self._on_program_end.append(act)
@@ -257,7 +261,7 @@ class Robot:
             act()
         ended, self.machine = self.machine, None
         self.runtime, self._watchdog = RuntimeState.STOPPED, None
-        self.comply(None)
+        self.start_compliance(None)
         if ended is not None:
             self.announce(ProgramState(False, ended.name))
         if self.motion is not None and not isinstance(self.motion, StopJ):
@@ -290,9 +294,9 @@ class Robot:
         self.announce(Popup(text, title, warning, error))
 
     def textmsg(self, text: str) -> None:
-        self.announce(Text(text))
+        self.announce(TextMessage(text))
 
-    def fault(self, error: ArmcellError) -> None:
+    def report_program_error(self, error: ArmcellError) -> None:
         """Report why a program on the emulated UR robot ends or does not start."""
         line, column = getattr(error, "line", 0), getattr(error, "column", 0)
         code = getattr(error, "code", "") or str(error)
@@ -345,14 +349,16 @@ class Robot:
     def power_on(self) -> None:
         if self.mode is RobotMode.POWER_OFF and self.safety in MAY_MOVE:
             self.mode = RobotMode.POWER_ON
-            self._to(RobotMode.IDLE, POWER_ON_TIME)
+            self._enter_mode(RobotMode.IDLE, POWER_ON_TIME)
 
     def release_brakes(self) -> None:
         if self.safety in MAY_MOVE:
             self.power_on()
-            self._to(RobotMode.RUNNING, BRAKE_TIME + (POWER_ON_TIME if self.mode < RobotMode.IDLE else 0.0))
+            self._enter_mode(
+                RobotMode.RUNNING, BRAKE_TIME + (POWER_ON_TIME if self.mode < RobotMode.IDLE else 0.0)
+            )
 
-    def _to(self, mode: RobotMode, seconds: float) -> None:
+    def _enter_mode(self, mode: RobotMode, seconds: float) -> None:
         def change() -> None:
             if self.mode is not RobotMode.POWER_OFF and self.safety in MAY_MOVE:
                 self.mode = mode
@@ -423,7 +429,7 @@ class Robot:
         """Return the external force (3,) [N] on the tool of the emulated UR robot, in the base frame."""
         return self.plant.wrench()[0] + self.hand
 
-    def felt(self) -> Array:
+    def external_wrench(self) -> Array:
         """Return the external force [N] and torque [Nm] (6,) on the tool
         of the emulated UR robot, in the base frame.
         """
@@ -458,7 +464,7 @@ class Robot:
             self._force_offset = self._force_offset - self.tcp_force()
 
     @property
-    def remote_or_cb3(self) -> bool:
+    def accepts_remote_commands(self) -> bool:
         """Return whether the emulated UR robot accepts remote commands.
 
         An e-Series accepts them in remote control, a CB3 always.

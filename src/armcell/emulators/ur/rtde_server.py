@@ -8,7 +8,7 @@ import struct
 import numpy as np
 
 from armcell.drivers.ur.wire import rtde
-from armcell.emulators.network import Link, Network
+from armcell.emulators.network import Network, TcpConnection
 from armcell.emulators.ur.robot import Robot
 from armcell.emulators.ur.rtde_outputs import Getter, outputs_of
 
@@ -34,7 +34,7 @@ class RtdeServer:
 
     def __init__(self, robot: Robot, network: Network, host: str, port: int = rtde.PORT):
         self._robot, self._table = robot, outputs_of(robot)
-        self._clients: dict[Link, _Client] = {}
+        self._clients: dict[TcpConnection, _Client] = {}
         self.port = network.listen(host, port, self._begin, self._data, "RTDE")
 
     @property
@@ -42,10 +42,10 @@ class RtdeServer:
         """Return the number of RTDE clients that are connected to the emulated UR controller."""
         return sum(link.open for link in self._clients)
 
-    def _begin(self, link: Link) -> None:
+    def _begin(self, link: TcpConnection) -> None:
         self._clients[link] = _Client()
 
-    def _data(self, link: Link) -> None:
+    def _data(self, link: TcpConnection) -> None:
         client = self._clients.get(link)
         if client is None:
             return
@@ -56,11 +56,11 @@ class RtdeServer:
             log.info("RTDE client cut off: %s", error)
             link.close()  # a real controller also closes the link after invalid data
 
-    def _handle(self, link: Link, client: _Client, kind: int, payload: bytes) -> None:
+    def _handle(self, link: TcpConnection, client: _Client, kind: int, payload: bytes) -> None:
         r = self._robot
         if kind == rtde.DATA:
             recipe = client.inputs.get(payload[0]) if payload else None
-            if recipe is None or len(payload) != 1 + recipe.size or not r.remote_or_cb3:
+            if recipe is None or len(payload) != 1 + recipe.size or not r.accepts_remote_commands:
                 return  # ur_rtde 1.6.5's getForwardKinematics(q, tcp) uses the ID of another recipe
             values = recipe.unpack(payload[1:])
             if all(np.all(np.isfinite(v)) for v in values.values()):

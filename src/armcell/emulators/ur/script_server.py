@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from armcell.drivers.ur.wire import robot_messages
-from armcell.emulators.network import Link, Network
-from armcell.emulators.ur.client_state import ClientState
-from armcell.emulators.ur.notices import Notice, Popup, ProgramState, SafetyChange, ScriptFault, Text
+from armcell.emulators.network import Network, TcpConnection
+from armcell.emulators.ur.notices import Notice, Popup, ProgramState, SafetyChange, ScriptFault, TextMessage
 from armcell.emulators.ur.programs import run_command, run_script
 from armcell.emulators.ur.robot import Robot
+from armcell.emulators.ur.state_messages import StateEncoder
 from armcell.emulators.ur.urscript.parser import MAX_SCRIPT, depth_after
 
 PORTS = PRIMARY, SECONDARY, REALTIME = 30001, 30002, 30003
@@ -35,8 +35,8 @@ class ScriptServer:
     def __init__(
         self, robot: Robot, network: Network, host: str, ports: tuple[int, int, int] = PORTS
     ):  # fmt: skip
-        self._robot, self._network, self._state = robot, network, ClientState(robot)
-        self._clients: dict[Link, _Client] = {}
+        self._robot, self._network, self._state = robot, network, StateEncoder(robot)
+        self._clients: dict[TcpConnection, _Client] = {}
         self._next = 0.0
         self._popups = 0
         for name, kind, port in zip(("primary", "secondary", "real-time"), PORTS, ports, strict=True):
@@ -47,14 +47,14 @@ class ScriptServer:
                 network.listen(host, number, begin, self._data, service)
         robot.listeners.append(self._announce)
 
-    def _begin(self, link: Link, kind: int, read_only: bool) -> None:
+    def _begin(self, link: TcpConnection, kind: int, read_only: bool) -> None:
         self._clients[link] = _Client(kind, read_only)
         if kind != REALTIME:
             v = self._robot.model.version
             link.send(robot_messages.version(self._state.now_us, "URControl", v[:3], v[3]))
             link.send(self._state.primary())
 
-    def _data(self, link: Link) -> None:
+    def _data(self, link: TcpConnection) -> None:
         client = self._clients.get(link)
         if client is None:
             return
@@ -71,9 +71,9 @@ class ScriptServer:
         if len(link.received) + sum(map(len, client.lines)) > MAX_SCRIPT:
             link.close()
 
-    def _run(self, link: Link, client: _Client, text: str) -> None:
+    def _run(self, link: TcpConnection, client: _Client, text: str) -> None:
         robot = self._robot
-        if robot.remote_or_cb3 and not client.read_only:
+        if robot.accepts_remote_commands and not client.read_only:
             if not run_command(robot, text):
                 run_script(robot, self._network, text)
             return
@@ -93,7 +93,7 @@ class ScriptServer:
     def _message(self, notice: Notice) -> bytes:
         now = self._state.now_us
         match notice:
-            case Text(text):
+            case TextMessage(text):
                 return robot_messages.text(now, text)
             case ProgramState(started, name):
                 return robot_messages.key(now, f"PROGRAM_XXX_{'STARTED' if started else 'STOPPED'}", name)
@@ -119,7 +119,7 @@ class ScriptServer:
         for link, client in list(self._clients.items()):
             if not link.open:
                 del self._clients[link]
-            elif link.behind:
+            elif link.is_lagging:
                 continue
             elif client.kind == REALTIME:
                 fast = fast or self._state.realtime()

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.grasping import kernel
+from armcell.grasping import hand_fit_kernel
 from armcell.grasping.candidates import Proposals, generators
-from armcell.grasping.generators.frames import around, tcp_pose
+from armcell.grasping.generators.frames import directions_around, tcp_pose
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import Surface
 from armcell.scene import CollisionObject
@@ -51,7 +51,7 @@ def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Ar
     if len(triangles) > MOST_TRIANGLES:
         triangles = triangles[rng.permutation(len(triangles))[:MOST_TRIANGLES]]
     origin = start + 1e-6 * direction
-    distance, where = kernel.cast(origin, direction, np.ascontiguousarray(triangles))
+    distance, where = hand_fit_kernel.cast(origin, direction, np.ascontiguousarray(triangles))
     a, b, c = (triangles[:, k] for k in range(3))
     outward = np.cross(b - a, c - a)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-18)
@@ -92,7 +92,7 @@ def _spread(pairs: list[tuple]) -> list[tuple]:
 
 def _come_in(found: Proposals, n: int, middle: Array, closing: Array, hand: Hand, up: Array) -> None:
     """Propose grasp poses with all approach directions around one antipodal pair of contacts."""
-    for k, approach in enumerate(around(closing, TURNS, -up)):
+    for k, approach in enumerate(directions_around(closing, TURNS, -up)):
         for d, share in enumerate(DEPTHS):
             point = middle - approach * share * hand.pad[1, 1]
             found.add(f"pair {n} at {360 // TURNS * k} deg{'' if d == 0 else ' at the tips'}",

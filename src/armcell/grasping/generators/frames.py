@@ -20,7 +20,7 @@ def tcp_pose(closing: Array, approach: Array, at: Array) -> Array:
     return T
 
 
-def around(axis: Array, count: int, first: Array) -> Array:
+def directions_around(axis: Array, count: int, first: Array) -> Array:
     """Return unit approach directions (count, 3) for grasp frames, distributed evenly around an axis.
 
     The first direction is the one nearest to `first` (3,).

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armcell.core import Capsule, Cylinder, Sphere
 from armcell.grasping.candidates import Proposals, generators
-from armcell.grasping.generators.frames import around, tcp_pose
+from armcell.grasping.generators.frames import directions_around, tcp_pose
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import Surface
 from armcell.scene import CollisionObject
@@ -95,7 +95,7 @@ def _round(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
     """
     z = np.array([0.0, 0.0, 1.0])
     radius, length = float(half[0]), float(half[2])
-    for approach in around(z, SIDES, -up):  # across the axis, from all directions
+    for approach in directions_around(z, SIDES, -up):  # across the axis, from all directions
         closing = np.cross(z, approach)
         for offset, at in _along(length):
             point = approach * (_depth(radius, hand) - radius) + z * offset
@@ -109,19 +109,19 @@ def _round(found: Proposals, half: Array, hand: Hand, up: Array) -> None:
             )
     for approach in (z, -z):  # at an end; the rotation matters only for the arm
         point = approach * (_depth(length, hand) - length)
-        for k, closing in enumerate(around(z, SIDES, np.eye(3)[0])):
+        for k, closing in enumerate(directions_around(z, SIDES, np.eye(3)[0])):
             found.add(f"{_where(approach, up)} at {360 // SIDES * k} deg", tcp_pose(closing, approach, point))
 
 
 def _sphere(found: Proposals, radius: float, hand: Hand, up: Array) -> None:
     above = -up / np.linalg.norm(up)
-    level = around(above, 8, np.eye(3)[0])
+    level = directions_around(above, 8, np.eye(3)[0])
     for tilt, sides in ((0.0, 1), (30.0, 8), (60.0, 8), (90.0, 8)):
         for n in range(sides):
             approach = np.cos(np.radians(tilt)) * above + np.sin(np.radians(tilt)) * level[n]
             point = approach * (_depth(radius, hand) - radius)
             for k, closing in enumerate(
-                around(
+                directions_around(
                     approach, 6 if tilt == 0 else 2, np.asarray(np.cross(above, level[n]), dtype=np.float64)
                 )
             ):

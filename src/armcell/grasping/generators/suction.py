@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.grasping.candidates import Proposals, generators
-from armcell.grasping.generators.frames import around, tcp_pose
+from armcell.grasping.generators.frames import directions_around, tcp_pose
 from armcell.grasping.hand import Hand
 from armcell.grasping.surface import Surface
 from armcell.model import SuctionGripper
@@ -48,7 +48,7 @@ def suction_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Arra
             if key in taken:
                 continue
             taken.add(key)
-            for turn, closing in enumerate(around(normal, TURNS, np.eye(3)[1])):
+            for turn, closing in enumerate(directions_around(normal, TURNS, np.eye(3)[1])):
                 T = tcp_pose(closing, -normal, at)
                 for k, anchor in enumerate(anchors):
                     which = f", cup {k}" if k else ""

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 from armcell.core import InputError
 from armcell.kinematics.ik.analytic import AnalyticIK
-from armcell.kinematics.ik.free_spin import spin_angles
+from armcell.kinematics.ik.free_axis_rotation import free_axis_angles
 from armcell.kinematics.ik.numeric import NumericIK
 from armcell.kinematics.ik.solver import POSE_JOINTS, IKSettings, IKSolver, ik_solvers
 from armcell.model import RobotModel
@@ -50,7 +50,7 @@ __all__ = [
     "IKSettings",
     "IKSolver",
     "NumericIK",
+    "free_axis_angles",
     "ik_solver",
     "ik_solvers",
-    "spin_angles",
 ]

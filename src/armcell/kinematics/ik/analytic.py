@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.kinematics.ik.chain import chain_of
-from armcell.kinematics.ik.solver import IKSolver, Prepared, ik_solvers, other_columns, tip_of
-from armcell.kinematics.ik.turns import keep_within
+from armcell.kinematics.ik.full_turns import wrap_and_sort_solutions
+from armcell.kinematics.ik.solver import ChainData, IKSolver, ik_solvers, other_columns, tip_of
 from armcell.kinematics.ik.ur import BRANCHES, ur_branches, ur_geometry
 from armcell.kinematics.tree import FIXED, kinematic_tree
 from armcell.model import RobotModel
@@ -38,7 +38,7 @@ class AnalyticIK(IKSolver):
     def solves(cls, model: RobotModel, group: str, tip_link: str | None = None) -> bool:
         return is_analytic(model, group, tip_link)
 
-    def _prepare(self, positions: Array) -> Prepared:
+    def _prepare(self, positions: Array) -> ChainData:
         prepared = super()._prepare(positions)
         geometry = ur_geometry(prepared.chain)
         if geometry is None:
@@ -48,12 +48,14 @@ class AnalyticIK(IKSolver):
             )
         return replace(prepared, geometry=geometry)
 
-    def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
+    def _search(self, prepared: ChainData, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
         chain, found = prepared.chain, np.empty((BRANCHES, 6))
         forbidden = np.zeros(6, dtype=np.int64)
         count = ur_branches(prepared.geometry, goal, reference, found)
-        yield from found[: keep_within(found, count, reference, chain.bounds, chain.turning, forbidden)]
+        yield from found[
+            : wrap_and_sort_solutions(found, count, reference, chain.bounds, chain.turning, forbidden)
+        ]
         outside.update({self.joint_names[k]: int(forbidden[k]) for k in np.flatnonzero(forbidden)})
 
 

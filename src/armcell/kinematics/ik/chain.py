@@ -43,7 +43,7 @@ class Chain:
     reach: float
 
     @property
-    def scale(self) -> float:
+    def position_weight(self) -> float:
         """Weight [1/m] of a position error relative to a rotation error in IK. With this weight, a position
         error equal to the arm's reach counts as much as 1 rad.
         """
@@ -92,7 +92,7 @@ def chain_of(tree: KinematicTree, joint_names: tuple[str, ...], tip_link: str, p
         if row[MULTIPLIER] != np.round(row[MULTIPLIER]) or row[SLIDE]:
             turning[int(row[COLUMN])] = False
     return Chain(
-        table, SE3.from_matrix(base).inv().matrix[:3].ravel(), bounds, turning, _reach(table, bounds)
+        table, SE3.from_matrix(base).inverse().matrix[:3].ravel(), bounds, turning, _reach(table, bounds)
     )
 
 

@@ -13,7 +13,7 @@ ENOUGH = 1e-3  # [rad or m] sliding ends when the possible gain is smaller
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rotation_tolerance, q):
+def approach_in_null_space(table, bounds, goal, scale, reference, position_tolerance, rotation_tolerance, q):
     """Move an IK solution q (n,) closer to a reference (n,) within its null space. The tip keeps its pose,
     and the joints stay within their bounds.
 
@@ -66,7 +66,7 @@ def slide_towards(table, bounds, goal, scale, reference, position_tolerance, rot
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def lean(table, bounds, goal, scale, wish, iterations, position_tolerance, rotation_tolerance, q):
+def null_space_step(table, bounds, goal, scale, wish, iterations, position_tolerance, rotation_tolerance, q):
     """Move an IK solution q (n,) by the null-space part of the desired joint step `wish` (n,),
     then bring the tip back to its goal.
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from armcell.kinematics.ik.chain import Chain, errors_at
 from armcell.kinematics.ik.descent import descend
-from armcell.kinematics.ik.nullspace import slide_towards
+from armcell.kinematics.ik.nullspace import approach_in_null_space
 from armcell.kinematics.ik.search import search
 from armcell.kinematics.ik.seeds import rank, sampling_range
-from armcell.kinematics.ik.solver import POSE_JOINTS, IKSettings, IKSolver, Prepared, ik_solvers
+from armcell.kinematics.ik.solver import POSE_JOINTS, ChainData, IKSettings, IKSolver, ik_solvers
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class NumericIK(IKSolver):
 
     method = "numeric"
 
-    def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
+    def _search(self, prepared: ChainData, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
         chain, s = prepared.chain, self.settings
         if np.linalg.norm(goal[[3, 7, 11]]) > chain.reach + s.position_tolerance:
@@ -41,10 +41,22 @@ class NumericIK(IKSolver):
         for seeds, scores, left in self._seeds(prepared, goal, reference, rng):
             while left > 0:
                 tried, count = search(
-                    chain.table, chain.bounds, chain.turning, goal, chain.scale, reference, seeds, scores,
-                    min(left, BARREN), s.max_iterations, s.position_tolerance, s.rotation_tolerance, found,
-                    count, given + BATCH,
-                )  # fmt: skip
+                    chain.table,
+                    chain.bounds,
+                    chain.turning,
+                    goal,
+                    chain.position_weight,
+                    reference,
+                    seeds,
+                    scores,
+                    min(left, BARREN),
+                    s.max_iterations,
+                    s.position_tolerance,
+                    s.rotation_tolerance,
+                    found,
+                    count,
+                    given + BATCH,
+                )
                 left -= tried
                 if count == given > 0 and tried == BARREN:
                     return
@@ -59,23 +71,29 @@ class NumericIK(IKSolver):
         better = q.copy()
         exact = IKSettings()
         descend(
-            chain.table, chain.bounds, goal, chain.scale, POLISH, POLISH, exact.position_tolerance,
+            chain.table, chain.bounds, goal, chain.position_weight, POLISH, POLISH, exact.position_tolerance,
             exact.rotation_tolerance, better, np.empty((len(chain.table), 6)), np.empty((len(q), 7)),
         )  # fmt: skip
         before, after = (sum(errors_at(chain.table, x, goal)) for x in (q, better))
         return better if after < before else q.copy()
 
-    def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
+    def _nearer(self, prepared: ChainData, goal: Array, reference: Array, q: Array) -> Array:
         if len(q) <= 6:
             return q
         chain, nearer = prepared.chain, q.copy()
-        slide_towards(
-            chain.table, chain.bounds, goal, chain.scale, reference, self.settings.position_tolerance,
-            self.settings.rotation_tolerance, nearer,
-        )  # fmt: skip
+        approach_in_null_space(
+            chain.table,
+            chain.bounds,
+            goal,
+            chain.position_weight,
+            reference,
+            self.settings.position_tolerance,
+            self.settings.rotation_tolerance,
+            nearer,
+        )
         return nearer
 
-    def _seeds(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None):
+    def _seeds(self, prepared: ChainData, goal: Array, reference: Array, rng: np.random.Generator | None):
         """Yield batches (k, n) of start configurations (seeds) for numeric IK, with a score for each seed
         (lower is better) and the number of seeds to try.
 
@@ -84,7 +102,7 @@ class NumericIK(IKSolver):
         yield reference[None], np.zeros(1, np.float32), 1
         tabled = prepared.seeds
         scores = np.empty(len(tabled.positions), np.float32)
-        rank(tabled.poses, goal, prepared.chain.scale, scores)
+        rank(tabled.poses, goal, prepared.chain.position_weight, scores)
         rest = max(self.settings.seeds - 1, 0)
         yield tabled.positions, scores, min(rest, TABLED)
         rest -= TABLED

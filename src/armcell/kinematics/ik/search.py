@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 from armcell.kinematics.ik.descent import PATIENCE, descend
+from armcell.kinematics.ik.full_turns import nearest_turns
 from armcell.kinematics.ik.seeds import rank, take_nearest
-from armcell.kinematics.ik.turns import nearest_turns
 
 DISTINCT = 1e-2  # [rad or m] in any joint
 

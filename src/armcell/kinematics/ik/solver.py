@@ -15,9 +15,9 @@ from armcell.core import SE3, ErrorCode, IKResult, InputError, Registry
 from armcell.core.checks import checked
 from armcell.kinematics.ik.chain import Chain, chain_of, errors_at, goal_in_base
 from armcell.kinematics.ik.descent import descend
-from armcell.kinematics.ik.nullspace import lean
+from armcell.kinematics.ik.full_turns import full_turn_equivalents
+from armcell.kinematics.ik.nullspace import null_space_step
 from armcell.kinematics.ik.seeds import Seeds, rank, seeds_of, take_nearest
-from armcell.kinematics.ik.turns import whole_turns
 from armcell.kinematics.tree import FIXED, kinematic_tree
 from armcell.model import RobotModel
 
@@ -53,7 +53,7 @@ class IKSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class ChainData:
     """Data that an IK solver precomputes for its kinematic chain.
     The data are valid while the robot's other joints keep their positions.
     """
@@ -94,9 +94,9 @@ class IKSolver(ABC):
         start = model.default_positions()
         self._kept = (start[self._others].tobytes(), self._prepare(start))
 
-    def _prepare(self, positions: Array) -> Prepared:
+    def _prepare(self, positions: Array) -> ChainData:
         chain = chain_of(self.tree, self.joint_names, self.tip_link, positions)
-        return Prepared(chain, seeds_of(chain))
+        return ChainData(chain, seeds_of(chain))
 
     @classmethod
     def solves(cls, model: RobotModel, group: str, tip_link: str | None = None) -> bool:
@@ -104,7 +104,7 @@ class IKSolver(ABC):
         return True
 
     @property
-    def prepared(self) -> Prepared:
+    def chain_data(self) -> ChainData:
         """Data that an IK solver precomputed for its compiled functions during the latest query.
 
         The data depends on the positions of the robot's other joints in that query.
@@ -112,7 +112,7 @@ class IKSolver(ABC):
         return self._kept[1]
 
     @abstractmethod
-    def _search(self, prepared: Prepared, goal: Array, reference: Array, rng: np.random.Generator | None,
+    def _search(self, prepared: ChainData, goal: Array, reference: Array, rng: np.random.Generator | None,
                 outside: dict[str, int]) -> Iterator[Array]:  # fmt: skip
         """Search for distinct IK solutions (n,) that reach a goal (12,), the desired tip pose in the base
         frame of the chain.
@@ -120,7 +120,7 @@ class IKSolver(ABC):
         The method also counts, in `outside` per joint, the solutions that only this joint's limits forbid.
         """
 
-    def _nearer(self, prepared: Prepared, goal: Array, reference: Array, q: Array) -> Array:
+    def _nearer(self, prepared: ChainData, goal: Array, reference: Array, q: Array) -> Array:
         """Return an IK solution for the same pose as `q` (n,) that is closer to the reference.
 
         The default implementation returns `q` itself.
@@ -145,7 +145,7 @@ class IKSolver(ABC):
         """
         prepared, goal, at = self._question(T_world_tip, reference)
         for q in self._search(prepared, goal, at, rng, {}):
-            yield from whole_turns(q, at, prepared.chain) if equivalents else (q,)
+            yield from full_turn_equivalents(q, at, prepared.chain) if equivalents else (q,)
 
     def nearest(
         self, T_world_tip: SE3, reference: ArrayLike, rng: np.random.Generator | None = None, among: int = 16
@@ -237,8 +237,8 @@ class IKSolver(ABC):
         chain, s = prepared.chain, self.settings
         if bounds is not None:
             chain = replace(chain, bounds=bounds)
-        if wish is not None and wish.any() and lean(
-            chain.table, chain.bounds, goal, chain.scale, wish, iterations, s.position_tolerance,
+        if wish is not None and wish.any() and null_space_step(
+            chain.table, chain.bounds, goal, chain.position_weight, wish, iterations, s.position_tolerance,
             s.rotation_tolerance, at,
         ):  # fmt: skip
             position, angle, ok = *errors_at(chain.table, at, goal), True
@@ -253,12 +253,12 @@ class IKSolver(ABC):
         """
         n = len(at)
         return descend(
-            chain.table, chain.bounds, goal, chain.scale, iterations, iterations,
+            chain.table, chain.bounds, goal, chain.position_weight, iterations, iterations,
             self.settings.position_tolerance, self.settings.rotation_tolerance, at,
             np.empty((len(chain.table), 6)), np.empty((n, 7)),
         )[:3]  # fmt: skip
 
-    def _question(self, T_world_tip: SE3, reference: ArrayLike) -> tuple[Prepared, Array, Array]:
+    def _question(self, T_world_tip: SE3, reference: ArrayLike) -> tuple[ChainData, Array, Array]:
         """Check a query to an IK solver. Return the precomputed data, the goal pose (12,) and the reference
         positions (n,) of the group.
 
@@ -286,14 +286,14 @@ class IKSolver(ABC):
         return prepared, goal, positions[self.columns]
 
     def _closest(
-        self, prepared: Prepared, goal: Array, at: Array, reference: Array, outside: dict[str, int]
+        self, prepared: ChainData, goal: Array, at: Array, reference: Array, outside: dict[str, int]
     ) -> IKResult:
         """Return the failed result of an IK solver for a pose that is out of reach, with the nearest pose
         that can be reached.
         """
         chain, seeds = prepared.chain, prepared.seeds
         scores = np.empty(len(seeds.positions), np.float32)
-        rank(seeds.poses, goal, chain.scale, scores)
+        rank(seeds.poses, goal, chain.position_weight, scores)
         best, least = at, (np.inf, np.inf)
         for k in range(CLOSEST_SEEDS):
             q = np.clip(at, chain.bounds[:, 0], chain.bounds[:, 1]) if k == 0 else seeds.positions[

@@ -14,7 +14,7 @@ from lxml import etree
 
 from armcell.core import InputError
 from armcell.model.assets import MAX_MESH_BYTES
-from armcell.model.files import MAX_TEXT_BYTES, parse_xml, read_text
+from armcell.model.untrusted_files import MAX_TEXT_BYTES, parse_xml, read_text
 
 MAX_INCLUDES = 30  # depth of nested includes
 _FOLDERS = {"mesh": "meshdir", "hfield": "assetdir", "skin": "assetdir", "model": None}

@@ -306,7 +306,7 @@ class _Reader:
         if asset.file and not moved and Path(asset.file).suffix.lower() in MESH_SUFFIXES:
             T_file = self.pose(m.mesh_pos, m.mesh_quat, i)  # MuJoCo moves meshes to their principal axes
             sx, sy, sz = (float(v) for v in asset.scale)
-            return Visual(T @ T_file.inv(), file=Path(asset.file), scale=(sx, sy, sz), color=(r, g, b, a))
+            return Visual(T @ T_file.inverse(), file=Path(asset.file), scale=(sx, sy, sz), color=(r, g, b, a))
         return Visual(T, shape=Mesh(*mesh), color=(r, g, b, a))
 
     def geom_pose(self, geom: int) -> SE3:

@@ -1,7 +1,7 @@
 """Robot setup without a GUI: detect arms and grippers, read and write MoveIt configurations."""
 
 from armcell.model.setup import defaults
-from armcell.model.setup.chains import Chain, find_chains, with_groups
+from armcell.model.setup.arm_detection import ArmChain, find_chains, with_groups
 from armcell.model.setup.folder import check_folder, write_folder, yaml_text
 from armcell.model.setup.launch import launch_files
 from armcell.model.setup.moveit_config import (
@@ -10,16 +10,15 @@ from armcell.model.setup.moveit_config import (
     load_ompl_planning,
     package_files,
 )
-from armcell.model.setup.semantics import described, parse_srdf, srdf_text
+from armcell.model.setup.srdf_writer import parse_srdf, srdf_of, srdf_text
 from armcell.model.setup.urdf_text import UrdfPart, merged_urdf, with_frames_text
 
 __all__ = [
-    "Chain",
+    "ArmChain",
     "MoveItConfig",
     "UrdfPart",
     "check_folder",
     "defaults",
-    "described",
     "find_chains",
     "is_moveit_config",
     "launch_files",
@@ -27,6 +26,7 @@ __all__ = [
     "merged_urdf",
     "package_files",
     "parse_srdf",
+    "srdf_of",
     "srdf_text",
     "with_frames_text",
     "with_groups",

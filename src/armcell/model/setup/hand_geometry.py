@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from armcell.core import SE3, SO3
 from armcell.model.robot import Joint, RobotModel
-from armcell.model.setup.chains import common_link
+from armcell.model.setup.arm_detection import common_link
 from armcell.model.setup.surface_points import surface_points
 
 Array = NDArray[np.float64]
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 SPACING = 0.002  # [m] of the grid on which the jaws' facing surfaces are compared
 
 
-class NotRecognized(Exception):
+class GripperNotRecognizedError(Exception):
     """Error for a gripper that robot setup cannot recognize; the text states the reason.
 
     `hint` states the remedy, if there is one.

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.model.setup.hand_geometry import SPACING, HandGeometry, NotRecognized
+from armcell.model.setup.hand_geometry import SPACING, GripperNotRecognizedError, HandGeometry
 
 Array = NDArray[np.float64]
 Part = tuple[str, ...]
@@ -50,13 +50,14 @@ def find_jaws(hand: HandGeometry, fingers: tuple[Part, ...] = (), closes: str = 
         fingers: links of both jaws; empty: detected.
         closes: "upper" or "lower", the closed limit of the driven joint; empty: detected.
     Raises:
-        NotRecognized: the hand has no two jaws that close on each other, or `closes` contradicts the meshes.
+        GripperNotRecognizedError: the hand has no two jaws that close on each other, or `closes`
+            contradicts the meshes.
     """
     low, high = hand.driver.limits.lower, hand.driver.limits.upper
     mid = (low + high) / 2
     solid = [p for p in dict.fromkeys(hand.rigid[j.child] for j in hand.moving) if len(hand.at(p, mid))]
     if not solid:
-        raise NotRecognized("its moving links have no collision geometry")
+        raise GripperNotRecognizedError("its moving links have no collision geometry")
     palm = hand.rigid[hand.palm]
     if fingers:
         sides = [_side(hand, links) for links in fingers]
@@ -88,7 +89,7 @@ def _out(hand: HandGeometry, parts: list[Part], mid: float) -> Array:
     """Return the unit direction (3,) out of the hand: from the palm to the moving parts."""
     out = np.concatenate([hand.at(p, mid) for p in parts]).mean(0)
     if np.linalg.norm(out) < 1e-6:
-        raise NotRecognized("its jaws surround the palm, so no direction is out of the hand")
+        raise GripperNotRecognizedError("its jaws surround the palm, so no direction is out of the hand")
     return out / np.linalg.norm(out)
 
 
@@ -96,7 +97,7 @@ def _pair(hand: HandGeometry, solid: list[Part], speeds: dict[Part, Array]) -> t
     """Return the two parts of different branches that move toward each other and reach farthest.
 
     Raises:
-        NotRecognized: there are no such parts, or three fingers close on the object.
+        GripperNotRecognizedError: there are no such parts, or three fingers close on the object.
     """
     mid = (hand.driver.limits.lower + hand.driver.limits.upper) / 2
     out = _out(hand, solid, mid)
@@ -112,7 +113,7 @@ def _pair(hand: HandGeometry, solid: list[Part], speeds: dict[Part, Array]) -> t
             continue  # they pass each other
         pairs.append((min(float((hand.at(p, mid) @ out).max()) for p in (a, b)), a, b))
     if not pairs:
-        raise NotRecognized("no two of its moving links move toward each other", STATE_FINGERS)
+        raise GripperNotRecognizedError("no two of its moving links move toward each other", STATE_FINGERS)
     least, best = -np.inf, pairs[0]
     for pair in pairs:
         if pair[0] > least + 1e-3:
@@ -121,7 +122,7 @@ def _pair(hand: HandGeometry, solid: list[Part], speeds: dict[Part, Array]) -> t
     longest = {hand.branch(p): p for reach, *both in pairs if reach > least - AS_LONG for p in both}
     if len(longest) > 2:
         names = ", ".join(p[0] for p in longest.values())
-        raise NotRecognized(
+        raise GripperNotRecognizedError(
             f"{len(longest)} fingers close toward a common center ({names}), but a gripper has pads on two "
             "sides of one closing direction",
             "pass --gripper fingers=A,B+C with the links of both sides",
@@ -136,7 +137,7 @@ def _facing(
     mid = (low + high) / 2
     y = speeds[a] - speeds[b]
     if np.linalg.norm(y) < 1e-9:
-        raise NotRecognized(f"joint {hand.driver.name} does not move its jaws toward each other")
+        raise GripperNotRecognizedError(f"joint {hand.driver.name} does not move its jaws toward each other")
     if (hand.at(a, mid).mean(0) - hand.at(b, mid).mean(0)) @ y < 0:
         a, b = b, a
     moving = [p for p in dict.fromkeys(hand.rigid[j.child] for j in hand.moving) if len(hand.at(p, mid))]
@@ -150,7 +151,7 @@ def _ends(
     """Return the positions of the driven joint at which the jaws are closed and open."""
     gaps = [hand.gap(a, b, axes, q)[0] for q in (low, high)]
     if not np.isfinite(gaps).any():
-        raise NotRecognized("its jaws do not face each other in any position", STATE_FINGERS)
+        raise GripperNotRecognizedError("its jaws do not face each other in any position", STATE_FINGERS)
     return _chosen(hand, gaps, closes)
 
 
@@ -158,7 +159,7 @@ def _chosen(hand: HandGeometry, gaps: list[float], closes: str) -> tuple[float, 
     """Return the closed and the open position of the driven joint, given the jaws' gaps [m] at both limits.
 
     Raises:
-        NotRecognized: the gaps are equal, or they contradict `closes`.
+        GripperNotRecognizedError: the gaps are equal, or they contradict `closes`.
     """
     name, ends = hand.driver.name, (hand.driver.limits.lower, hand.driver.limits.upper)
     at = [f"{1000 * g:.0f} mm apart" if np.isfinite(g) else "beside each other" for g in gaps]
@@ -167,10 +168,10 @@ def _chosen(hand: HandGeometry, gaps: list[float], closes: str) -> tuple[float, 
     more = gaps[0] - gaps[1] if np.isfinite(gaps).all() else 0.0
     if closes:
         if (more > ALIKE) if closes == "lower" else (more < -ALIKE):
-            raise NotRecognized(f"it does not close toward the {closes} limit: {text}")
+            raise GripperNotRecognizedError(f"it does not close toward the {closes} limit: {text}")
         return ends if closes == "lower" else (ends[1], ends[0])
     if np.isfinite(gaps).all() and abs(more) < ALIKE:
-        raise NotRecognized(
+        raise GripperNotRecognizedError(
             f"its closed end is not clear: {text}", "pass --gripper closes=lower or closes=upper"
         )
     return ends if not gaps[0] > gaps[1] else (ends[1], ends[0])
@@ -180,7 +181,7 @@ def _single(hand: HandGeometry, jaw: Part, low: float, high: float, closes: str)
     """Return the jaws of a gripper with one moving jaw; the palm is the fixed jaw."""
     fixed = hand.rigid[hand.palm]
     if not len(hand.at(fixed, low)):
-        raise NotRecognized(f"the fixed jaw {hand.palm} has no collision geometry")
+        raise GripperNotRecognizedError(f"the fixed jaw {hand.palm} has no collision geometry")
     joint = next(j for j in hand.moving if j.child in jaw)
     T_palm_joint = hand.pose(joint.parent, low) @ joint.T_parent_joint
     axis = T_palm_joint.rotation.matrix @ np.asarray(joint.axis)
@@ -252,7 +253,7 @@ def _axes(y: Array, out: Array) -> Array:
     y = _snapped(y / np.linalg.norm(y))
     z = out - (out @ y) * y
     if np.linalg.norm(z) < 1e-6:
-        raise NotRecognized("its jaws move along the direction out of the hand")
+        raise GripperNotRecognizedError("its jaws move along the direction out of the hand")
     z = _snapped(z / np.linalg.norm(z))
     z = z - (z @ y) * y
     z /= np.linalg.norm(z)

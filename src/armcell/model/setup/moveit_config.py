@@ -13,15 +13,15 @@ from typing import Any
 
 from armcell.core import InputError, UnknownNameError
 from armcell.model.assets import resolve_uri
-from armcell.model.files import parse_xml, read_yaml
-from armcell.model.options import assignments
+from armcell.model.command_line_options import assignments
 from armcell.model.robot import RobotModel
 from armcell.model.setup.defaults import ACCELERATION, VELOCITY
 from armcell.model.setup.folder import write_folder, yaml_text
 from armcell.model.setup.launch import launch_files
-from armcell.model.setup.semantics import Element, parse_srdf, srdf_text
+from armcell.model.setup.srdf_writer import Element, parse_srdf, srdf_text
 from armcell.model.setup.urdf_text import find_meshes, xml_text
 from armcell.model.srdf import with_srdf_text
+from armcell.model.untrusted_files import parse_xml, read_yaml
 from armcell.model.urdf import parse_urdf, urdf_text
 
 logger = logging.getLogger(__name__)

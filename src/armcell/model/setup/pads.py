@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armcell.core import SE3, SO3
 from armcell.model.robot import EndEffector, Gripper, RobotModel
 from armcell.model.setup.frames import with_frame
-from armcell.model.setup.hand_geometry import SPACING, HandGeometry, NotRecognized
+from armcell.model.setup.hand_geometry import SPACING, GripperNotRecognizedError, HandGeometry
 from armcell.model.setup.jaws import LONGEST_PAD, WIDEST_TURN, Jaws
 
 Array = NDArray[np.float64]
@@ -27,25 +27,26 @@ PALM_MARGIN = 0.005  # [m] minimum distance of a grasped object from the palm
 FORCES = (1.0, 300.0)  # [N] per finger; other values of a description are not a gripper's
 
 
-def with_described(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool: str = "") -> RobotModel:
+def with_measured_gripper(hand: HandGeometry, end: EndEffector, jaws: Jaws, tool: str = "") -> RobotModel:
     """Return the robot with a gripper whose parameters are measured on the meshes of its jaws.
 
     Args:
         tool: link that must be the tcp; empty: a suitable frame of the hand, or a new link.
     Raises:
-        NotRecognized: the jaws have no facing pads, they do not open, or `tool` is not between them.
+        GripperNotRecognizedError: the jaws have no facing pads, they do not open, or `tool` is not
+            between them.
     """
     model, axes = hand.model, jaws.axes
     single = jaws.single
     at = jaws.closed
     _, cells, plus, minus = hand.gap(jaws.plus, jaws.minus, axes, at)
     if not len(cells):
-        raise NotRecognized("its jaws do not face each other when it is closed")
+        raise GripperNotRecognizedError("its jaws do not face each other when it is closed")
     tip = float(min((hand.at(p, at) @ axes[2]).max() for p in (jaws.plus, jaws.minus)))
     gaps = plus - minus
     outer = cells[:, 1] > tip - 2 * LONGEST_PAD
     if not outer.any():
-        raise NotRecognized("its jaws do not face each other at their ends")
+        raise GripperNotRecognizedError("its jaws do not face each other at their ends")
     pad = _pad_cells(cells, gaps, tip, 3 * FLAT if single else FLAT)
     top = pad[:, 1].max()
     pad = pad[pad[:, 1] > top - LONGEST_PAD]
@@ -158,7 +159,7 @@ def _curve(hand: HandGeometry, jaws: Jaws, pads: list[dict[str, Array]]) -> Arra
         ]
         width = float(ends[0][:, 1].min() - ends[1][:, 1].max())
         turns = [
-            np.linalg.norm((b.inv() @ hand.pose(p[0], q).rotation).log())
+            np.linalg.norm((b.inverse() @ hand.pose(p[0], q).rotation).log())
             for b, p in zip(before, (jaws.plus, jaws.minus), strict=True)
         ]
         if rows and (width <= rows[-1][1] + 1e-6 or max(turns) > WIDEST_TURN):
@@ -167,7 +168,7 @@ def _curve(hand: HandGeometry, jaws: Jaws, pads: list[dict[str, Array]]) -> Arra
         z = float(ends[1][:, 2].mean() if single else (ends[0][:, 2].mean() + ends[1][:, 2].mean()) / 2)
         rows.append([float(q), width, y, z])
     if len(rows) < 3:
-        raise NotRecognized(
+        raise GripperNotRecognizedError(
             f"its jaws do not open: joint {hand.driver.name} moves from {jaws.closed:g} to "
             f"{jaws.opened:g}, but the pads do not separate"
         )
@@ -176,7 +177,7 @@ def _curve(hand: HandGeometry, jaws: Jaws, pads: list[dict[str, Array]]) -> Arra
         start = [float(np.interp(0.0, curve[:, 1], curve[:, k])) for k in range(4)]
         curve = np.concatenate([[start], curve[curve[:, 1] > 1e-6]])
     if curve[-1, 1] < NARROW:
-        raise NotRecognized(
+        raise GripperNotRecognizedError(
             f"its pads open only {1000 * curve[-1, 1]:.1f} mm, until they turn by more than "
             f"{np.degrees(WIDEST_TURN):.0f} degrees or stop separating"
         )
@@ -203,15 +204,17 @@ def _existing(hand: HandGeometry, T_palm_tcp: SE3, reach: float, tool: str) -> t
         The name of the frame (None if there is none), the pose T_frame_tcp, and a sign: -1 if the y axis
         of the frame is reversed, else 1.
     Raises:
-        NotRecognized: `tool` is not between the pads.
+        GripperNotRecognizedError: `tool` is not between the pads.
     """
     if tool and tool not in hand.rigid[hand.palm]:
         fixed = ", ".join(hand.rigid[hand.palm])
-        raise NotRecognized(f"tcp {tool} is not fixed to the palm {hand.palm}; links that are: {fixed}")
+        raise GripperNotRecognizedError(
+            f"tcp {tool} is not fixed to the palm {hand.palm}; links that are: {fixed}"
+        )
     for name in (tool,) if tool else hand.rigid[hand.palm]:
         if not tool and (name == hand.palm or hand.model.links[name].collisions):
             continue
-        T = hand.pose(name, 0.0).inv() @ T_palm_tcp
+        T = hand.pose(name, 0.0).inverse() @ T_palm_tcp
         R, t = T.rotation.matrix, T.translation
         aligned = R[2, 2] > STRAIGHT and abs(R[1, 1]) > STRAIGHT
         if aligned and np.hypot(t[0], t[1]) < BESIDE and abs(t[2]) < max(reach, 0.01):
@@ -219,7 +222,7 @@ def _existing(hand: HandGeometry, T_palm_tcp: SE3, reach: float, tool: str) -> t
         if tool:
             z, y = (np.degrees(np.arccos(np.clip(v, -1, 1))) for v in (R[2, 2], abs(R[1, 1])))
             x_mm, y_mm, z_mm = 1000 * t
-            raise NotRecognized(
+            raise GripperNotRecognizedError(
                 f"tcp {tool} is not between the pads: its z axis is {z:.0f} degrees from the direction out "
                 f"of the hand, its y axis {y:.0f} degrees from the closing direction, and the pads' center "
                 f"is at ({x_mm:.0f}, {y_mm:.0f}, {z_mm:.0f}) mm in its frame"

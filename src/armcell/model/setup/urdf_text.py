@@ -15,8 +15,8 @@ from lxml import etree
 
 from armcell.core import InputError
 from armcell.model.assets import resolve_uri
-from armcell.model.files import parse_xml
 from armcell.model.robot import RobotModel
+from armcell.model.untrusted_files import parse_xml
 from armcell.model.urdf import urdf_text
 
 NOWHERE = Path("/")

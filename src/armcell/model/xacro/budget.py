@@ -64,7 +64,7 @@ class Budget:
         if self.left < 0:
             raise XacroError(f"it takes more than {MAX_STEPS:,} operations", "simplify the file")
 
-    def made(self, value: Any) -> Any:
+    def charge_value(self, value: Any) -> Any:
         """Deduct the size of a new value in a xacro expression from the budget, and return the value.
 
         Raises:

@@ -26,10 +26,10 @@ from typing import Any
 from lxml import etree
 
 from armcell.core import InputError
-from armcell.model.files import parse_xml, read_text
-from armcell.model.options import xacro_args
+from armcell.model.command_line_options import xacro_args
+from armcell.model.untrusted_files import parse_xml, read_text
 from armcell.model.xacro.budget import CHARACTERS, Budget, Function, XacroError
-from armcell.model.xacro.expressions import Dotted, NameSpace, evaluate
+from armcell.model.xacro.expressions import AttributeDict, NameSpace, evaluate
 from armcell.model.xacro.files import MissingFile, RobotFiles
 from armcell.model.xacro.functions import BASIC, MATH, PYTHON, plain, text_of, tokenize
 from armcell.model.xacro.parameters import Parameter, parameters_of
@@ -59,11 +59,11 @@ def expand_xacro(
     allow_env: bool | None = None,
     home: Path | None = None,
 ) -> str:
-    """Expand a xacro file and return the resulting URDF text. See `expand_with_places`."""
-    return expand_with_places(file, arguments, allow_env, home)[0]
+    """Expand a xacro file and return the resulting URDF text. See `expand_with_source_locations`."""
+    return expand_with_source_locations(file, arguments, allow_env, home)[0]
 
 
-def expand_with_places(
+def expand_with_source_locations(
     file: Path,
     arguments: Mapping[str, str] | None = None,
     allow_env: bool | None = None,
@@ -195,7 +195,7 @@ class _Expansion:
         functions = {
             "load_yaml": plain("load_yaml", lambda name: self.files.yaml(self._path(name), number)),
             "abs_filename": plain("abs_filename", lambda name: str(self._path(name))),
-            "dotify": plain("dotify", Dotted),
+            "dotify": plain("dotify", AttributeDict),
         }
         own = {
             **functions,

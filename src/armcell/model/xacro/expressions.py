@@ -36,7 +36,7 @@ class Names(Protocol):
         ...
 
 
-class Dotted(dict[Any, Any]):
+class AttributeDict(dict[Any, Any]):
     """Dictionary from a YAML file.
     In xacro expressions, its keys can also be used as attributes, as in `limits.lower`.
     """
@@ -116,7 +116,7 @@ class _Evaluator:
     def constant(self, node: ast.Constant, names: Names) -> Any:
         if node.value is not None and not isinstance(node.value, int | float | str):
             raise XacroError(f"a literal of type {type(node.value).__name__} is not allowed")
-        return self.budget.made(node.value)
+        return self.budget.charge_value(node.value)
 
     def name(self, node: ast.Name, names: Names) -> Any:
         try:
@@ -135,9 +135,9 @@ class _Evaluator:
             found = method_of(value, node.attr)
             if found is not None:
                 return found
-            if isinstance(value, Dotted) and node.attr in value:
+            if isinstance(value, AttributeDict) and node.attr in value:
                 return value[node.attr]
-        if isinstance(value, Dotted):
+        if isinstance(value, AttributeDict):
             raise XacroError(f"the YAML dictionary has no key {node.attr!r}")
         raise XacroError(f"attribute {node.attr!r} of {_kind(value)} is not allowed")
 
@@ -147,12 +147,12 @@ class _Evaluator:
             raise XacroError(f"{_kind(value)} has no items")
         if isinstance(node.slice, ast.Slice):
             parts = (node.slice.lower, node.slice.upper, node.slice.step)
-            return self.budget.made(value[slice(*(p and self.value(p, names) for p in parts))])
+            return self.budget.charge_value(value[slice(*(p and self.value(p, names) for p in parts))])
         return value[self.value(node.slice, names)]
 
     def sequence(self, node: ast.List | ast.Tuple, names: Names) -> Any:
         found = [self.value(item, names) for item in node.elts]
-        return self.budget.made(found if isinstance(node, ast.List) else tuple(found))
+        return self.budget.charge_value(found if isinstance(node, ast.List) else tuple(found))
 
     def dictionary(self, node: ast.Dict, names: Names) -> Any:
         found = {}
@@ -160,7 +160,7 @@ class _Evaluator:
             if key is None:
                 raise XacroError("** is not allowed")
             self.put(found, self.value(key, names), self.value(item, names))
-        return self.budget.made(found)
+        return self.budget.charge_value(found)
 
     def put(self, found: dict[Any, Any], key: Any, value: Any) -> None:
         check_key(key)
@@ -173,12 +173,12 @@ class _Evaluator:
         if operate is None:
             raise XacroError(f"operator {type(node.op).__name__} is not allowed")
         self.data(left, right)
-        return self.budget.made(operate(left, right))
+        return self.budget.charge_value(operate(left, right))
 
     def unary(self, node: ast.UnaryOp, names: Names) -> Any:
         value = self.value(node.operand, names)
         self.data(value)
-        return self.budget.made(_UNARY[type(node.op)](value))
+        return self.budget.charge_value(_UNARY[type(node.op)](value))
 
     def both(self, node: ast.BoolOp, names: Names) -> Any:
         value = None
@@ -224,14 +224,14 @@ class _Evaluator:
             total += size(found[-1])
             if total > MAX_SIZE:
                 raise XacroError(f"a list has more than {MAX_SIZE:,} items")
-        return self.budget.made(found)
+        return self.budget.charge_value(found)
 
     def dict_comprehension(self, node: ast.DictComp, names: Names) -> Any:
         found: dict[Any, Any] = {}
         for local in self.rows(node.generators, names):
             self.put(found, self.value(node.key, local), self.value(node.value, local))
             self.budget.charge(size(list(found.items())[-1:]))
-        return self.budget.made(found)
+        return self.budget.charge_value(found)
 
     def rows(self, loops: list[ast.comprehension], names: Names) -> Iterator[Names]:
         loop, rest = loops[0], loops[1:]
@@ -269,7 +269,7 @@ class _Evaluator:
             if keyword.arg is None:
                 raise XacroError("** is not allowed")
             keywords[keyword.arg] = self.value(keyword.value, names)
-        return self.budget.made(function.run(self.budget, *arguments, **keywords))
+        return self.budget.charge_value(function.run(self.budget, *arguments, **keywords))
 
 
 def _kind(value: Any) -> str:

@@ -16,7 +16,7 @@ from lxml import etree
 
 from armcell.core import InputError
 from armcell.model.assets import find_package, package_above, search_folders
-from armcell.model.files import (
+from armcell.model.untrusted_files import (
     MAX_TEXT_BYTES,
     MAX_YAML_BYTES,
     SafeLoader,
@@ -25,7 +25,7 @@ from armcell.model.files import (
     read_text,
 )
 from armcell.model.xacro.budget import Budget, XacroError, size
-from armcell.model.xacro.expressions import Dotted
+from armcell.model.xacro.expressions import AttributeDict
 
 YAML_CHARACTERS = 4  # characters that count as one operation: the YAML parser is slow
 XML_CHARACTERS = 40
@@ -175,12 +175,12 @@ class RobotFiles:
             raise InputError(f"is not valid YAML: {error}", file=path) from None
 
     def _plain(self, value: Any) -> Any:
-        """Convert YAML data of a robot file to values for xacro: dicts become `Dotted`, dates
+        """Convert YAML data of a robot file to values for xacro: dicts become `AttributeDict`, dates
         become strings.
         """
         self.budget.charge(1)
         if isinstance(value, dict):
-            found = Dotted((key, self._plain(item)) for key, item in value.items())
+            found = AttributeDict((key, self._plain(item)) for key, item in value.items())
             size(list(found))
             return found
         if isinstance(value, list):

@@ -118,7 +118,7 @@ def _called(budget: Budget, function: Any, *arguments: Any) -> Any:
     if not isinstance(function, Function):
         raise XacroError(f"a value of type {type(function).__name__} cannot be called")
     budget.charge(1)
-    return budget.made(function.run(budget, *arguments))
+    return budget.charge_value(function.run(budget, *arguments))
 
 
 def _keyed(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -128,7 +128,7 @@ def evaluate_text(text: str, scope: Scope) -> Any:
     if len(found) == 1:
         return found[0]
     scope.budget.charge(len(found))
-    return scope.budget.made("".join(text_of(each) for each in found))
+    return scope.budget.charge_value("".join(text_of(each) for each in found))
 
 
 def literal(value: Any) -> Any:

@@ -15,7 +15,7 @@ from armcell.moveit.session import CHECK, current_session
 from armcell.moveit.shims.rospy import ROSInterruptException, get_time, is_shutdown
 from armcell.ros import ActionClient as BusClient
 from armcell.ros import ActionServer as BusServer
-from armcell.ros.actions import Done, Goal, State
+from armcell.ros.actions import ActionOutcome, Goal, GoalState
 
 GoalStatus = classes()["actionlib_msgs/GoalStatus"]
 
@@ -39,7 +39,7 @@ class SimpleActionClient:
 
     def __init__(self, ns: str, ActionSpec: Any):
         session = current_session()
-        self._client = session.own(BusClient(session.bus, ns, _plain(ActionSpec)))
+        self._client = session.close_on_shutdown(BusClient(session.bus, ns, _plain(ActionSpec)))
         self._session, self._sent = session, None
 
     def wait_for_server(self, timeout: Any = 0.0) -> bool:
@@ -61,13 +61,13 @@ class SimpleActionClient:
     ) -> None:  # fmt: skip
         local = self._session.messages.local
         on_feedback = None if feedback_cb is None else (lambda message: feedback_cb(local(message)))
-        sent = self._sent = self._client.send(local(goal), on_feedback)
+        sent = self._sent = self._client.send_goal(local(goal), on_feedback)
         if done_cb is not None or active_cb is not None:
             threading.Thread(target=self._watch, args=(sent, done_cb, active_cb), daemon=True).start()
 
     def _watch(self, sent: Any, done_cb: Any, active_cb: Any) -> None:
         while not sent.wait(0.02):
-            if active_cb is not None and sent.state is State.ACTIVE:
+            if active_cb is not None and sent.state is GoalState.ACTIVE:
                 active_cb()
                 active_cb = None
             if self._session.shutting_down.is_set():
@@ -112,7 +112,7 @@ class SimpleActionClient:
         )  # fmt: skip
 
     def get_state(self) -> int:
-        return int(State.LOST) if self._sent is None else int(self._sent.state)
+        return int(GoalState.LOST) if self._sent is None else int(self._sent.state)
 
     def get_goal_status_text(self) -> str:
         return "" if self._sent is None else self._sent.text
@@ -147,7 +147,7 @@ class SimpleActionServer:
         self._server: BusServer | None = None
         self._goal: Goal | None = None
         self._next: list[Goal] = []
-        self._ended: dict[str, Done] = {}
+        self._ended: dict[str, ActionOutcome] = {}
         self._over: dict[str, threading.Event] = {}
         self._on_goal: Callable[[], None] | None = None
         self._on_preempt: Callable[[], None] | None = None
@@ -159,9 +159,9 @@ class SimpleActionServer:
             server = BusServer(
                 self._session.bus, self._name, self._type, self._execute, accepts=self._callback is not None
             )
-            self._server = self._session.own(server)
+            self._server = self._session.close_on_shutdown(server)
 
-    def _execute(self, goal: Goal) -> Done:
+    def _execute(self, goal: Goal) -> ActionOutcome:
         over = self._over[goal.id.id] = threading.Event()
         threading.Thread(target=self._watch_cancel, args=(goal, over), daemon=True).start()
         try:
@@ -179,7 +179,9 @@ class SimpleActionServer:
         finally:
             over.set()
             del self._over[goal.id.id]
-        return self._ended.pop(goal.id.id, None) or Done(State.ABORTED, self._result(None), unsaid)
+        return self._ended.pop(goal.id.id, None) or ActionOutcome(
+            GoalState.ABORTED, self._result(None), unsaid
+        )
 
     def _watch_cancel(self, goal: Goal, over: threading.Event) -> None:
         while not over.is_set() and not self._session.shutting_down.is_set():
@@ -191,24 +193,24 @@ class SimpleActionServer:
     def _result(self, result: Any) -> Any:
         return result if result is not None else self._session.new(f"{self._type}Result")
 
-    def _end(self, state: State, result: Any, text: str) -> None:
+    def _end(self, state: GoalState, result: Any, text: str) -> None:
         if self._goal is None:
             return
         over = self._over.get(self._goal.id.id)
         if over is None:
             return  # the goal has ended already
-        self._ended[self._goal.id.id] = Done(state, self._result(result), text)
+        self._ended[self._goal.id.id] = ActionOutcome(state, self._result(result), text)
         if self._callback is None:
             over.set()
 
     def set_succeeded(self, result: Any = None, text: str = "") -> None:
-        self._end(State.SUCCEEDED, result, text)
+        self._end(GoalState.SUCCEEDED, result, text)
 
     def set_aborted(self, result: Any = None, text: str = "") -> None:
-        self._end(State.ABORTED, result, text)
+        self._end(GoalState.ABORTED, result, text)
 
     def set_preempted(self, result: Any = None, text: str = "") -> None:
-        self._end(State.PREEMPTED, result, text)
+        self._end(GoalState.PREEMPTED, result, text)
 
     def publish_feedback(self, feedback: Any) -> None:
         if self._goal is not None:
@@ -224,7 +226,7 @@ class SimpleActionServer:
         return bool(self._next)
 
     def is_active(self) -> bool:
-        return self._goal is not None and not self._goal.state.is_over
+        return self._goal is not None and not self._goal.state.is_terminal
 
     def accept_new_goal(self) -> Any:
         self._goal = self._next.pop(0)

@@ -170,7 +170,7 @@ def wait_until(seconds: float) -> None:
     clock = session.bus.clock
     try:
         while not clock.wait_until(seconds, timeout=CHECK):
-            session.watch_other_end()
+            session.hint_at_missing_joint_states()
             if session.shutting_down.is_set() or not session.served.is_running:
                 session.shut_down("signal")
                 raise ROSInterruptException("ROS shutdown request")

@@ -41,7 +41,7 @@ from armcell.moveit.shims.ros_node import (
     sleep,
     spin,
 )
-from armcell.moveit.shims.ros_talk import (
+from armcell.moveit.shims.ros_topics_services import (
     Publisher,
     Service,
     ServiceProxy,

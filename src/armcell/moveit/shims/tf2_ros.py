@@ -146,7 +146,7 @@ class Buffer:
         if roots[0] != roots[1]:
             raise ConnectivityException(f"Could not find a connection between '{target}' and '{source}'")
         newest = max(stamps, key=lambda s: s.to_nsec())
-        return Ts[0].inv() @ Ts[1], newest
+        return Ts[0].inverse() @ Ts[1], newest
 
 
 class TransformListener:
@@ -158,7 +158,7 @@ class TransformListener:
         session = current_session()
         self.buffer = buffer
         self._subscriptions = [
-            session.own(session.bus.subscribe(topic, TF, buffer.take, 100)) for topic in TOPICS
+            session.close_on_shutdown(session.bus.subscribe(topic, TF, buffer.take, 100)) for topic in TOPICS
         ]
 
     def unregister(self) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import Leaving, allowing, resting_pairs
+from armcell.collision.resting_contact import SeparationChecker, resting_pairs, with_allowed_contacts
 from armcell.core import SE3, CartesianRequest, Contact, ErrorCode
 from armcell.kinematics import IKSolver
 from armcell.planning.cartesian.redundancy import plan_redundancy
@@ -128,7 +128,7 @@ def ik_stop(
         cause, text = LIMIT, f"{', '.join(limits)} at the limit"
     elif next(iter(ik.solutions(pose, before)), None) is None:
         cause, text = REACH, "out of reach"
-        evidence["reach_m"] = ik.prepared.chain.reach
+        evidence["reach_m"] = ik.chain_data.chain.reach
     elif least < SINGULAR:
         cause, text = SINGULARITY, f"singular (smallest singular value {least:.3f})"
     else:
@@ -171,22 +171,22 @@ def _near(checker: KernelChecker, q: Array) -> list[Contact]:
     return [] if nearest is None else [nearest]
 
 
-class RestingStart:
+class RestingStartRule:
     """Collision rule for a Cartesian line whose start is in resting contact; the rule applies until the arm
     has left this contact.
     """
 
     def __init__(self, checker: KernelChecker, start: Array):
         near = resting_pairs(checker.exact, start)
-        self._leaving = Leaving(checker.exact, start, near)
-        self._others = KernelChecker(allowing(checker.scene, near), checker.joint_names)
+        self._leaving = SeparationChecker(checker.exact, start, near)
+        self._others = KernelChecker(with_allowed_contacts(checker.scene, near), checker.joint_names)
         self._others.relax_margins(start)
 
-    def refuses(self, q: Array) -> list[Contact] | None:
+    def forbidden_contacts(self, q: Array) -> list[Contact] | None:
         """Return the contacts that forbid positions q (n,) on a Cartesian line that starts in resting
         contact, or None if q is allowed.
         """
-        if (contact := self._leaving.refuses(q)) is not None:
+        if (contact := self._leaving.forbidden_contact(q)) is not None:
             return [contact]
         return None if self._others.is_free(q) else _near(self._others, q)
 
@@ -203,7 +203,7 @@ class LineFollower:
     def __init__(
         self, request: CartesianRequest, ik: IKSolver, checker: KernelChecker | None,
         manifold: ConstraintManifold | None, rest: Array, bounds: Array, cancel: threading.Event,
-        resting: RestingStart | None = None,
+        resting: RestingStartRule | None = None,
     ):  # fmt: skip
         self.cancel, self.resting = cancel, resting
         self.request, self.ik, self.checker, self.manifold = request, ik, checker, manifold
@@ -284,7 +284,7 @@ class LineFollower:
         if checker is not None and not checker.is_free(q):
             if self.resting is None:
                 return Stop(lambda: collision_stop(_near(checker, q)))
-            if (found := self.resting.refuses(q)) is not None:
+            if (found := self.resting.forbidden_contacts(q)) is not None:
                 return Stop(lambda: collision_stop(found))
         if manifold is not None and at_violation(manifold, q):
             return Stop(lambda: constraint_stop(manifold, q))

@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.collision import Certificate
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import certify_from_rest, touching
+from armcell.collision.resting_contact import certify_from_rest, resting_contacts
 from armcell.core import SE3, CartesianRequest, ErrorCode, InputError, JointPath, JointTrajectory, PlanResult
 from armcell.kinematics import IKSolver, ik_solver
 from armcell.planning.cartesian.line_following import (
     COLLISION,
     LEAD_OUT,
     LineFollower,
-    RestingStart,
+    RestingStartRule,
     StopReason,
     collision_stop,
     constraint_stop,
@@ -84,7 +84,7 @@ def waypoints_by_offsets(
         if axes is None:
             at = at @ offset
         else:
-            turn = axes @ offset.rotation @ axes.inv()
+            turn = axes @ offset.rotation @ axes.inverse()
             at = SE3(turn @ at.rotation, at.translation + axes.matrix @ offset.translation)
         found.append(at)
     return tuple(found)
@@ -132,9 +132,9 @@ def plan_cartesian(
     start = scene.positions[ik.columns]
     resting = None
     if request.avoid_collisions and checker.touches(start):
-        if (refusal := reject_deep_contacts(touching(checker, start))) is not None:
+        if (refusal := reject_deep_contacts(resting_contacts(checker, start))) is not None:
             return _refused(refusal.code, refusal.message, refusal.evidence)
-        resting = RestingStart(checker, start)
+        resting = RestingStartRule(checker, start)
     checker.relax_margins(start)
     manifold = None
     if request.path_constraints:
@@ -172,7 +172,7 @@ class _CartesianProblem:
 
     def __init__(
         self, scene: PlanningScene, request: CartesianRequest, ik: IKSolver, checker: KernelChecker,
-        manifold: ConstraintManifold | None, cancel: threading.Event, resting: RestingStart | None,
+        manifold: ConstraintManifold | None, cancel: threading.Event, resting: RestingStartRule | None,
     ):  # fmt: skip
         self.cancel, self.resting = cancel, resting
         self.scene, self.request, self.ik = scene, request, ik

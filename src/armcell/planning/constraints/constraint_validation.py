@@ -76,7 +76,7 @@ def contradiction(scene: PlanningScene, group: str, constraints: Constraints) ->
 
     Return "" if the checks find no contradiction.
     """
-    if text := empty_range(scene, group, constraints.joints):
+    if text := contradictory_joint(scene, group, constraints.joints):
         return text
     for c in constraints.positions:
         if text := _out_of_reach(scene, group, c):
@@ -107,7 +107,7 @@ def joint_ranges(
     return low, high
 
 
-def empty_range(scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]) -> str:
+def contradictory_joint(scene: PlanningScene, group: str, constraints: tuple[JointConstraint, ...]) -> str:
     """Return the name of a joint whose joint constraints contradict each other,
     so that no position is allowed.
 
@@ -131,7 +131,7 @@ def empty_range(scene: PlanningScene, group: str, constraints: tuple[JointConstr
 
 def _out_of_reach(scene: PlanningScene, group: str, c: PositionConstraint) -> str:
     moved_frame = MovedFrame(scene, group, c.link)
-    chain = ik_solver(scene.model, group, moved_frame.link).prepared.chain
+    chain = ik_solver(scene.model, group, moved_frame.link).chain_data.chain
     matrix = chain.inverse_base.reshape(3, 4)
     first_joint = -matrix[:, :3].T @ matrix[:, 3]
     reach = chain.reach + float(np.linalg.norm(moved_frame.T_link_point.apply(c.point)))
@@ -150,7 +150,7 @@ def _apart(scene: PlanningScene, name: str, a: OrientationConstraint, b: Orienta
     Return "" if a rotation can satisfy both.
     """
     one, other = (scene.frame_pose(c.frame).rotation @ c.rotation for c in (a, b))
-    angle = float(np.linalg.norm((one.inv() @ other).log()))
+    angle = float(np.linalg.norm((one.inverse() @ other).log()))
     # A rotation vector with components below the tolerances is at most as long as the norm of the
     # tolerances. (The total of angles about x, y and z is at most the sum of the tolerances.)
     most = sum(

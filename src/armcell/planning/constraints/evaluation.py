@@ -59,7 +59,7 @@ def visibility(scene: PlanningScene, c: VisibilityConstraint) -> tuple[Array, Ar
             degrees, over = np.rad2deg(angle), np.rad2deg(excess[k])
             violations_found.append(f"{c.sensor} looks {degrees:.1f} deg past {what}, {over:.1f} too far")
     depth = 0.0
-    if abs(target.inv().apply(sensor.translation)[2]) <= EDGE_ON:
+    if abs(target.inverse().apply(sensor.translation)[2]) <= EDGE_ON:
         excess[0] = max(excess[0], np.pi / 2)
         violations_found.append(f"{c.sensor} sees the target from its edge")
     else:
@@ -124,7 +124,7 @@ PARAMETERIZATIONS = ("rotation_vector", "xyz_euler")
 
 
 @dataclass(frozen=True, eq=False)
-class ConstraintError:
+class ConstraintResidual:
     """Error of given joint positions with respect to one constraint.
 
     `error` is, for a joint, the difference from the constraint's position (1,) [rad or m]; for a point, the
@@ -145,7 +145,7 @@ class ConstraintError:
 
 def constraint_errors(
     scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike
-) -> tuple[ConstraintError, ...]:
+) -> tuple[ConstraintResidual, ...]:
     """Evaluate every constraint at joint positions q, and return one error for each constraint.
 
     Order: joints, positions, orientations, visibilities.
@@ -161,11 +161,11 @@ def constraint_errors(
         *(_joint(at, c) for c in constraints.joints),
         *(_position(at, group, c) for c in constraints.positions),
         *(_orientation(at, group, c) for c in constraints.orientations),
-        *(ConstraintError(c, *visibility(at, c)) for c in constraints.visibilities),
+        *(ConstraintResidual(c, *visibility(at, c)) for c in constraints.visibilities),
     )
 
 
-def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> bool:
+def satisfies_constraints(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> bool:
     """Return whether joint positions q (n,) of the group satisfy all constraints.
 
     See `constraint_errors`.
@@ -173,14 +173,14 @@ def satisfied(scene: PlanningScene, group: str, constraints: Constraints, q: Arr
     return all(error.ok for error in constraint_errors(scene, group, constraints, q))
 
 
-def violations(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> str:
+def describe_violations(scene: PlanningScene, group: str, constraints: Constraints, q: ArrayLike) -> str:
     """Describe which constraints joint positions q (n,) violate and by how much; return "" if they satisfy
     all constraints.
     """
     return "; ".join(e.words for e in constraint_errors(scene, group, constraints, q) if not e.ok)
 
 
-def _joint(scene: PlanningScene, c: JointConstraint) -> ConstraintError:
+def _joint(scene: PlanningScene, c: JointConstraint) -> ConstraintResidual:
     value = scene.positions[scene.model.columns((c.joint,))[0]]
     error = value - c.position
     excess = max(error - c.tolerance_above, -c.tolerance_below - error, 0.0)
@@ -188,26 +188,26 @@ def _joint(scene: PlanningScene, c: JointConstraint) -> ConstraintError:
         f"joint {c.joint} at {value:.4g} is {excess:.3g} outside of "
         f"[{c.position - c.tolerance_below:.4g}, {c.position + c.tolerance_above:.4g}]"
     )
-    return ConstraintError(c, np.array([error]), np.array([excess]), words)
+    return ConstraintResidual(c, np.array([error]), np.array([excess]), words)
 
 
-def _position(scene: PlanningScene, group: str, c: PositionConstraint) -> ConstraintError:
+def _position(scene: PlanningScene, group: str, c: PositionConstraint) -> ConstraintResidual:
     T_world_link, name = _pose(scene, group, c.link)
     point = T_world_link.apply(c.point)
     distance = region_distance(scene, c, point)
     words = f"{name} is {distance * 1000:.1f} mm outside of its region"
-    return ConstraintError(c, np.array([distance]), np.array([distance]), words)
+    return ConstraintResidual(c, np.array([distance]), np.array([distance]), words)
 
 
 def region_distance(scene: PlanningScene, c: PositionConstraint, point: ArrayLike) -> float:
     """Return the distance [m] between a point in the world (3,) and the region of a position constraint; 0
     inside the region.
     """
-    at = scene.frame_pose(c.frame).inv().apply(point)
-    return min(distance_to_shape(shape, T.inv().apply(at)) for shape, T in c.region)
+    at = scene.frame_pose(c.frame).inverse().apply(point)
+    return min(distance_to_shape(shape, T.inverse().apply(at)) for shape, T in c.region)
 
 
-def _orientation(scene: PlanningScene, group: str, c: OrientationConstraint) -> ConstraintError:
+def _orientation(scene: PlanningScene, group: str, c: OrientationConstraint) -> ConstraintResidual:
     T_world_link, name = _pose(scene, group, c.link)
     wanted = scene.frame_pose(c.frame).rotation @ c.rotation
     error = rotation_error(wanted, T_world_link.rotation, c.parameterization)
@@ -215,7 +215,7 @@ def _orientation(scene: PlanningScene, group: str, c: OrientationConstraint) -> 
     excess = np.where(tolerance >= np.pi, 0.0, np.maximum(np.abs(error) - tolerance, 0.0))
     k = int(np.argmax(excess))
     words = f"{name} is turned {np.rad2deg(excess[k]):.2f} deg too far about {'xyz'[k]} of the wanted frame"
-    return ConstraintError(c, error, excess, words)
+    return ConstraintResidual(c, error, excess, words)
 
 
 def _pose(scene: PlanningScene, group: str, name: str | None) -> tuple[SE3, str]:
@@ -227,13 +227,13 @@ def rotation_error(wanted: SO3, present: SO3, parameterization: str) -> Array:
     """Return the error (3,) [rad] of an orientation constraint, the rotation from the desired to the current
     orientation.
     """
-    turn = wanted.inv() @ present
+    turn = wanted.inverse() @ present
     if parameterization == "rotation_vector":
         return turn.log()
     if parameterization != "xyz_euler":
         raise UnknownNameError("parameterization", parameterization, PARAMETERIZATIONS)
     # Rx(a) Ry(b) Rz(c): the transpose of Rz(-c) Ry(-b) Rx(-a), whose angles rpy gives.
-    return -turn.inv().rpy
+    return -turn.inverse().rpy
 
 
 def rotation_of(error: ArrayLike, parameterization: str) -> SO3:
@@ -242,7 +242,7 @@ def rotation_of(error: ArrayLike, parameterization: str) -> SO3:
     """
     if parameterization == "rotation_vector":
         return SO3.exp(error)
-    return SO3.from_rpy(-np.asarray(error, dtype=float)).inv()
+    return SO3.from_rpy(-np.asarray(error, dtype=float)).inverse()
 
 
 def _beyond(over: ArrayLike) -> float:

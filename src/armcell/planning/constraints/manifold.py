@@ -28,7 +28,7 @@ from armcell.kinematics.ik.chain import COLUMN, MULTIPLIER, SLIDE, chain_of
 from armcell.kinematics.tree import FIXED
 from armcell.planning.constraints import error_kernels as layout
 from armcell.planning.constraints.error_kernels import evaluate_errors, scratch_size
-from armcell.planning.constraints.projection import projected
+from armcell.planning.constraints.projection import project_positions
 from armcell.planning.constraints.proof import first_unproven_edge
 from armcell.scene import PlanningScene
 
@@ -152,7 +152,7 @@ class ConstraintManifold:
             moved = any(tree.kind[j] != FIXED and int(tree.column[j]) in columns for j in tree.path_to(name))
             if moved:
                 chain = chain_of(tree, self.joint_names, name, self._scene.positions)
-                base = SE3.from_matrix(np.vstack([chain.inverse_base.reshape(3, 4), [0, 0, 0, 1]])).inv()
+                base = SE3.from_matrix(np.vstack([chain.inverse_base.reshape(3, 4), [0, 0, 0, 1]])).inverse()
                 table = chain.table
             else:
                 base, table = self._scene.frame_pose(name), np.zeros((0, 16))
@@ -238,7 +238,7 @@ class ConstraintManifold:
                 )
             self._least += size[size > 0].tolist()
             back = np.minimum(SHARE * size, MOST[1]) if kind != layout.HALF_SPACE else np.full(3, -MOST[1])
-            numbers = [*(frame @ pose).inv().matrix[:3].ravel(), *size, *(size - back)]
+            numbers = [*(frame @ pose).inverse().matrix[:3].ravel(), *size, *(size - back)]
             shapes.append((kind, self._keep(numbers)))
             least = np.abs(back[np.abs(back) > 0]).min()
             self._margins.append(float(np.sqrt(8 * least / max(reach.max(), 0.05))))
@@ -286,10 +286,10 @@ class ConstraintManifold:
                 found.append(Violation("position", link, float(far), text))
         return found
 
-    def projected(self, q: Array, lower: Array, upper: Array) -> Array | None:
+    def project(self, q: Array, lower: Array, upper: Array) -> Array | None:
         """Project joint positions q (dof,) onto the constraint manifold; return None if this fails."""
         moved = np.clip(q, lower, upper)
-        return moved if projected(self.handle, moved, lower, upper) else None
+        return moved if project_positions(self.handle, moved, lower, upper) else None
 
     def first_unproven_edge(self, points: Array, room: Array | None = None) -> int:
         """Return the first edge of a motion (k, dof) that cannot be proven to stay on the constraint

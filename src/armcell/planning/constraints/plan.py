@@ -32,7 +32,7 @@ from armcell.planning.goals.joint_goals import stream_goals
 from armcell.planning.goals.sampling import reaches_goal, sample_goal_positions
 from armcell.planning.planners.problem import PlannerResult, Problem, sampling_bounds
 from armcell.planning.planners.registry import find_planner
-from armcell.planning.planners.rrt_connect import stopping, unsolved
+from armcell.planning.planners.rrt_connect import stop_flag, unsolved_result
 from armcell.planning.request import ValidatedRequest
 from armcell.timing import (
     BlendedPath,
@@ -41,7 +41,7 @@ from armcell.timing import (
     TorqueModel,
     jerk_limited,
     parameterize,
-    smoothing_departure,
+    smoothing_deviation,
 )
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ def time_on_manifold(
         path = BlendedPath(waypoints, deviation, smooth=request.jerk_limits)
         slack = np.full(len(names), SAGITTA)
         if not request.jerk_limits:
-            slack += smoothing_departure(acceleration, settings)
+            slack += smoothing_deviation(acceleration, settings)
         if path.length > 0 and not checker.certify(path.polyline(SAGITTA), slack, evidence=False).free:
             # With slack, a start or goal very close to an obstacle is not provable: last, try without slack.
             if (deviation, smoothing) != LADDER[-1]:
@@ -216,7 +216,7 @@ def _searched(validated: ValidatedRequest, manifold: ConstraintManifold, problem
         return find_planner("ompl", PLANNER)(replace(problem, forbids=manifold.forbids))
     planner = constrained_planner(problem.checker, manifold)
     more = _more(validated, problem.checker, manifold, problem.goals, problem.seed)
-    with stopping(problem) as stop:
+    with stop_flag(problem) as stop:
         found = planner.plan(
             problem.start, np.vstack(problem.goals), problem.lower, problem.upper, problem.seed, stop,
             more_goals=more,
@@ -228,7 +228,7 @@ def _searched(validated: ValidatedRequest, manifold: ConstraintManifold, problem
         "simplify_us": found.simplify_s * 1e6,
     }
     if found.waypoints is None:
-        return unsolved(PLANNER, problem, found.iterations, found.closest, statistics)
+        return unsolved_result(PLANNER, problem, found.iterations, found.closest, statistics)
     return PlannerResult(found.waypoints, "", statistics)
 
 
@@ -297,7 +297,7 @@ def _moved(
         if not isinstance(goal, PoseGoal | ConstraintGoal):
             continue
         for q in islice(sample_goal_positions(scene, request.group, goal, rng, validated.deadline), MORE):
-            moved = q if not manifold.violations(q) else manifold.projected(q, low, high)
+            moved = q if not manifold.violations(q) else manifold.project(q, low, high)
             if moved is None or not checker.is_free(moved) or validated.forbids(moved):
                 continue
             if reaches_goal(scene, request.group, goal, moved):

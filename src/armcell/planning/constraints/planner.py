@@ -24,12 +24,12 @@ from armcell.planning.constraints.rrt_connect import (
 from armcell.planning.constraints.simplify import shorten
 from armcell.planning.planners.native.rrt_connect import ITERATIONS, Query
 from armcell.planning.planners.registry import announce_compilation
-from armcell.planning.planners.rrt_connect import NativePlanner, NativeSettings, planner_of
+from armcell.planning.planners.rrt_connect import NativePlanner, RRTConnectSettings, planner_of
 from armcell.scene import PlanningScene
 
 Array = NDArray[np.float64]
 
-SETTINGS = NativeSettings(max_waypoints=4096)
+SETTINGS = RRTConnectSettings(max_waypoints=4096)
 
 
 class ConstrainedPlanner(NativePlanner):
@@ -117,7 +117,7 @@ def warm_up_constraints() -> float:
     a, b = np.array([0.01]), np.array([0.04])
     manifold.values(a)
     manifold.first_unproven_edge(np.vstack([a, b]))
-    manifold.projected(a, a, b)
+    manifold.project(a, a, b)
     constrained_planner(checker, manifold).plan(a, b[None], np.array([0.0]), np.array([0.05]))
     seconds = time.monotonic() - began
     if seconds > 2.0:

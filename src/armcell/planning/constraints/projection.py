@@ -259,7 +259,7 @@ def project(n, c, x, q, at, lower, upper):
 
 
 @njit(cache=True, nogil=True)
-def projected(handle, q, lower, upper):
+def project_positions(handle, q, lower, upper):
     """Project joint positions q (dof,) onto the constraints. This function takes arrays and calls the kernel
     `project`.
     """

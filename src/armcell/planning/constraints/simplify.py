@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from armcell.collision.kernel.block import FIRST, PADDED
-from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
+from armcell.collision.kernel.motion import FINEST, PROVEN, deviation_margins, prove
 from armcell.collision.kernel.simd import pointer
 from armcell.planning.constraints.error_kernels import DOF, manifold_pointers
 from armcell.planning.constraints.projection import project
@@ -147,7 +147,7 @@ def shorten(handle, constraints, path, count, space, index, rules, stop):
     for i in range(count):
         for j in range(dof):
             p[i * dof + j] = path[i, j]
-    loosen(k, rules.zeros)
+    deviation_margins(k, rules.zeros)
     tried = m * dof
     length = _length(p, dof, 0, count - 1)
     for _ in range(ROUNDS):

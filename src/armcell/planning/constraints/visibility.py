@@ -54,8 +54,8 @@ class VisibilityManifold(ConstraintManifold):
                 found.append(Violation("visibility", view.constraint.sensor, float(excess.max()), said))
         return found
 
-    def projected(self, q: Array, lower: Array, upper: Array) -> Array | None:
-        moved = super().projected(q, lower, upper)  # visibility constraints have no projection
+    def project(self, q: Array, lower: Array, upper: Array) -> Array | None:
+        moved = super().project(q, lower, upper)  # visibility constraints have no projection
         return None if moved is None or self.violations(moved) else moved
 
     def first_unproven_edge(self, points: Array, room: Array | None = None) -> int:
@@ -107,7 +107,7 @@ class VisibilityManifold(ConstraintManifold):
         shift = float((view.target_reach + view.sensor_reach) * view.apart @ moves)
         distance = float(np.linalg.norm(target.translation - sensor.translation))
         swing = float(np.arcsin(shift / distance)) if shift < distance else np.inf
-        height = abs(target.inv().apply(sensor.translation)[2])
+        height = abs(target.inverse().apply(sensor.translation)[2])
         tightest = height - EDGE_ON - back - shift - (distance + shift) * turn
         if height <= EDGE_ON + back:
             return -np.inf

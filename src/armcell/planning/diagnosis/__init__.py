@@ -1,13 +1,18 @@
 """Diagnosis: explains why planning failed and which changes help; one module per cause."""
 
-from armcell.planning.diagnosis.dispatch import explain_misuse, with_explanation
-from armcell.planning.diagnosis.pose import Branch, PoseExplanation, explain_pose, solutions_beyond_limits
+from armcell.planning.diagnosis.dispatch import explain_invalid_request, with_explanation
 from armcell.planning.diagnosis.start_state import explain_start
+from armcell.planning.diagnosis.unreachable_pose import (
+    IKBranch,
+    PoseExplanation,
+    explain_pose,
+    solutions_beyond_limits,
+)
 
 __all__ = [
-    "Branch",
+    "IKBranch",
     "PoseExplanation",
-    "explain_misuse",
+    "explain_invalid_request",
     "explain_pose",
     "explain_start",
     "solutions_beyond_limits",

@@ -13,18 +13,18 @@ import numpy as np
 
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode
 from armcell.kinematics import IKSolver, ik_solver
-from armcell.planning.diagnosis import wording
+from armcell.planning.diagnosis import text_format
 from armcell.planning.diagnosis.changes import (
     change_request,
     change_start,
     change_waypoints,
     replace_by_free_motion,
 )
-from armcell.planning.diagnosis.constraints import blame_path_constraints
+from armcell.planning.diagnosis.constraints import diagnose_path_constraints
 from armcell.planning.diagnosis.contacts import suggest_freeing_objects
 from armcell.planning.diagnosis.diagnosis import CLOSE_TO_LIMIT, Diagnosis, report_limit_margins
 from armcell.planning.diagnosis.nearest_free import ANGLES, DIRECTIONS, DISTANCES
-from armcell.planning.diagnosis.pose import explain_pose
+from armcell.planning.diagnosis.unreachable_pose import explain_pose
 
 BRANCHES = 24  # joint solutions of the start pose to try
 HALVINGS = 6
@@ -48,7 +48,7 @@ def explain_cartesian_stop(diagnosis: Diagnosis) -> None:
         diagnosis.state = diagnosis.group_state(result.path.waypoints[-1])
     jumps = result.code is ErrorCode.PLANNING_FAILED and "joint" in result.evidence
     if "violations" in result.evidence:
-        blame_path_constraints(diagnosis)
+        diagnose_path_constraints(diagnosis)
     # If smaller steps complete the line, the line is feasible as requested: try no other line.
     if not (jumps and _jump(diagnosis, request)):
         _other_start(diagnosis, request, ik, here)
@@ -73,7 +73,7 @@ def _report_place(diagnosis: Diagnosis, request: CartesianRequest, number: int, 
     diagnosis.add_finding(
         f"it stops at {diagnosis.result.fraction:.0%}, at ({x:.3f}, {y:.3f}, {z:.3f}) on the way to waypoint "
         f"{number + 1} of {len(request.waypoints)}; "
-        f"{wording.length(meters)} and {wording.angle(radians)} are left"
+        f"{text_format.length(meters)} and {text_format.angle(radians)} are left"
     )
     diagnosis.data |= {"fraction": diagnosis.result.fraction, "stops_at": pose, "waypoint": number + 1}
 
@@ -96,9 +96,8 @@ def _report_reach(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver)
     margins = np.minimum(q - ik.lower, ik.upper - q)
     for k in np.flatnonzero(margins < CLOSE_TO_LIMIT):
         name = ik.joint_names[k]
-        diagnosis.add_finding(
-            f"there {name} is {wording.joint_value(diagnosis.scene.model, name, margins[k])} from its limit"
-        )
+        margin = text_format.joint_value(diagnosis.scene.model, name, margins[k])
+        diagnosis.add_finding(f"there {name} is {margin} from its limit")
     evidence = diagnosis.result.evidence
     diagnosis.data["least_singular_value"] = evidence["least_singular_value"]
     if evidence["near_singularity"]:
@@ -117,7 +116,7 @@ def _jump(diagnosis: Diagnosis, request: CartesianRequest) -> bool:
         changed = replace(request, max_step=step)
         if diagnosis.succeeds(diagnosis.scene, changed) is not None:
             diagnosis.suggest(
-                f"take steps of {wording.length(step)}", change_request, {"max_step": step}, known=True
+                f"take steps of {text_format.length(step)}", change_request, {"max_step": step}, known=True
             )
             return True
     name = diagnosis.result.evidence["field"]
@@ -147,7 +146,7 @@ def _other_start(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, 
     for q in tried:
         state = diagnosis.group_state(q)
         if diagnosis.succeeds(diagnosis.scene, change_start(diagnosis.scene, request, state)[1]) is not None:
-            step = wording.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - diagnosis.start)
+            step = text_format.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - diagnosis.start)
             diagnosis.nearest = state
             diagnosis.suggest(
                 f"begin at the same pose with another joint solution: {step}",
@@ -185,7 +184,7 @@ def _smaller_turn(diagnosis: Diagnosis, request: CartesianRequest, here: SE3) ->
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         low, high = (middle, high) if completes(middle) else (low, middle)
-    text = f"turn {wording.angle(low * total)} instead of {wording.angle(total)}"
+    text = f"turn {text_format.angle(low * total)} instead of {text_format.angle(total)}"
     diagnosis.suggest(
         text, change_waypoints, {"waypoints": changed(low)}, effort=(1 - low) * total, known=True
     )
@@ -202,8 +201,8 @@ def _aside(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver) -> Non
         return SE3(goal.rotation @ SO3.exp(step), goal.translation)
 
     for sizes, pose, tell in (
-        (DISTANCES[DISTANCES < 0.2], shifted, lambda v: f"move the last waypoint {wording.offset(v)}"),
-        (ANGLES[ANGLES < 1.0], turned, lambda v: f"turn the last waypoint {wording.turn(v)}"),
+        (DISTANCES[DISTANCES < 0.2], shifted, lambda v: f"move the last waypoint {text_format.offset(v)}"),
+        (ANGLES[ANGLES < 1.0], turned, lambda v: f"turn the last waypoint {text_format.turn(v)}"),
     ):
         step = _first(diagnosis, request, rest, sizes, pose, ik)
         if step is not None:
@@ -262,7 +261,7 @@ def _around(diagnosis: Diagnosis, request: CartesianRequest, ik: IKSolver, numbe
             if not _can_stand(diagnosis, request, by, ik):
                 continue
             if diagnosis.succeeds(diagnosis.scene, replace(request, waypoints=waypoints)) is not None:
-                text = f"go round by a waypoint {wording.offset(size * direction)} of where it stops"
+                text = f"go round by a waypoint {text_format.offset(size * direction)} of where it stops"
                 diagnosis.suggest(text, change_waypoints, {"waypoints": waypoints}, effort=size, known=True)
                 return
 
@@ -290,7 +289,7 @@ def _shorter(diagnosis: Diagnosis, request: CartesianRequest, number: int, pose:
         return
     waypoints = (*request.waypoints[:number], pose)
     meters, radians = pose.distance_to(request.waypoints[-1])
-    left = f"{wording.length(meters)} and {wording.angle(radians)}"
+    left = f"{text_format.length(meters)} and {text_format.angle(radians)}"
     diagnosis.suggest(
         f"end where it stops, {left} before the goal",
         change_waypoints,

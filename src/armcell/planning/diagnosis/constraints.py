@@ -33,9 +33,9 @@ from armcell.core import (
     Sphere,
     VisibilityConstraint,
 )
-from armcell.planning.constraints.evaluation import ConstraintError, constraint_errors
+from armcell.planning.constraints.evaluation import ConstraintResidual, constraint_errors
 from armcell.planning.constraints.visibility import make_manifold
-from armcell.planning.diagnosis import wording
+from armcell.planning.diagnosis import text_format
 from armcell.planning.diagnosis.changes import change_goal, change_request, change_start
 from armcell.planning.diagnosis.diagnosis import Diagnosis, report_distance, wanted_joints
 from armcell.planning.goals.sampling import sample_goal_positions
@@ -60,11 +60,11 @@ def constraint_label(one: One) -> str:
 def tolerance_text(one: One) -> str:
     """Describe the tolerance of a constraint as text for a diagnosis."""
     if isinstance(one, OrientationConstraint):
-        return ", ".join(wording.angle(t) for t in one.tolerance)
+        return ", ".join(text_format.angle(t) for t in one.tolerance)
     if isinstance(one, JointConstraint):
         return f"+{one.tolerance_above:.3g}, -{one.tolerance_below:.3g}"
     if isinstance(one, VisibilityConstraint):
-        return wording.length(one.target_radius)
+        return text_format.length(one.target_radius)
     return " or ".join(_size(shape) for shape, _ in one.region)
 
 
@@ -88,7 +88,7 @@ def scaled_constraint(one: One, factor: float) -> One | None:
     return replace(one, region=region)
 
 
-def loosened_constraint(one: One, error: ConstraintError) -> One:
+def widened_constraint(one: One, error: ConstraintResidual) -> One:
     """Suggest a wider constraint that a state with the given error satisfies with a small margin.
 
     Args:
@@ -129,7 +129,7 @@ def _extent(shape: Shape) -> tuple[float, ...]:
 def _size(shape: Shape) -> str:
     extent = _extent(shape)
     kind = type(shape).__name__.lower()
-    return f"a {kind} of {' x '.join(wording.length(x) for x in extent)}" if extent else f"a {kind}"
+    return f"a {kind} of {' x '.join(text_format.length(x) for x in extent)}" if extent else f"a {kind}"
 
 
 def _grown(shape: Shape, T: SE3, by: float) -> tuple[Shape, SE3]:
@@ -157,7 +157,7 @@ Put = Callable[[Constraints], tuple[Callable, dict]]
 """Converts changed constraints to a change of the request and its arguments."""
 
 
-def blame_path_constraints(diagnosis: Diagnosis) -> bool:
+def diagnose_path_constraints(diagnosis: Diagnosis) -> bool:
     """Test whether path constraints are the cause of a failure: the request may succeed without them.
 
     If it does, find the constraint to blame and return True.
@@ -180,7 +180,7 @@ def blame_path_constraints(diagnosis: Diagnosis) -> bool:
     return True
 
 
-def blame_goal_constraints(diagnosis: Diagnosis, number: int, goal: ConstraintGoal) -> None:
+def diagnose_goal_constraints(diagnosis: Diagnosis, number: int, goal: ConstraintGoal) -> None:
     """Find the constraint that makes the goal of a failed request unreachable, if the goal is given by
     constraints.
     """
@@ -271,7 +271,7 @@ def _suggest_scaled(diagnosis: Diagnosis, put: Put, whole: Constraints, one: One
 MAX_GOALS = 3  # goals examined
 LOOKED_AT = 40  # joint solutions examined per goal
 MOVED = 10  # solutions to project onto the constraints
-State = tuple[Array, list[ConstraintError]]
+State = tuple[Array, list[ConstraintResidual]]
 
 
 def explain_start_constraints(diagnosis: Diagnosis) -> None:
@@ -286,7 +286,7 @@ def explain_start_constraints(diagnosis: Diagnosis) -> None:
     if q is not None:
         diagnosis.nearest = diagnosis.group_state(q)
         report_distance(diagnosis, "the nearest start found that keeps to them", diagnosis.start, q)
-        step = wording.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - diagnosis.start)
+        step = text_format.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - diagnosis.start)
         diagnosis.suggest(f"start {step} from here, which keeps to the constraints", change_start,
                      {"state": diagnosis.nearest},
                       effort=float(np.linalg.norm(q - diagnosis.start)))  # fmt: skip
@@ -316,13 +316,13 @@ def _request(diagnosis: Diagnosis) -> PlanRequest:
     return diagnosis.request
 
 
-def _violated(diagnosis: Diagnosis, q: Array) -> list[ConstraintError]:
+def _violated(diagnosis: Diagnosis, q: Array) -> list[ConstraintResidual]:
     request = _request(diagnosis)
     errors = constraint_errors(diagnosis.start_scene, request.group, request.path_constraints, q)
     return [e for e in errors if not e.ok]
 
 
-def _tell(diagnosis: Diagnosis, where: str, errors: list[ConstraintError]) -> None:
+def _tell(diagnosis: Diagnosis, where: str, errors: list[ConstraintResidual]) -> None:
     for error in errors:
         diagnosis.add_finding(f"{where} {error.words}")
     diagnosis.data.setdefault("violated", {}).update(
@@ -340,7 +340,7 @@ def _moved(diagnosis: Diagnosis, q: Array) -> Array | None:
     high = np.minimum(model.upper[diagnosis.columns], manifold.upper)
     if np.any(low > high):
         return None
-    found = manifold.projected(q, low, high)
+    found = manifold.project(q, low, high)
     return None if found is None or not diagnosis.checker.is_free(found) else found
 
 
@@ -385,22 +385,22 @@ def _nearest_goal(diagnosis: Diagnosis, number: int, goal: Goal, states: list[Ar
         pose = moved_frame.pose(moved)
         step, turn = goal.T_world_link.distance_to(pose)
         changed: Goal = PoseGoal(pose, goal.link, goal.position_tolerance, goal.orientation_tolerance)
-        away = f"{wording.length(step)} and {wording.angle(turn)} away"
+        away = f"{text_format.length(step)} and {text_format.angle(turn)} away"
         text = f"take the pose {away}, which keeps to the constraints"
     else:
         changed = JointGoal(JointState(diagnosis.joint_names, moved))
-        steps = wording.joint_steps(diagnosis.scene.model, diagnosis.joint_names, moved - q)
+        steps = text_format.joint_steps(diagnosis.scene.model, diagnosis.joint_names, moved - q)
         text = f"change the goal: {steps}, which keeps to the constraints"
     effort = float(np.linalg.norm(moved - q))
     diagnosis.suggest(text, change_goal, {"number": number, "goal": changed}, effort=effort)
 
 
-def _suggest_wider(diagnosis: Diagnosis, errors: list[ConstraintError]) -> None:
+def _suggest_wider(diagnosis: Diagnosis, errors: list[ConstraintResidual]) -> None:
     """Suggest tolerances that are wide enough for all constraint errors of the start or the goal."""
     wide: dict[int, tuple[One, One]] = {}  # by identity: the constraint and its widened copy
     for error in errors:
         first = error.constraint
-        wide[id(first)] = (first, loosened_constraint(wide.get(id(first), (first, first))[1], error))
+        wide[id(first)] = (first, widened_constraint(wide.get(id(first), (first, first))[1], error))
     constraints = _request(diagnosis).path_constraints
     for first, changed in wide.values():
         constraints = exchanged(constraints, first, changed)
@@ -413,7 +413,7 @@ def _suggest_wider(diagnosis: Diagnosis, errors: list[ConstraintError]) -> None:
     )
 
 
-def _left_out(diagnosis: Diagnosis, errors: list[ConstraintError]) -> None:
+def _left_out(diagnosis: Diagnosis, errors: list[ConstraintResidual]) -> None:
     whole = _request(diagnosis).path_constraints
     gone = {id(e.constraint) for e in errors}
     kept = Constraints(

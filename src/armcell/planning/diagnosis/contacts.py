@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision import ExactChecker
-from armcell.collision.exact import overlaps
+from armcell.collision.exact_checker import overlaps
 from armcell.core import Contact
-from armcell.planning.diagnosis import wording
+from armcell.planning.diagnosis import text_format
 from armcell.planning.diagnosis.changes import move_object, moved, remove_objects
 from armcell.planning.diagnosis.diagnosis import Diagnosis
 from armcell.planning.diagnosis.nearest_free import DIRECTIONS
@@ -89,10 +89,12 @@ def suggest_freeing_objects(
         offset = least_freeing_shift(diagnosis.start_scene, name, diagnosis.joint_names, qs, padded)
         if offset is None:
             continue
-        diagnosis.add_finding(f"{name} would be free of the robot {wording.offset(offset)} from where it is")
+        diagnosis.add_finding(
+            f"{name} would be free of the robot {text_format.offset(offset)} from where it is"
+        )
         diagnosis.data.setdefault("way_out", {})[name] = offset.tolist()
         diagnosis.suggest(
-            f"move {name} {wording.offset(offset)}",
+            f"move {name} {text_format.offset(offset)}",
             move_object,
             {"name": name, "offset": offset},
             effort=float(np.linalg.norm(offset)),

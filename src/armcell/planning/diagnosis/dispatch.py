@@ -12,7 +12,7 @@ from armcell.core import CartesianRequest, ErrorCode, Explanation, InputError, P
 from armcell.planning.diagnosis import cartesian, constraints, goal, pilz, search_failure, start_state
 from armcell.planning.diagnosis.changes import Request
 from armcell.planning.diagnosis.diagnosis import Diagnosis, Solve
-from armcell.planning.diagnosis.misuse import explain_request_error, missing_result
+from armcell.planning.diagnosis.invalid_request import diagnose_invalid_request, missing_result
 from armcell.scene import PlanningScene
 
 F = TypeVar("F", bound=Callable[..., PlanResult])
@@ -66,10 +66,10 @@ def _explain(scene: PlanningScene, request: Request, result: PlanResult, seconds
     return diagnosis.explanation()
 
 
-def explain_misuse(
+def explain_invalid_request(
     scene: PlanningScene, request: Request, error: InputError, seconds: float = 10.0
 ) -> Explanation:
     """Explain why a planning function rejected a request as invalid, and suggest corrections."""
     diagnosis = Diagnosis(scene, request, missing_result(error), SOLVERS, time.monotonic() + seconds)
-    explain_request_error(diagnosis, error)
+    diagnose_invalid_request(diagnosis, error)
     return diagnosis.explanation()

@@ -19,7 +19,7 @@ from armcell.core import (
 )
 from armcell.kinematics import ik_solver
 from armcell.planning.cartesian import plan_cartesian
-from armcell.planning.diagnosis import explain_misuse
+from armcell.planning.diagnosis import explain_invalid_request
 from armcell.planning.pipeline import plan
 from armcell.scene import PlanningScene
 
@@ -39,7 +39,7 @@ def explain(
             return plan_cartesian(scene, request).explain(seconds)
         return plan(scene, request).explain(seconds)
     except InputError as error:
-        return explain_misuse(scene, request, error, seconds)
+        return explain_invalid_request(scene, request, error, seconds)
 
 
 def solve_ik(

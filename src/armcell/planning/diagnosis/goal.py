@@ -8,9 +8,9 @@ import numpy as np
 
 from armcell.collision import ExactChecker
 from armcell.core import ConstraintGoal, JointGoal, JointState, NamedGoal, PlanRequest, PoseGoal
-from armcell.planning.diagnosis import wording
+from armcell.planning.diagnosis import text_format
 from armcell.planning.diagnosis.changes import allow_contact, change_goal, change_padding
-from armcell.planning.diagnosis.constraints import blame_goal_constraints
+from armcell.planning.diagnosis.constraints import diagnose_goal_constraints
 from armcell.planning.diagnosis.contacts import pairs_of, suggest_freeing_objects
 from armcell.planning.diagnosis.diagnosis import (
     Diagnosis,
@@ -19,7 +19,7 @@ from armcell.planning.diagnosis.diagnosis import (
     wanted_joints,
 )
 from armcell.planning.diagnosis.nearest_free import PoseSearch
-from armcell.planning.diagnosis.pose import Branch, explain_pose
+from armcell.planning.diagnosis.unreachable_pose import IKBranch, explain_pose
 
 MAX_GOALS = 3  # goals examined
 MAX_REPORTED = 4  # joint solutions reported as text
@@ -39,7 +39,7 @@ def explain_goals(diagnosis: Diagnosis) -> None:
         elif isinstance(goal, JointGoal | NamedGoal):
             _joints(diagnosis, number, goal)
         elif isinstance(goal, ConstraintGoal):
-            blame_goal_constraints(diagnosis, number, goal)
+            diagnose_goal_constraints(diagnosis, number, goal)
 
 
 def _no_goal(diagnosis: Diagnosis) -> None:
@@ -63,10 +63,10 @@ def _joints(diagnosis: Diagnosis, number: int, goal: JointGoal | NamedGoal) -> N
     turned, within = q.copy(), np.clip(q, lower, upper)
     for k in np.flatnonzero(over > 1e-9):
         name = names[k]
-        low, high = (wording.joint_value(model, name, v) for v in (lower[k], upper[k]))
+        low, high = (text_format.joint_value(model, name, v) for v in (lower[k], upper[k]))
         side = "below" if q[k] < lower[k] else "above"
         diagnosis.add_finding(
-            f"{name} is {wording.joint_value(model, name, over[k])} {side} its limits ({low} to {high})"
+            f"{name} is {text_format.joint_value(model, name, over[k])} {side} its limits ({low} to {high})"
         )
         whole = q[k] + 2 * np.pi * np.arange(-2, 3)
         fitting = whole[(whole >= lower[k]) & (whole <= upper[k])]
@@ -95,7 +95,7 @@ def _joints(diagnosis: Diagnosis, number: int, goal: JointGoal | NamedGoal) -> N
 
 
 def _suggest_joints(diagnosis: Diagnosis, number: int, q: np.ndarray, at: np.ndarray, what: str) -> None:
-    step = wording.joint_steps(diagnosis.scene.model, diagnosis.joint_names, at - q)
+    step = text_format.joint_steps(diagnosis.scene.model, diagnosis.joint_names, at - q)
     apart = float(np.linalg.norm(at - q))
     diagnosis.data.setdefault("nearest_goal_rad", apart)
     goal = JointGoal(JointState(diagnosis.joint_names, at))
@@ -143,11 +143,11 @@ def _less_padding(diagnosis: Diagnosis, contacts: list) -> None:
         return
     diagnosis.add_finding(
         "nothing touches: it is the padding that forbids it "
-        f"(the nearest pair is {wording.length(least)} apart)"
+        f"(the nearest pair is {text_format.length(least)} apart)"
     )
     fitting = np.floor(least * 0.98e4) / 1e4  # a tenth of a millimeter
     diagnosis.suggest(
-        f"reduce the padding to {wording.length(fitting)}", change_padding, {"padding": float(fitting)}
+        f"reduce the padding to {text_format.length(fitting)}", change_padding, {"padding": float(fitting)}
     )
 
 
@@ -183,8 +183,8 @@ def _report_branches(diagnosis: Diagnosis, found) -> None:
         diagnosis.data["distance_m"], diagnosis.data["reach_m"] = found.distance, found.reach
         if found.distance > found.reach:
             diagnosis.add_finding(
-                f"the pose is {wording.length(found.distance)} from the first joint, "
-                f"{wording.length(found.distance - found.reach)} beyond the arm's reach"
+                f"the pose is {text_format.length(found.distance)} from the first joint, "
+                f"{text_format.length(found.distance - found.reach)} beyond the arm's reach"
             )
     _report_some(diagnosis, "joint solution", found.branches)
     if not found.branches:
@@ -205,7 +205,7 @@ def _report_branches(diagnosis: Diagnosis, found) -> None:
     )
 
 
-def _report_some(diagnosis: Diagnosis, what: str, branches: list[Branch]) -> None:
+def _report_some(diagnosis: Diagnosis, what: str, branches: list[IKBranch]) -> None:
     """Report the first few joint solutions of a goal pose as text; the data of the diagnosis contains all of
     them.
     """
@@ -242,17 +242,23 @@ def _report_shift(diagnosis: Diagnosis, number: int, goal: PoseGoal, near) -> bo
     apart = float(np.linalg.norm(step))
     diagnosis.data.setdefault("nearest_pose", pose)
     diagnosis.data.setdefault("nearest_goal_m", apart)
-    return _suggest_pose(diagnosis, number, goal, pose, q, f"move the goal {wording.offset(step)}", apart)
+    return _suggest_pose(diagnosis, number, goal, pose, q, f"move the goal {text_format.offset(step)}", apart)
 
 
 def _report_turn(diagnosis: Diagnosis, number: int, goal: PoseGoal, near) -> bool:
     if near is None:
         return False
     pose, q = near
-    turn = (goal.T_world_link.rotation.inv() @ pose.rotation).log()
+    turn = (goal.T_world_link.rotation.inverse() @ pose.rotation).log()
     diagnosis.data.setdefault("nearest_turn_rad", float(np.linalg.norm(turn)))
     return _suggest_pose(
-        diagnosis, number, goal, pose, q, f"turn the goal {wording.turn(turn)}", float(np.linalg.norm(turn))
+        diagnosis,
+        number,
+        goal,
+        pose,
+        q,
+        f"turn the goal {text_format.turn(turn)}",
+        float(np.linalg.norm(turn)),
     )
 
 
@@ -267,7 +273,7 @@ def _closest_pose(diagnosis: Diagnosis, number: int, goal: PoseGoal, search: Pos
     if q is None:
         return
     step, turn = goal.T_world_link.distance_to(pose)
-    text = f"take the closest pose there is: {wording.length(step)} and {wording.angle(turn)} away"
+    text = f"take the closest pose there is: {text_format.length(step)} and {text_format.angle(turn)} away"
     _suggest_pose(diagnosis, number, goal, pose, q, text, step + turn)
 
 

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from armcell.core import ErrorCode, JointGoal, JointState, NamedGoal, PlanRequest, PoseGoal
-from armcell.planning.diagnosis import wording
+from armcell.planning.diagnosis import text_format
 from armcell.planning.diagnosis.changes import (
     change_goal,
     change_mass,
@@ -21,7 +21,7 @@ from armcell.planning.diagnosis.changes import (
     remove_objects,
     without,
 )
-from armcell.planning.diagnosis.constraints import blame_path_constraints
+from armcell.planning.diagnosis.constraints import diagnose_path_constraints
 from armcell.planning.diagnosis.diagnosis import TRY, Diagnosis, report_limit_margins, wanted_joints
 from armcell.planning.diagnosis.nearest_free import PoseSearch
 
@@ -48,7 +48,7 @@ def explain_search_failure(diagnosis: Diagnosis) -> None:
         return
     _report_search(diagnosis)
     if (
-        blame_path_constraints(diagnosis)
+        diagnose_path_constraints(diagnosis)
         or _more_time(diagnosis, request)
         or _other_planner(diagnosis, request)
     ):
@@ -63,7 +63,7 @@ def _report_search(diagnosis: Diagnosis) -> None:
     evidence = diagnosis.result.evidence
     blocked = evidence.get("blocked_by", [])
     if "closest_approach_rad" in evidence:
-        near = f"; there {wording.contacts(blocked)}" if blocked else ""
+        near = f"; there {text_format.contacts(blocked)}" if blocked else ""
         diagnosis.add_finding(
             f"the search came within {evidence['closest_approach_rad']:.2f} rad of a path{near}"
         )
@@ -123,11 +123,10 @@ def _less_padding(diagnosis: Diagnosis, request: PlanRequest) -> None:
         middle = (low + high) / 2
         found = diagnosis.succeeds(padded(scene, middle), request, SHORT) is not None
         low, high = (middle, high) if found else (low, middle)
-    diagnosis.add_finding(
-        f"with a padding of {wording.length(most)} there is no path, with {wording.length(low)} there is"
-    )
+    blocked, passable = text_format.length(most), text_format.length(low)
+    diagnosis.add_finding(f"with a padding of {blocked} there is no path, with {passable} there is")
     diagnosis.suggest(
-        f"reduce the padding to {wording.length(low)}",
+        f"reduce the padding to {text_format.length(low)}",
         change_padding,
         {"padding": low},
         effort=most - low,
@@ -232,7 +231,7 @@ def _pose_between(diagnosis: Diagnosis, goal: PoseGoal, share: float):
         return None
     step = pose.translation - there.translation
     changed = PoseGoal(pose, goal.link, goal.position_tolerance, goal.orientation_tolerance)
-    return changed, q, f"the goal moved {wording.offset(step)}"
+    return changed, q, f"the goal moved {text_format.offset(step)}"
 
 
 def _joints_between(diagnosis: Diagnosis, goal: JointGoal | NamedGoal, share: float):
@@ -242,7 +241,7 @@ def _joints_between(diagnosis: Diagnosis, goal: JointGoal | NamedGoal, share: fl
     q = diagnosis.start + share * (wanted - diagnosis.start)
     if not diagnosis.checker.is_free(q):
         return None
-    text = wording.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - wanted)
+    text = text_format.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - wanted)
     return JointGoal(JointState(diagnosis.joint_names, q)), q, f"the goal changed {text}"
 
 

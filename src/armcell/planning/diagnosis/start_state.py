@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import RESTING, touching
+from armcell.collision.resting_contact import RESTING, resting_contacts
 from armcell.core import ErrorCode, Explanation, JointState, PlanRequest, Suggestion
-from armcell.planning.diagnosis import wording
+from armcell.planning.diagnosis import text_format
 from armcell.planning.diagnosis.changes import (
     SceneAndRequest,
     allow_contact,
@@ -39,10 +39,9 @@ def explain_start_limits(diagnosis: Diagnosis) -> None:
             wrong[name], mended[name] = None, float(usual[k])
         elif not limits.lower <= value <= limits.upper:
             beyond = max(limits.lower - value, value - limits.upper)
-            side = (
-                f"{wording.joint_value(model, name, beyond)} {'below' if value < limits.lower else 'above'}"
-            )
-            low, high = (wording.joint_value(model, name, v) for v in (limits.lower, limits.upper))
+            side = "below" if value < limits.lower else "above"
+            side = f"{text_format.joint_value(model, name, beyond)} {side}"
+            low, high = (text_format.joint_value(model, name, v) for v in (limits.lower, limits.upper))
             diagnosis.add_finding(f"{name} is {side} its limits ({low} to {high})")
             wrong[name] = beyond
             mended[name] = float(np.clip(value, limits.lower + WITHIN, limits.upper - WITHIN))
@@ -50,7 +49,7 @@ def explain_start_limits(diagnosis: Diagnosis) -> None:
     if not mended:
         return
     state = JointState.from_mapping(mended)
-    text = ", ".join(f"{n} at {wording.joint_value(model, n, v)}" for n, v in mended.items())
+    text = ", ".join(f"{n} at {text_format.joint_value(model, n, v)}" for n, v in mended.items())
     given = diagnosis.request.start
     in_scene = given is None or any(name not in given.joint_names for name in mended)
     change = reset_state if in_scene else change_start
@@ -64,7 +63,9 @@ def explain_start_contact(diagnosis: Diagnosis) -> None:
     contact.
     """
     checker = KernelChecker(diagnosis.start_scene, diagnosis.joint_names)
-    contacts = checker.exact.contacts(diagnosis.start, padded=False) or touching(checker, diagnosis.start)
+    contacts = checker.exact.contacts(diagnosis.start, padded=False) or resting_contacts(
+        checker, diagnosis.start
+    )
     diagnosis.contacts, diagnosis.state = contacts, diagnosis.group_state(diagnosis.start)
     for contact in contacts:
         diagnosis.add_finding(contact.describe())
@@ -73,7 +74,7 @@ def explain_start_contact(diagnosis: Diagnosis) -> None:
     q = diagnosis.nearest_free(diagnosis.start)
     if q is not None:
         diagnosis.nearest = diagnosis.group_state(q)
-        step = wording.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - diagnosis.start)
+        step = text_format.joint_steps(diagnosis.scene.model, diagnosis.joint_names, q - diagnosis.start)
         apart = float(np.linalg.norm(q - diagnosis.start))
         diagnosis.data["nearest_free_start_rad"] = apart
         report_distance(diagnosis, "the nearest free configuration", diagnosis.start, q)
@@ -101,12 +102,12 @@ def _report_departure(diagnosis: Diagnosis) -> None:
     deepest = max((-c.distance for c in diagnosis.contacts), default=0.0)
     if deepest > RESTING:
         diagnosis.add_finding(
-            f"a motion leads out of contacts up to {wording.length(RESTING)} deep by itself, "
-            f"this one is {wording.length(deepest)} deep"
+            f"a motion leads out of contacts up to {text_format.length(RESTING)} deep by itself, "
+            f"this one is {text_format.length(deepest)} deep"
         )
     elif diagnosis.result.evidence.get("no_departure"):
         blocked = diagnosis.result.evidence.get("blocked_by", [])
-        where = f": on the nearest way out, {wording.contacts(blocked)}" if blocked else ""
+        where = f": on the nearest way out, {text_format.contacts(blocked)}" if blocked else ""
         diagnosis.add_finding(f"no motion of {diagnosis.request.group} leads out of this contact{where}")
 
 

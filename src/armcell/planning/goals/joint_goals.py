@@ -21,8 +21,8 @@ from armcell.core import (
 )
 from armcell.kinematics import ik_solver
 from armcell.planning.constraints.constraint_validation import contradiction
-from armcell.planning.constraints.evaluation import violations
-from armcell.planning.goals.sampling import is_region, is_wide, sample_goal_positions, whole_turn_equivalents
+from armcell.planning.constraints.evaluation import describe_violations
+from armcell.planning.goals.sampling import full_turn_equivalents, is_region, is_wide, sample_goal_positions
 from armcell.planning.moved_frame import MovedFrame
 from armcell.planning.request import ValidatedRequest
 
@@ -130,7 +130,7 @@ def _from_joints(
     q = np.clip(q, low, high)
     start = scene.positions[checker.columns]
     goal_filter = _GoalFilter(validated, checker)
-    centers = whole_turn_equivalents(scene.model, names, q, start) if goal.turns else [q]
+    centers = full_turn_equivalents(scene.model, names, q, start) if goal.turns else [q]
     found = goal_filter.first(centers, len(centers))
     if not found and is_region(goal):
         found = goal_filter.first(sample_goal_positions(scene, validated.request.group, goal, rng), 1)
@@ -185,7 +185,7 @@ def _from_constraints(
         return Outcome(ErrorCode.SUCCESS), found
     if (refusal := goal_filter.refusal()) is not None:
         return refusal, []
-    here = violations(scene, group, goal.constraints, scene.positions[checker.columns])
+    here = describe_violations(scene, group, goal.constraints, scene.positions[checker.columns])
     text = f"goal: no state that keeps to all constraints was found; at the start {here}"
     return Outcome(ErrorCode.NO_IK_SOLUTION, text), []
 

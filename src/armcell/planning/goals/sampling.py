@@ -32,7 +32,7 @@ from armcell.planning.constraints.evaluation import (
     region_distance,
     rotation_error,
     rotation_of,
-    satisfied,
+    satisfies_constraints,
 )
 from armcell.planning.constraints.manifold import LEAST, ConstraintManifold
 from armcell.planning.moved_frame import MovedFrame
@@ -91,7 +91,7 @@ def reaches_goal(scene: PlanningScene, group: str, goal: PoseGoal | ConstraintGo
     distance [m] and an angle [rad]).
     """
     if isinstance(goal, ConstraintGoal):
-        return satisfied(scene, group, goal.constraints, q)
+        return satisfies_constraints(scene, group, goal.constraints, q)
     pose, wanted = MovedFrame(scene, group, goal.link).pose(q), goal.T_world_link
     apart = float(np.linalg.norm(pose.translation - wanted.translation))
     error = rotation_error(wanted.rotation, pose.rotation, "rotation_vector")
@@ -117,7 +117,7 @@ def _of_joints(
         yield np.clip(center + np.where(named, rng.uniform(-reach, reach, len(names)), 0.0), low, high)
 
 
-def whole_turn_equivalents(
+def full_turn_equivalents(
     model: RobotModel, joint_names: tuple[str, ...], q: Array, start: Array
 ) -> list[Array]:
     """List joint positions that equal the goal sample q (n,) except for full turns of joints; those nearest
@@ -245,12 +245,12 @@ def _of_constraints(
             stays = np.array([name not in asked for name in names])
             q = np.where(stays, start, q)
         if manifold is not None:
-            solution = manifold.projected(q, low, high)
+            solution = manifold.project(q, low, high)
         elif wanted.positions or wanted.orientations:
             solution = _pulled(scene, group, wanted, q, rng, clip=k % 2 == 0)
         else:
             solution = q
-        if solution is not None and satisfied(scene, group, wanted, solution):
+        if solution is not None and satisfies_constraints(scene, group, wanted, solution):
             yield solution
         if time.monotonic() > deadline:
             return
@@ -304,7 +304,7 @@ def _point(
     shape, T_frame_shape = c.region[int(rng.integers(len(c.region)))]
     T = scene.frame_pose(c.frame) @ T_frame_shape
     if isinstance(shape, Plane):  # a half space: at the current depth, or on its surface
-        at = T.inv().apply(present)
+        at = T.inverse().apply(present)
         return T.apply((at[0], at[1], min(at[2], 0.0)))
     center, half = local_bounds(shape)
     for _ in range(TRIES):

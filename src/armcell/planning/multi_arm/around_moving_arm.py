@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import CLEARANCE, Arms, without_arms
+from armcell.collision.inter_arm_checker import CLEARANCE, InterArmChecker, without_arms
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.core import Contact, ErrorCode, InputError, JointTrajectory, Outcome, PlanRequest, PlanResult
 from armcell.planning.certify import time_lead_in
@@ -21,9 +21,9 @@ from armcell.planning.multi_arm.space_time_search import SpaceTimePath, SpaceTim
 from armcell.planning.pipeline import StartAndGoals, find_start_and_goals, plan
 from armcell.planning.request import validate_request
 from armcell.scene import PlanningScene
-from armcell.timing import concatenated, delayed, resting
-from armcell.timing.averaged import averaged_pieces
+from armcell.timing import concatenate_trajectories, delay_trajectory, stationary_trajectory
 from armcell.timing.chords import chords
+from armcell.timing.moving_average import smooth_by_moving_average
 
 Array = NDArray[np.float64]
 
@@ -52,10 +52,10 @@ class RunningMotion:
         return self.start + self.trajectory.duration
 
     @staticmethod
-    def standing(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
+    def at_rest(scene: PlanningScene, group: str, time: float = 0.0) -> RunningMotion:
         """Create a `RunningMotion` for an arm at rest: the arm keeps its joint positions from the scene."""
         names = scene.model.group(group).joint_names
-        return RunningMotion(resting(names, scene.state.reindexed(names).positions), time)
+        return RunningMotion(stationary_trajectory(names, scene.state.reindexed(names).positions), time)
 
 
 def plan_around_moving_arms(
@@ -83,7 +83,7 @@ def plan_around_moving_arms(
     began = time.monotonic()
     if not np.isfinite(start_time):
         raise InputError("start_time must be a finite number of seconds")
-    arms = Arms(scene, (request.group, *others), request.group)
+    arms = InterArmChecker(scene, (request.group, *others), request.group)
     alone = without_arms(scene, *others)
     first = plan(alone, request, cancel)
     if not first.ok or first.trajectory is None:
@@ -130,7 +130,7 @@ class MovingArmTimeline:
     """
 
     def __init__(
-        self, arms: Arms, running: tuple[RunningMotion, ...], start_time: float, clearance: float
+        self, arms: InterArmChecker, running: tuple[RunningMotion, ...], start_time: float, clearance: float
     ):  # fmt: skip
         self.arms, self.running, self.start_time, self.clearance = arms, running, start_time, clearance
         self.motions, self.starts = tuple(m.trajectory for m in running), tuple(m.start for m in running)
@@ -198,7 +198,7 @@ def _waiting(timeline: MovingArmTimeline, trajectory: JointTrajectory) -> JointT
         wait = k * WAIT_STEP
         if not timeline.keeps_clearance(start, timeline.start_time, start, timeline.start_time + wait):
             return None  # the arm cannot wait here that long
-        later = delayed(trajectory, wait)
+        later = delay_trajectory(trajectory, wait)
         if timeline.first_conflict(later) is None:
             return later
     return None
@@ -241,7 +241,7 @@ def _searched(
         timeline.arms, timeline.running, timeline.start_time + lead.duration, timeline.clearance
     )
     found = _earliest(alone, later, request, endpoints, latest, deadline, cancel)
-    whole = None if found is None else concatenated(lead, found)
+    whole = None if found is None else concatenate_trajectories(lead, found)
     return whole if whole is not None and timeline.first_conflict(whole) is None else None
 
 
@@ -320,7 +320,7 @@ def _smoothed(
     if len(times) < 2:
         return None
     try:
-        smooth = averaged_pieces(names, times, points, acceleration)
+        smooth = smooth_by_moving_average(names, times, points, acceleration)
     except InputError:
         return None
     window = smooth.duration - float(times[-1] - times[0])
@@ -328,7 +328,7 @@ def _smoothed(
     if lead < -1e-9:  # a wider window than assumed: begin later
         lead = 0.0
     if lead > 1e-6:
-        smooth = delayed(smooth, lead)
+        smooth = delay_trajectory(smooth, lead)
     if timeline.first_conflict(smooth) is not None:
         return None
     _, chain, room = chords((smooth,), (0.0,), 0.0, smooth.duration)

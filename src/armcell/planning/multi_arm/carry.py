@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell.collision.kernel.checker import KernelChecker
-from armcell.collision.resting import certify_from_rest
+from armcell.collision.resting_contact import certify_from_rest
 from armcell.core import SE3, ErrorCode, InputError, JointPath, JointTrajectory, PlanResult
 from armcell.planning.multi_arm.closed_chain import (
     CarriedObject,
@@ -36,7 +36,7 @@ from armcell.planning.multi_arm.object_paths import (
     time_law,
 )
 from armcell.scene import PlanningScene
-from armcell.timing import concatenated, stretched
+from armcell.timing import concatenate_trajectories, slow_down
 from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
@@ -142,7 +142,7 @@ def plan_carry(
                 made.code, text, made.evidence, planner_id="carry", planning_time=time.monotonic() - began
             )
         segments += [made] if isinstance(made, CarrySegment) else made
-    trajectory = concatenated(*(segment.trajectory for segment in segments))
+    trajectory = concatenate_trajectories(*(segment.trajectory for segment in segments))
     points = chords((trajectory,), (0.0,), 0.0, trajectory.duration)[1]
     return PlanResult(
         ErrorCode.SUCCESS, evidence={"ways": tuple(ways), "poses_looked_at": poses_tried},
@@ -188,7 +188,7 @@ class _SegmentBuilder:
         ):
             return BlockedSegment("the rounded path is not free")  # checked before the fine computation
         times, shares = time_law(path, way, self.velocity, self.acceleration, self.max_speed)
-        exact = self.hands.along(way.poses(shares), shares, q)
+        exact = self.hands.solve_path(way.poses(shares), shares, q)
         if isinstance(exact, ClosedChainFailure):
             return BlockedSegment(str(exact))
         values = exact[:, checker.columns]
@@ -197,7 +197,7 @@ class _SegmentBuilder:
             np.max(np.abs(velocities) / self.velocity)
         )  # curvature between the samples of the time law
         over = max(over, float(np.sqrt(np.max(np.abs(accelerations) / self.acceleration))), 1.0)
-        trajectory = stretched(JointTrajectory(self.names, times, values, velocities, accelerations), over)
+        trajectory = slow_down(JointTrajectory(self.names, times, values, velocities, accelerations), over)
         _, points, room = chords((trajectory,), (0.0,), 0.0, trajectory.duration)
         if padded:
             proof = checker.certify(points, room, padded=True, evidence=evidence)
@@ -215,12 +215,12 @@ class _SegmentBuilder:
         """
         steps = max(int(np.ceil(max(way.meters / STEP, way.radians / TURN))), 4)
         shares = np.linspace(0, 1, steps + 1)
-        return self.hands.along(way.poses(shares), shares, q)
+        return self.hands.solve_path(way.poses(shares), shares, q)
 
 
 class _DetourPlanner:
-    """Planner for a detour of a two-arm carry between two object poses: lift the object, go around, and set
-    it down.
+    """Planner for a detour on which two arms carry an object to its next pose: they lift the object, go
+    around the obstacle, and set the object down.
     """
 
     def __init__(
@@ -306,7 +306,7 @@ class _DetourPlanner:
         here = [(T, q)]
         for height in LIFTS:
             above = T.shifted(z=height)
-            there = self.hands.at(above, here[-1][1])
+            there = self.hands.solve(above, here[-1][1])
             if isinstance(there, ClosedChainFailure):
                 break
             here.append((above, there))

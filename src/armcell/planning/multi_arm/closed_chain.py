@@ -77,7 +77,9 @@ class ClosedChainIK:
         self.carried = carried
         self.solvers = {g: ik_solver(scene.model, g, carried.tips[g]) for g in carried.grasps}
 
-    def at(self, T: SE3, last: Array, share: float = 0.0, jump: float = JUMP) -> Array | ClosedChainFailure:
+    def solve(
+        self, T: SE3, last: Array, share: float = 0.0, jump: float = JUMP
+    ) -> Array | ClosedChainFailure:
         """Solve the inverse kinematics of a closed chain for the object at pose T (T_world_object). The
         solution is on the same IK branch as the joint positions `last`.
         """
@@ -91,13 +93,13 @@ class ClosedChainIK:
             new[ik.columns] = near[0]
         return new
 
-    def along(self, poses: Sequence[SE3], shares: Array, q: Array) -> Array | ClosedChainFailure:
+    def solve_path(self, poses: Sequence[SE3], shares: Array, q: Array) -> Array | ClosedChainFailure:
         """Solve the inverse kinematics of a closed chain along several object poses; each solution (k, dof)
         is near the previous one.
         """
         rows, last = [], q
         for T, share in zip(poses, shares, strict=True):
-            last = self.at(T, last, float(share))
+            last = self.solve(T, last, float(share))
             if isinstance(last, ClosedChainFailure):
                 return last
             rows.append(last)
@@ -265,7 +267,7 @@ class ObjectPoseSearch:
         columns, at, arrived = self.checker.columns, None, False
         for k in range(1, min(count, most or count) + 1):
             pose = target if k == count else T.interpolate(target, k / count)
-            new = self.hands.at(pose, q, jump=LEAP)
+            new = self.hands.solve(pose, q, jump=LEAP)
             if isinstance(new, ClosedChainFailure) or not self.checker.edge_is_free(
                 q[columns], new[columns], STEP
             ):

@@ -73,7 +73,7 @@ class RoundedObjectPath:
         # end at these poses, in a straight line.
         x = np.array([T.translation for T in controls])
         self.x = np.vstack([2 * x[0] - x[1], x, 2 * x[-1] - x[-2]])
-        turns = [(a.rotation.inv() @ b.rotation).log() for a, b in pairwise(controls)]
+        turns = [(a.rotation.inverse() @ b.rotation).log() for a, b in pairwise(controls)]
         self.turns = np.array([turns[0], *turns, turns[-1]])  # between neighbors, in the first one's frame
         begin = controls[0].rotation @ SO3.exp(-turns[0])
         self.rotations = [begin, *(T.rotation for T in controls)]

@@ -11,7 +11,14 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import CLEARANCE, Arms, check_arms, combined_group, sides_of, without_arms
+from armcell.collision.inter_arm_checker import (
+    CLEARANCE,
+    InterArmChecker,
+    check_arms,
+    combined_group,
+    sides_of,
+    without_arms,
+)
 from armcell.core import (
     ErrorCode,
     Goal,
@@ -25,7 +32,7 @@ from armcell.core import (
 from armcell.planning.pipeline import find_start_and_goals, plan
 from armcell.planning.request import validate_request
 from armcell.scene import PlanningScene
-from armcell.timing import merged, synchronized
+from armcell.timing import merge_trajectories, synchronize_trajectories
 
 Array = NDArray[np.float64]
 
@@ -36,8 +43,8 @@ COMBINATIONS = 5000  # of joint goals of all arms that are tried
 
 @dataclass(frozen=True)
 class SynchronizedPlan(Outcome):
-    """Plan for synchronized motions of several arms that take equally long. It contains one motion per group,
-    and all motions as one trajectory.
+    """Result of planning synchronized motions for several arms: one trajectory per arm, all with the same
+    duration, and one trajectory for all joints together.
 
     They are None unless planning succeeded.
     """
@@ -78,7 +85,7 @@ def plan_synchronized(
     began = time.monotonic()
     groups = tuple(goals)
     check_arms(scene.model, groups, "goal")
-    arms = Arms(scene, groups)
+    arms = InterArmChecker(scene, groups)
     template = template or PlanRequest(groups[0], ())
     requests = {g: replace(template, group=g, goals=(goal,)) for g, goal in goals.items()}
     scenes = {g: without_arms(scene, *(other for other in groups if other != g)) for g in groups}
@@ -102,7 +109,7 @@ def plan_synchronized(
             return SynchronizedPlan(
                 failed.code, failed.message, failed.evidence, planning_time=time.monotonic() - began
             )
-        motions = synchronized([r.trajectory for r in results if r.trajectory is not None])
+        motions = synchronize_trajectories([r.trajectory for r in results if r.trajectory is not None])
         t0 = time.perf_counter()
         proof = arms.certify(*motions, clearance=clearance, evidence=False)
         recheck = time.perf_counter() - t0
@@ -131,12 +138,12 @@ def _done(
 ) -> SynchronizedPlan:
     return SynchronizedPlan(
         ErrorCode.SUCCESS, words, trajectories=dict(zip(groups, motions, strict=True)),
-        trajectory=merged(*motions), how=how, clearance=clearance,
+        trajectory=merge_trajectories(*motions), how=how, clearance=clearance,
         planning_time=time.monotonic() - began, recheck_time=recheck,
     )  # fmt: skip
 
 
-def _goals(arms: Arms, requests, scenes, clearance: float) -> dict[str, Array] | Outcome:
+def _goals(arms: InterArmChecker, requests, scenes, clearance: float) -> dict[str, Array] | Outcome:
     """Choose goals for synchronized motions of several arms: collision-free positions that are nearest to the
     start.
     """

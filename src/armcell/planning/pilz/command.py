@@ -16,7 +16,7 @@ from armcell.planning.pilz.paths import Curve, JointLine
 from armcell.planning.pilz.settings import PilzSettings
 from armcell.planning.pilz.velocity_profile import Profile, Trapezoid
 from armcell.planning.request import ValidatedRequest
-from armcell.timing import resting
+from armcell.timing import stationary_trajectory
 
 Array = NDArray[np.float64]
 
@@ -60,11 +60,11 @@ class MotionCommand:
         """Joint positions (n,) to which a Pilz motion command leads if it has a joint goal, else None."""
         return self.goal if isinstance(self.request.goals[0], JointGoal | NamedGoal) else None
 
-    def standing(self) -> GeneratedMotion:
+    def stationary_motion(self) -> GeneratedMotion:
         """Generate a motion with a single trajectory point for a Pilz motion command whose goal is the
         current position.
         """
-        trajectory = resting(self.validated.joint_names, self.start)
+        trajectory = stationary_trajectory(self.validated.joint_names, self.start)
         return GeneratedMotion(JointLine(self.start, self.start), trajectory)
 
     def stopped(self) -> Outcome | None:

@@ -53,7 +53,7 @@ def synchronized_profile(step: Array, velocity: Array, acceleration: Array, dece
 def ptp(command: MotionCommand) -> GeneratedMotion | Outcome:
     """Generate a PTP motion, in which all joints accelerate, cruise and brake at the same times."""
     if np.max(np.abs(command.goal - command.start)) <= AT_GOAL:
-        return command.standing()
+        return command.stationary_motion()
     names, request = command.validated.joint_names, command.request
     model = command.validated.scene.model
     curve = JointLine(command.start, command.goal)
@@ -77,7 +77,7 @@ def lin(command: MotionCommand) -> GeneratedMotion | Outcome:
         return generate_along_path(command, line, moved_frame)
     joints = command.goal_joints
     if joints is None or np.max(np.abs(joints - command.start)) <= AT_GOAL:
-        return command.standing()
+        return command.stationary_motion()
     text = (
         f"has nowhere to go: the goal has {moved_frame.name} where it is, "
         "with other joint positions (use PTP)"

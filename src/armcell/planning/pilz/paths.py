@@ -48,7 +48,7 @@ class Line:
         """Total rotation along the tip path of a LIN motion,
         as a rotation vector (3,) [rad] in the frame of the start pose.
         """
-        return (self.start.rotation.inv() @ self.goal.rotation).log()
+        return (self.start.rotation.inverse() @ self.goal.rotation).log()
 
     @property
     def length(self) -> float:

@@ -42,7 +42,12 @@ from armcell.planning.pipeline import plan
 from armcell.planning.planners.registry import PILZ, normalized_pipeline_id
 from armcell.planning.request import Workspace, validate_request
 from armcell.scene import PlanningScene
-from armcell.timing import concatenated, resting, section, with_resting_joints
+from armcell.timing import (
+    concatenate_trajectories,
+    stationary_trajectory,
+    trajectory_section,
+    with_resting_joints,
+)
 
 Array = NDArray[np.float64]
 
@@ -350,14 +355,14 @@ def _joined(
     for item in items[::-1]:  # each group begins at the start of its first motion
         state = state.updated(item.trajectory.start)
     state = state.reindexed(names)
-    parts = [resting(names, state.positions)]
+    parts = [stationary_trajectory(names, state.positions)]
     clock, evidence = 0.0, {"items": [], "blends": []}
 
     def append(trajectory: JointTrajectory, begin: float, end: float) -> dict[str, float]:
         nonlocal clock, state
         started = clock
         if end > begin:
-            part = section(trajectory, begin, end, CLOSE)
+            part = trajectory_section(trajectory, begin, end, CLOSE)
             parts.append(with_resting_joints(part, state, names))
             state = state.updated(part.end)
             clock += end - begin
@@ -372,7 +377,7 @@ def _joined(
         evidence["items"].append({"planner_id": item.result.planner_id, **span})
         if blend is not None:
             evidence["blends"].append(append(blend.trajectory, 0.0, blend.trajectory.duration))
-    return concatenated(*parts), evidence
+    return concatenate_trajectories(*parts), evidence
 
 
 def _clearance(scene: PlanningScene, trajectory: JointTrajectory) -> float:

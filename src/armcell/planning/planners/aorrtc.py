@@ -28,7 +28,7 @@ from armcell.planning.planners.registry import (
     settings_parser,
     settings_parsers,
 )
-from armcell.planning.planners.rrt_connect import NativePlanner, stopping, unsolved
+from armcell.planning.planners.rrt_connect import NativePlanner, stop_flag, unsolved_result
 from armcell.planning.warm_up import BOUNDS, small_problem
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ SHORTEST = 1e-4
 
 
 @dataclass(frozen=True)
-class AnytimeSettings:
+class AORRTCSettings:
     """Settings of AORRTC, an anytime planner that keeps improving its path.
 
     Only a budget of iterations makes results reproducible by seed.
@@ -54,7 +54,7 @@ class AnytimeSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class AnytimeResult:
+class AORRTCResult:
     """Result of the planner AORRTC: the shortest path that was found, whose edges are all proven
     collision-free, or None.
 
@@ -72,13 +72,13 @@ class AnytimeResult:
     closest: Array | None = None
 
 
-class AnytimePlanner:
+class AORRTCPlanner:
     """Anytime planner that shortens the path of another native planner by the algorithm AORRTC.
 
     Use one instance per thread.
     """
 
-    def __init__(self, first: NativePlanner, settings: AnytimeSettings = AnytimeSettings()):
+    def __init__(self, first: NativePlanner, settings: AORRTCSettings = AORRTCSettings()):
         self.first, self.settings = first, settings
         dims = len(first.slack) + 1
         self.trees = new_trees(dims, settings.max_nodes)
@@ -88,7 +88,7 @@ class AnytimePlanner:
     def plan(
         self, start: Array, goals: Array, lower: Array, upper: Array, seed: int = 0,
         stop: NDArray[np.int64] | None = None,
-    ) -> AnytimeResult:  # fmt: skip
+    ) -> AORRTCResult:  # fmt: skip
         """Run AORRTC until `stop` is set or all iterations are used, and return the shortest path that was
         found.
 
@@ -98,7 +98,7 @@ class AnytimePlanner:
         began, stop = time.monotonic(), np.zeros(1, np.int64) if stop is None else stop
         answer = self.first.plan(start, goals, lower, upper, seed, stop)
         if answer.waypoints is None:
-            return AnytimeResult(None, [], answer.iterations, answer.nodes, 0, answer.closest)
+            return AORRTCResult(None, [], answer.iterations, answer.nodes, 0, answer.closest)
         best, iterations, rounds, most = answer.waypoints, answer.iterations, 0, answer.nodes
         history: list[tuple[float, int, float]] = []
         rng = np.random.default_rng(seed)
@@ -143,7 +143,7 @@ class AnytimePlanner:
                 improved = True
                 keep(self.first.path[:count].copy())
             limit = settings.round_iterations if improved else 2 * limit
-        return AnytimeResult(best, history, iterations, most, rounds)
+        return AORRTCResult(best, history, iterations, most, rounds)
 
     def improve(self, roots, lower, upper, bound, random, stop, iterations) -> tuple[int, int, int]:
         """Search by AORRTC for a path that is shorter than `bound` [rad], and write it to the `path` of the
@@ -191,8 +191,8 @@ def plan_aorrtc(problem: Problem) -> PlannerResult:
 
     `cost_over_time` lists (s, rad) pairs.
     """
-    planner = AnytimePlanner(NativePlanner(problem.checker), problem.settings or AnytimeSettings())
-    with stopping(problem) as stop:
+    planner = AORRTCPlanner(NativePlanner(problem.checker), problem.settings or AORRTCSettings())
+    with stop_flag(problem) as stop:
         answer = planner.plan(
             problem.start, np.vstack(problem.goals), problem.lower, problem.upper, problem.seed, stop
         )
@@ -204,21 +204,21 @@ def plan_aorrtc(problem: Problem) -> PlannerResult:
     }
     if answer.waypoints is not None and not problem.cancel.is_set():
         return PlannerResult(answer.waypoints, "", statistics, simplified=True)
-    return unsolved("AORRTC", problem, answer.iterations, answer.closest, statistics)
+    return unsolved_result("AORRTC", problem, answer.iterations, answer.closest, statistics)
 
 
-settings_parsers[plan_aorrtc] = settings_parser("AORRTC", AnytimeSettings)
+settings_parsers[plan_aorrtc] = settings_parser("AORRTC", AORRTCSettings)
 
 
 @lru_cache(maxsize=1)
-def warm_up_anytime() -> None:
+def warm_up_aorrtc() -> None:
     """Compile the kernels of AORRTC before their first use, so that compilation does not consume planning
     time.
     """
     checker, a, b = small_problem()
-    planner, stop = AnytimePlanner(NativePlanner(checker)), np.zeros(1, np.int64)
+    planner, stop = AORRTCPlanner(NativePlanner(checker)), np.zeros(1, np.int64)
     announce_compilation("AORRTC", aorrtc)
     planner.improve(np.vstack([a, b]), *BOUNDS, 1.0, np.ones(1, np.uint64), stop, 1)
 
 
-first_use_hooks[plan_aorrtc] = warm_up_anytime
+first_use_hooks[plan_aorrtc] = warm_up_aorrtc

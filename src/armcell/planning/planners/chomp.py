@@ -17,7 +17,7 @@ from armcell.planning.planners.obstacle_cost import ObstacleCost
 from armcell.planning.planners.problem import PlannerResult, Problem
 from armcell.planning.planners.registry import GROUP, pipelines, settings_parser, settings_parsers
 from armcell.planning.planners.trajectory_optimization import (
-    Descent,
+    OptimizationResult,
     clamp_path,
     optimize_from_many_starts,
     path_validity,
@@ -52,7 +52,7 @@ class CHOMPSettings:
 def optimize_chomp(
     cost: ObstacleCost, path: Array, lower: Array, upper: Array, settings: CHOMPSettings,
     is_free: Callable[[Array], bool], stopped: Callable[[], bool], at_least: int = 0,
-) -> Descent:  # fmt: skip
+) -> OptimizationResult:  # fmt: skip
     """Optimize a path (m, n) with fixed ends by CHOMP, a gradient descent on smoothness and obstacle cost.
 
     Args:
@@ -66,10 +66,10 @@ def optimize_chomp(
     value, least, free = np.inf, -np.inf, None
     for iteration in range(settings.max_iterations):
         if stopped():
-            return Descent(path, free, iteration, value, least)
+            return OptimizationResult(path, free, iteration, value, least)
         value, gradient, least = cost.gradient(path)
         if iteration >= at_least and iteration % LOOK == 0 and least > HOPEFUL and is_free(path):
-            return Descent(path, path, iteration, value, least)
+            return OptimizationResult(path, path, iteration, value, least)
         # The metric times the smoothness gradient is the offset from the smoothest path, the straight line.
         step = settings.smoothness_cost_weight * (path - line)[1:-1]
         step += settings.obstacle_cost_weight * inverse @ gradient[1:-1]
@@ -78,7 +78,7 @@ def optimize_chomp(
         step *= min(1.0, settings.joint_update_limit / max(largest, 1e-12))
         path[1:-1] -= step
         clamp_path(path, lower, upper, inverse)
-    return Descent(path, path if is_free(path) else None, settings.max_iterations, value, least)
+    return OptimizationResult(path, path if is_free(path) else None, settings.max_iterations, value, least)
 
 
 SETTINGS = CHOMPSettings(max_iterations=100, smoothness_cost_weight=2.0)
@@ -109,7 +109,7 @@ def chomp(problem: Problem) -> PlannerResult:
     settings: CHOMPSettings = problem.settings or CHOMPSettings()
     cost = ObstacleCost(problem.checker, settings.collision_clearance)
 
-    def optimize(path: Array, rng: np.random.Generator) -> Descent:
+    def optimize(path: Array, rng: np.random.Generator) -> OptimizationResult:
         return optimize_chomp(
             cost,
             path,

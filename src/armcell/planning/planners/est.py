@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from armcell.core.checks import require
 from armcell.planning.planners.problem import PlannerResult, Problem
 from armcell.planning.planners.registry import pipelines, settings_parser, settings_parsers
-from armcell.planning.planners.rrt_connect import unsolved
+from armcell.planning.planners.rrt_connect import unsolved_result
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def est(problem: Problem) -> PlannerResult:
             tree.add(q, i)
         elif aimed and np.linalg.norm(q - tree[i]) < gap:
             gap, closest = float(np.linalg.norm(q - tree[i])), np.array([tree[i], q])
-    return unsolved("EST", problem, iterations, closest, {"nodes": float(tree.size)})
+    return unsolved_result("EST", problem, iterations, closest, {"nodes": float(tree.size)})
 
 
 _make = settings_parser("EST", ESTSettings)

@@ -49,7 +49,7 @@ SPELLINGS = {"nearest_k": "use_k_nearest"}  # spelling in MoveIt's files, for FM
 UNDECLARED = {"AORRTC": {"range": "0"}}  # parameters with a method that OMPL does not declare
 
 
-def declared(planner: ob.Planner, name: str) -> dict[str, str]:
+def declared_parameters(planner: ob.Planner, name: str) -> dict[str, str]:
     """Read the parameters of an OMPL planner and their current values from the settings that the planner
     prints.
     """
@@ -58,7 +58,7 @@ def declared(planner: ob.Planner, name: str) -> dict[str, str]:
     return {key.strip(): value.strip() for key, value in pairs} | UNDECLARED.get(name, {})
 
 
-def settings_maker(name: str) -> SettingsParser:
+def make_settings_parser(name: str) -> SettingsParser:
     """Create a parser for the parameters of an OMPL planner, which checks the values on a trial planner.
 
     The settings are the parameters.
@@ -71,7 +71,7 @@ def settings_maker(name: str) -> SettingsParser:
 
     def defaults() -> dict[str, Any]:
         with trial_planner(name) as planner:
-            return dict(declared(planner, name))
+            return dict(declared_parameters(planner, name))
 
     make.defaults = defaults  # type: ignore[attr-defined]
     return make
@@ -103,7 +103,7 @@ def set_parameters(planner: ob.Planner, name: str, parameters: Mapping[str, Any]
             parameters with their values.
         InputError: a value has the wrong type, OMPL rejects a value, or a parameter cannot be set.
     """
-    present = declared(planner, name)
+    present = declared_parameters(planner, name)
     for key, value in parameters.items():
         known = SPELLINGS.get(key, key) if key not in present else key
         if known not in present:
@@ -325,7 +325,7 @@ def _planner(name: str) -> Callable[[Problem], PlannerResult]:
         return _plan(name, problem)
 
     plan.__name__ = name
-    settings_parsers[plan] = settings_maker(name)
+    settings_parsers[plan] = make_settings_parser(name)
     return plan
 
 

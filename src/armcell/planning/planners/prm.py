@@ -40,8 +40,8 @@ from armcell.planning.planners.rrt_connect import (
     NativePlanner,
     nearest_roots,
     shorter,
-    stopping,
-    unsolved,
+    stop_flag,
+    unsolved_result,
 )
 from armcell.planning.warm_up import BOUNDS, small_problem
 
@@ -106,7 +106,7 @@ class Roadmap:
         self.block, self.no_room = np.zeros(L * dof), np.zeros(dof)
         self.stamp, self._scene = 0, b""
 
-    def enter(self, checker: KernelChecker, stop: NDArray[np.int64]) -> None:
+    def recheck_vertices(self, checker: KernelChecker, stop: NDArray[np.int64]) -> None:
         """Check every vertex of a PRM roadmap in the scene of the checker, unless the last query used the
         same scene.
         """
@@ -158,7 +158,7 @@ def plan_with_roadmap(
     began, before = time.thread_time(), roadmap.graph.counts.copy()
     stop = np.zeros(1, np.int64) if stop is None else stop
     checker, step, settings = planner.checker, planner.settings.step, roadmap.settings
-    roadmap.enter(checker, stop)
+    roadmap.recheck_vertices(checker, stop)
     first = int(roadmap.insert(start[None], False)[0])
     last = roadmap.insert(goals, False)
     route = np.zeros(len(planner.path), np.int32)
@@ -231,10 +231,10 @@ def plan_prm(problem: Problem) -> PlannerResult:
     roadmap = roadmap_of(problem.checker.model, problem.joint_names, problem.settings or PRMSettings())
     planner = NativePlanner(problem.checker)
     goals = np.vstack(problem.goals)
-    with stopping(problem) as stop:
+    with stop_flag(problem) as stop:
         while not roadmap.lock.acquire(timeout=POLL):
             if stop[0]:
-                return unsolved("PRM", problem, 0, nearest_roots(problem.start, goals), {})
+                return unsolved_result("PRM", problem, 0, nearest_roots(problem.start, goals), {})
         try:
             found = plan_with_roadmap(
                 roadmap, planner, problem.start, goals, problem.lower, problem.upper, problem.seed, stop
@@ -251,7 +251,7 @@ def plan_prm(problem: Problem) -> PlannerResult:
     }
     if found.waypoints is not None:
         return PlannerResult(found.waypoints, "", statistics, simplified=True)
-    return unsolved("PRM", problem, found.iterations, found.closest, statistics)
+    return unsolved_result("PRM", problem, found.iterations, found.closest, statistics)
 
 
 @lru_cache(maxsize=1)

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class NativeSettings:
+class RRTConnectSettings:
     """Settings of RRT-Connect, the default planner."""
 
     range: float | None = None  # [rad] longest edge of the trees; None or 0: 14 / joints, at most 2
@@ -74,7 +74,7 @@ class NativePlanner:
     The planner keeps its trees between calls. Use one instance per thread.
     """
 
-    def __init__(self, checker: KernelChecker, settings: NativeSettings = NativeSettings()):
+    def __init__(self, checker: KernelChecker, settings: RRTConnectSettings = RRTConnectSettings()):
         self.checker, self.settings = checker, settings
         dof = len(checker.joint_names)
         self.reach = settings.range or min(2.0, 14.0 / dof)
@@ -280,7 +280,7 @@ FINE = 0.01  # [rad] between samples of a blocked connection
 def plan_rrt_connect(problem: Problem) -> PlannerResult:
     """Plan by RRT-Connect, and return a simplified path in which every edge is proven collision-free."""
     planner = planner_of(problem.checker, problem.settings)
-    with stopping(problem) as stop:
+    with stop_flag(problem) as stop:
         answer = planner.plan(
             problem.start, np.vstack(problem.goals), problem.lower, problem.upper, problem.seed, stop,
             more_goals=problem.more_goals,
@@ -296,13 +296,13 @@ def plan_rrt_connect(problem: Problem) -> PlannerResult:
         statistics["streamed_goals"] = float(answer.streamed)
     if answer.waypoints is not None:
         return PlannerResult(answer.waypoints, "", statistics, simplified=True)
-    return unsolved("RRTConnect", problem, answer.iterations, answer.closest, statistics)
+    return unsolved_result("RRTConnect", problem, answer.iterations, answer.closest, statistics)
 
 
-settings_parsers[plan_rrt_connect] = settings_parser("RRTConnect", NativeSettings)
+settings_parsers[plan_rrt_connect] = settings_parser("RRTConnect", RRTConnectSettings)
 
 
-def unsolved(
+def unsolved_result(
     planner: str, problem: Problem, iterations: int, closest: NDArray[np.float64] | None, statistics: dict
 ) -> PlannerResult:
     """Create the result of an RRT-Connect search that found no path.
@@ -345,13 +345,13 @@ def _in_the_way(problem: Problem, closest: NDArray[np.float64]) -> list:
 _of_thread = threading.local()
 
 
-def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -> NativePlanner:
+def planner_of(checker: KernelChecker, settings: RRTConnectSettings | None = None) -> NativePlanner:
     """Return the current thread's native RRT-Connect planner for a collision checker.
 
     Each thread reuses one planner per number of joints, because the trees of a planner are large.
     Settings other than the default create a new planner.
     """
-    if settings not in (None, NativeSettings()):
+    if settings not in (None, RRTConnectSettings()):
         return NativePlanner(checker, settings)
     kept: dict[int, NativePlanner] = _of_thread.__dict__.setdefault("planners", {})
     dof = len(checker.joint_names)
@@ -362,7 +362,7 @@ def planner_of(checker: KernelChecker, settings: NativeSettings | None = None) -
 
 
 @contextmanager
-def stopping(problem: Problem) -> Iterator[NDArray[np.int64]]:
+def stop_flag(problem: Problem) -> Iterator[NDArray[np.int64]]:
     """Provide a stop flag for RRT-Connect and other compiled searches, which is set at the deadline or when
     the request is canceled.
     """
@@ -393,5 +393,5 @@ def simplify(problem: Problem, waypoints: Array) -> Array | None:
         waypoints: (m, n); edges checked at samples or not at all.
     """
     planner = planner_of(problem.checker)
-    with stopping(problem) as stop:
+    with stop_flag(problem) as stop:
         return planner.shortened(waypoints, stop)

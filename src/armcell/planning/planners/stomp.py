@@ -17,7 +17,7 @@ from armcell.planning.planners.obstacle_cost import ObstacleCost
 from armcell.planning.planners.problem import PlannerResult, Problem
 from armcell.planning.planners.registry import GROUP, pipelines, settings_parser, settings_parsers
 from armcell.planning.planners.trajectory_optimization import (
-    Descent,
+    OptimizationResult,
     optimize_from_many_starts,
     path_validity,
     smooth_metric,
@@ -49,7 +49,7 @@ class STOMPSettings:
 def optimize_stomp(
     cost: ObstacleCost, path: Array, lower: Array, upper: Array, settings: STOMPSettings,
     is_free: Callable[[Array], bool], stopped: Callable[[], bool], rng: np.random.Generator,
-) -> Descent:  # fmt: skip
+) -> OptimizationResult:  # fmt: skip
     """Optimize a path (m, n) by STOMP until it is collision-free; the ends of the path stay fixed."""
     path = path.copy()
     m, n = path.shape
@@ -59,7 +59,7 @@ def optimize_stomp(
     total = np.inf
     for iteration in range(settings.num_iterations):
         if stopped():
-            return Descent(path, None, iteration, total, np.nan)
+            return OptimizationResult(path, None, iteration, total, np.nan)
         noise = (
             settings.stddev * COOLING**iteration * root @ rng.normal(size=(settings.num_rollouts, m - 2, n))
         )
@@ -70,10 +70,10 @@ def optimize_stomp(
         costs = cost.of_paths(rollouts)
         total = float(costs[0].sum())
         if is_free(path):
-            return Descent(path, path, iteration, total, np.nan)
+            return OptimizationResult(path, path, iteration, total, np.nan)
         best = 1 + int(np.argmin(costs[1:].sum(axis=1)))
         if costs[best].sum() == 0.0 and is_free(rollouts[best]):
-            return Descent(rollouts[best], rollouts[best], iteration + 1, 0.0, np.nan)
+            return OptimizationResult(rollouts[best], rollouts[best], iteration + 1, 0.0, np.nan)
         S = costs[1:, 1:-1]
         span = S.max(axis=0) - S.min(axis=0)
         weight = np.exp(-SHARPNESS * (S - S.min(axis=0)) / np.maximum(span, 1e-9))
@@ -82,7 +82,7 @@ def optimize_stomp(
         update = smoothing @ np.einsum("km,kmn->mn", weight, noise)
         path[1:-1] += update - settings.control_cost_weight * (path - line)[1:-1]
         np.clip(path, lower, upper, out=path)
-    return Descent(path, path if is_free(path) else None, settings.num_iterations, total, np.nan)
+    return OptimizationResult(path, path if is_free(path) else None, settings.num_iterations, total, np.nan)
 
 
 pipelines["stomp"] = Registry("planner of pipeline 'stomp'", GROUP)
@@ -97,7 +97,7 @@ def stomp(problem: Problem) -> PlannerResult:
     settings: STOMPSettings = problem.settings or STOMPSettings()
     cost = ObstacleCost(problem.checker, settings.collision_clearance)
 
-    def optimize(path: Array, rng: np.random.Generator) -> Descent:
+    def optimize(path: Array, rng: np.random.Generator) -> OptimizationResult:
         return optimize_stomp(
             cost,
             path,

@@ -57,9 +57,14 @@ def path_validity(problem: Problem) -> Callable[[Array], bool]:
 
 
 def optimize_from_many_starts(
-    name: str, problem: Problem, optimize: Callable[[Array, np.random.Generator], Descent], count: int,
-    starts: int, detour: float, done: bool,
-) -> PlannerResult:  # fmt: skip
+    name: str,
+    problem: Problem,
+    optimize: Callable[[Array, np.random.Generator], OptimizationResult],
+    count: int,
+    starts: int,
+    detour: float,
+    done: bool,
+) -> PlannerResult:
     """Optimize initial paths by CHOMP or STOMP, first a straight one, then random detours, until one becomes
     collision-free.
 
@@ -86,7 +91,7 @@ def optimize_from_many_starts(
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
+class OptimizationResult:
     """Result of optimizing a trajectory by CHOMP or STOMP.
 
     `free` is the first free path (m, n) or None, `path` the last path.

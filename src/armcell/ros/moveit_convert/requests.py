@@ -10,10 +10,10 @@ import numpy as np
 from armcell.core import ADAPTERS, CartesianRequest, ErrorCode, InputError, PlanRequest
 from armcell.core.requests import Corner
 from armcell.ros.convert import pose_from_message
+from armcell.ros.failure_responses import ERROR_CODES, SOURCE
 from armcell.ros.moveit_convert.constraints import constraints_from_message, goal_from_message
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.moveit_convert.states import robot_state_from_message
-from armcell.ros.reasons import ERROR_CODES, SOURCE
 from armcell.ros.schema import Schema
 from armcell.scene import PlanningScene
 

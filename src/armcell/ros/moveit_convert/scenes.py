@@ -28,8 +28,8 @@ from armcell.scene import (
     OCTOMAP,
     WORLD,
     AddObject,
-    Allow,
-    AllowByDefault,
+    AllowCollision,
+    AllowCollisionByDefault,
     AppendShapes,
     AttachObject,
     CollisionObject,
@@ -89,7 +89,7 @@ def object_changes(message: Any, scene: PlanningScene, known: PlanningScene | No
     if operation == APPEND:
         if name not in scene.objects:
             return [AddObject(object_from_message(message), frame)]
-        into = scene.objects[name].T_world_object.inv() @ scene.frame_pose(frame)
+        into = scene.objects[name].T_world_object.inverse() @ scene.frame_pose(frame)
         T = into @ pose_from_message(message.pose)
         return [AppendShapes(name, tuple((s, T @ T_shape) for s, T_shape in shapes_from_message(message)))]
     if operation == MOVE:
@@ -252,10 +252,10 @@ def _allowed(matrix: Any, scene: PlanningScene) -> list[Change]:
     for i, j in combinations(range(len(names)), 2):
         allowed = bool(matrix.entry_values[i].enabled[j])
         if names[i] in known and names[j] in known and scene.is_allowed(names[i], names[j]) != allowed:
-            found.append(Allow(names[i], names[j], allowed))
+            found.append(AllowCollision(names[i], names[j], allowed))
     for name, value in zip(matrix.default_entry_names, matrix.default_entry_values):
         if name in known:
-            found.append(AllowByDefault(name, bool(value)))
+            found.append(AllowCollisionByDefault(name, bool(value)))
     return found
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from armcell.cell import LiveCamera
 from armcell.core import SE3, CameraImage
-from armcell.perception import organized
+from armcell.perception import organized_cloud
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.bus import Bus, Publisher
 from armcell.ros.convert import camera_info_message, cloud_message, image_message, transform_message
@@ -121,7 +121,7 @@ class _Topics:
         if self._depth is not None and self._depth.subscribers:
             self._depth.publish(image_message(schema, header, _with_nan(depth)))
         if self._points is not None and self._points.subscribers and image.rgb is not None:
-            points = organized(depth, image.pinhole).astype(np.float32)
+            points = organized_cloud(depth, image.pinhole).astype(np.float32)
             self._points.publish(cloud_message(schema, header, points, image.rgb))
 
     def _frames(self) -> list[Any]:
@@ -132,7 +132,7 @@ class _Topics:
         parent = WORLD if camera.link is None else camera.link
         T = camera.T_world_camera if camera.T_link_camera is None else camera.T_link_camera
         return [
-            transform_message(bus.schema, bus.header(parent), self._link, T @ T_LINK_OPTICAL.inv()),
+            transform_message(bus.schema, bus.header(parent), self._link, T @ T_LINK_OPTICAL.inverse()),
             transform_message(bus.schema, bus.header(self._link), self._optical, T_LINK_OPTICAL),
         ]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from armcell.cell import LiveCell
-from armcell.collision.motion_proof import Moving, first_conflict
+from armcell.collision.motion_proof import ActiveMotion, first_conflict
 from armcell.core import ArmcellError, ErrorCode, ExecutionResult, InputError, JointTrajectory
 from armcell.drivers import Driver
 from armcell.execution import (
@@ -27,11 +27,11 @@ from armcell.execution import (
 )
 from armcell.model import Gripper, RobotModel
 from armcell.ros.convert import trajectory_from_message
-from armcell.ros.nodes.conductor import STOPPED, Conductor, Work
-from armcell.ros.nodes.controllers import chosen
-from armcell.ros.nodes.gripping import LOOK_PERIOD, GripperMotions, finger_goals
+from armcell.ros.nodes.external_controllers import select_controllers
+from armcell.ros.nodes.gripper_node import LOOK_PERIOD, GripperMotions, finger_goals
+from armcell.ros.nodes.motion_queue import STOPPED, MotionHandle, MotionQueue
 from armcell.scene import PlanningScene
-from armcell.tasks.context import Holding
+from armcell.tasks.context import HeldObject
 
 logger = logging.getLogger(__name__)
 SHIFT = 0.15  # [s] timing tolerance between motions that clients start independently
@@ -57,7 +57,7 @@ class CellMotions:
 
     def __init__(self, live: LiveCell, controllers: Mapping[str, tuple[str, ...]]):
         self.live, self.controllers = live, controllers
-        self.conductor = Conductor(live.driver, self._after_step)
+        self.conductor = MotionQueue(live.driver, self._after_step)
         live.ctx.driver = self.conductor  # tasks share the driver with clients
         live.ctx.gate.shift = SHIFT
         self.grippers = GripperMotions(live, self.conductor)
@@ -80,8 +80,8 @@ class CellMotions:
                 self._connected()
                 self.ready.set()
                 while not self._stop.is_set():
-                    self.conductor.turn()
-                self.conductor.settle()
+                    self.conductor.step()
+                self.conductor.stop_and_drain()
         finally:
             self.conductor.close()
 
@@ -91,7 +91,7 @@ class CellMotions:
     def _after_step(self) -> None:
         if self.live.driver.now >= self._next_look:
             self._next_look = self.live.driver.now + LOOK_PERIOD
-            self.look_at_hands()
+            self.update_held_objects()
         self.live.ctx.observe()
 
     def start(self) -> threading.Thread:
@@ -114,16 +114,16 @@ class CellMotions:
         """Return the measured scene of a live cell, including added and held objects.
         Motions are checked against this scene.
         """
-        return self.conductor.call(self.now)
+        return self.conductor.call(self.measure_scene)
 
-    def now(self) -> PlanningScene:
+    def measure_scene(self) -> PlanningScene:
         """Return the current measured scene of a live cell, including held objects.
         Only the thread of the driver may call this method.
         """
-        self.look_at_hands()
+        self.update_held_objects()
         return self.live.ctx.scene()
 
-    def look_at_hands(self) -> None:
+    def update_held_objects(self) -> None:
         """Update which objects the grippers of a live cell hold. Only the thread of the driver may call this
         method.
         """
@@ -143,10 +143,10 @@ class CellMotions:
             if reading.held is None or reading.held in ctx.holding or reading.held not in world.objects:
                 continue
             T = ctx.T_tcp_object(reading.held, gripper)
-            ctx.take(Holding(reading.held, gripper, T))
+            ctx.record_grasp(HeldObject(reading.held, gripper, T))
             self._widths[reading.held] = reading.width
 
-    def change(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
+    def edit_scene(self, make: Callable[[PlanningScene], PlanningScene]) -> PlanningScene:
         """Apply the function `make` to the scene of a live cell.
         Return the resulting scene, against which motions are then checked.
 
@@ -157,7 +157,7 @@ class CellMotions:
         self.live.ctx.change_scene(make)  # in this thread, because a large mesh takes time
         return self.scene()
 
-    def held(self, gripper: Gripper) -> str | None:
+    def held_object(self, gripper: Gripper) -> str | None:
         """Return the object between the fingers of a gripper in the live cell, or None."""
         return self.conductor.call(lambda: self.live.driver.gripper(gripper.name).held)
 
@@ -168,22 +168,22 @@ class CellMotions:
         others = tuple(others)
         self.conductor.call(lambda: self.live.ctx.expect_contact(body, others, expected))
 
-    def tell(self, kind: str, text: str, **data: Any) -> None:
+    def queue_event(self, kind: str, text: str, **data: Any) -> None:
         """Queue an event for the observers of a live cell and its motions."""
-        self.conductor.soon(lambda: self.live.ctx.emit(kind, text, **data))
+        self.conductor.call_soon(lambda: self.live.ctx.emit(kind, text, **data))
 
     # --- motions ---
-    def works(self, joints: Iterable[str] | None = None) -> list[Work]:
+    def motions(self, joints: Iterable[str] | None = None) -> list[MotionHandle]:
         """Return the waiting and running motions of a live cell.
         If joints are given, return only motions of these joints.
         """
-        return self.conductor.works(joints)
+        return self.conductor.motions(joints)
 
     def stop(self) -> None:
         """Stop all motions of a live cell, including those of other clients."""
         self.conductor.stop()
 
-    def drive(self, gripper: Gripper, width: float, force: float) -> Work:
+    def drive(self, gripper: Gripper, width: float, force: float) -> MotionHandle:
         """Start opening or closing a gripper of a live cell and return a handle to this motion.
 
         Args:
@@ -193,13 +193,13 @@ class CellMotions:
         """
         return self.grippers.drive(gripper, width, force)
 
-    def play(
+    def queue_trajectory(
         self,
         message: Any,
         settings: ExecutionSettings = ExecutionSettings(),
         planned_in: PlanningScene | None = None,
         controllers: Sequence[str] = (),
-    ) -> Work:
+    ) -> MotionHandle:
         """Queue a trajectory_msgs/JointTrajectory as a motion of the cell.
         It starts after earlier motions of the same joints have ended.
 
@@ -238,15 +238,17 @@ class CellMotions:
             driver = self._restricted(driver, controllers)
             return (yield from execution_steps(driver, _Announced(self, now, planned_in, cancel), settings))
 
-        work = Work("trajectory", trajectory.joint_names, steps, trajectory=trajectory).then(self._ended)
-        return self._put_beside(work, trajectory)
+        work = MotionHandle(
+            "trajectory", trajectory.joint_names, steps, trajectory=trajectory
+        ).add_done_callback(self._ended)
+        return self._queue_beside_others(work, trajectory)
 
     def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
         """Check that the controllers that a client of the cell has named
         for a motion move all joints of the motion.
         """
         if controllers:
-            chosen(self.controllers, controllers, joints)
+            select_controllers(self.controllers, controllers, joints)
 
     def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
         """Return a view of the cell's driver that uses only the named controllers. If no controllers are
@@ -254,7 +256,7 @@ class CellMotions:
         """
         return driver
 
-    def _halt(self, trajectory: JointTrajectory) -> Work:
+    def _halt(self, trajectory: JointTrajectory) -> MotionHandle:
         joints = trajectory.joint_names or self.model.joint_names
 
         def steps(driver: Any, cancel: threading.Event) -> Any:
@@ -262,9 +264,9 @@ class CellMotions:
             nothing = replace(trajectory, joint_names=joints, positions=np.zeros((0, len(joints))))
             return execution_steps(driver, self.live.ctx.gate.motion(nothing))
 
-        return self.conductor.put(Work("stop", joints, steps).then(self._ended))
+        return self.conductor.put(MotionHandle("stop", joints, steps).add_done_callback(self._ended))
 
-    def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> Work:
+    def _close_or_open(self, trajectory: JointTrajectory, goals: list[tuple[Gripper, float]]) -> MotionHandle:
         """Queue a motion of the cell that moves fingers to their widths [m]. It also succeeds if an object
         stops the fingers.
         """
@@ -273,12 +275,16 @@ class CellMotions:
             self.say(f"executing {len(trajectory.times)} points, {trajectory.duration:.2f} s")
             result = ExecutionResult(ErrorCode.SUCCESS)
             for gripper, width in goals:
-                result = yield from self.grippers.closing(driver, gripper, width, gripper.max_force, cancel)
+                result = yield from self.grippers.command_steps(
+                    driver, gripper, width, gripper.max_force, cancel
+                )
             return result
 
-        return self.conductor.put(Work("fingers", trajectory.joint_names, steps).then(self._ended))
+        return self.conductor.put(
+            MotionHandle("fingers", trajectory.joint_names, steps).add_done_callback(self._ended)
+        )
 
-    def _put_beside(self, work: Work, trajectory: JointTrajectory) -> Work:
+    def _queue_beside_others(self, work: MotionHandle, trajectory: JointTrajectory) -> MotionHandle:
         """Queue a motion of the cell.
         If it conflicts with motions of other arms, first wait until enough of those arms have arrived.
 
@@ -287,10 +293,10 @@ class CellMotions:
         """
         while not self._stop.is_set():
             others = self._others(work)
-            if (late := self._not_begun(work, others)) is not None:
+            if (late := self._blocking_motion(work, others)) is not None:
                 late.wait(self.live.driver.period)  # the proof needs the start time of the other motion
                 continue
-            if contact := self._in_passing(others, trajectory):
+            if contact := self._temporary_conflict(others, trajectory):
                 self.say(f"waits until another motion has ended: {contact}")
                 while not self._stop.is_set() and not any(w.wait(0.05) for w in others):
                     pass
@@ -300,20 +306,20 @@ class CellMotions:
                     return self.conductor.put(work)
         raise InputError("the cell is closed")
 
-    def _others(self, work: Work) -> list[Work]:
+    def _others(self, work: MotionHandle) -> list[MotionHandle]:
         """Return the queued and running motions of the cell that share no joint with the motion `work`."""
-        works = self.conductor.works()
+        works = self.conductor.motions()
         return [w for w in works if w.trajectory is not None and not w.joints & work.joints]
 
-    def _not_begun(self, work: Work, others: list[Work]) -> Work | None:
+    def _blocking_motion(self, work: MotionHandle, others: list[MotionHandle]) -> MotionHandle | None:
         """Return another motion of the cell that must start or end
         before the motion `work` can be checked, or None.
         """
-        before = [w for w in self.conductor.works(work.joints) if not w.gives_way]
+        before = [w for w in self.conductor.motions(work.joints) if not w.gives_way]
         late = [w for w in others if w.began is None]
         return next((w for w in (*before, *late) if not w.is_over), None)
 
-    def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
+    def _temporary_conflict(self, others: list[MotionHandle], new: JointTrajectory) -> str:
         """Describe the temporary conflict between a new motion and running motions of the cell: the new
         motion can start once the running motions have ended.
 
@@ -322,7 +328,7 @@ class CellMotions:
         running = [w.trajectory for w in others if w.trajectory is not None and not w.is_over]
         if not running:
             return ""
-        scene, gate, motion = self.conductor.call(self.live.scene), self.live.ctx.gate, Moving(new)
+        scene, gate, motion = self.conductor.call(self.live.scene), self.live.ctx.gate, ActiveMotion(new)
         now = gate.conflict(motion, scene)
         if now is None:
             return ""
@@ -332,11 +338,11 @@ class CellMotions:
             return ""  # waiting does not help: the motion gate rejects this motion
         return "the motions meet" if now.contact is None else now.contact.describe()
 
-    def _ended(self, work: Work) -> None:
+    def _ended(self, work: MotionHandle) -> None:
         self.executed += 1
         if not self._stop.is_set():
             with suppress(InputError):  # the robot's state is unknown
-                self.grippers.moved(work.joints)
+                self.grippers.revoke_finger_contacts(work.joints)
         if work.error is not None:
             self.say(f"refused: {work.error}")
             return
@@ -358,7 +364,7 @@ class _Announced(GuardedMotion):
         self._cell = cell
 
     def begin(self, blend: JointTrajectory | None = None) -> ExecutionResult | None:
-        self._cell.look_at_hands()
+        self._cell.update_held_objects()
         refused = super().begin(blend)
         if refused is None:
             self._cell.say(f"executing {len(self.trajectory.times)} points, {self.trajectory.duration:.2f} s")

@@ -14,13 +14,13 @@ import numpy as np
 from armcell.cell import LiveCell
 from armcell.core import ErrorCode, ExecutionResult, InputError
 from armcell.execution import SCENE_INVALIDATED, ExecutionSettings
-from armcell.ros.actions import ActionServer, Done, Goal, State
+from armcell.ros.actions import ActionOutcome, ActionServer, Goal, GoalState
 from armcell.ros.bus import Bus
 from armcell.ros.nodes.cameras import CameraPublisher
 from armcell.ros.nodes.cell_motions import CellMotions
-from armcell.ros.nodes.conductor import Work
-from armcell.ros.nodes.gripping import GripperNode
-from armcell.ros.nodes.states import RATE, StatePublisher, check_rate
+from armcell.ros.nodes.gripper_node import GripperNode
+from armcell.ros.nodes.motion_queue import MotionHandle
+from armcell.ros.nodes.state_publisher import RATE, StatePublisher, check_rate
 
 logger = logging.getLogger(__name__)
 TRAJECTORY = "/planned_trajectory"
@@ -93,7 +93,7 @@ class CellNode(CellMotions):
         if self._states.due(self.live.driver.now):
             self._states.publish(self.live.driver)
             self.cameras.publish(self._states.tf)
-        self._gripper_node.look()
+        self._gripper_node.grip_automatically()
         super()._after_step()
 
     def say(self, text: str) -> None:
@@ -105,11 +105,11 @@ class CellNode(CellMotions):
     # --- callbacks, in the threads of subscriptions and actions ---
     def _on_trajectory(self, message: Any) -> None:
         try:
-            self.play(message)
+            self.queue_trajectory(message)
         except InputError as error:
             logger.info("trajectory refused: %s", error)
 
-    def _follow(self, goal: Goal) -> Done:
+    def _follow(self, goal: Goal) -> ActionOutcome:
         """Execute a control_msgs/FollowJointTrajectory goal for a client of the cell node, in the thread of
         the action.
 
@@ -119,10 +119,12 @@ class CellNode(CellMotions):
         try:
             if len(goal.message.multi_dof_trajectory.points):
                 raise InputError("multi-DOF trajectories are not executed", hint="send joint positions")
-            work = self.play(goal.message.trajectory, _tolerances(goal.message))
+            work = self.queue_trajectory(goal.message.trajectory, _tolerances(goal.message))
         except InputError as error:
             code = INVALID_JOINTS if "unknown joint" in str(error) else INVALID_GOAL
-            return Done(State.REJECTED, Result(error_code=code, error_string=str(error)), str(error))
+            return ActionOutcome(
+                GoalState.REJECTED, Result(error_code=code, error_string=str(error)), str(error)
+            )
         feedback = _Feedback(self, goal)
         while not work.wait(0.02):
             if goal.cancel.is_set():
@@ -131,19 +133,19 @@ class CellNode(CellMotions):
                 goal.accept()
                 feedback.give(work)
         if self._stop.is_set():
-            return Done(State.ABORTED, Result(), "the cell was closed")
+            return ActionOutcome(GoalState.ABORTED, Result(), "the cell was closed")
         if work.error is not None:
             text = str(work.error)
-            return Done(State.REJECTED, Result(error_code=INVALID_GOAL, error_string=text), text)
+            return ActionOutcome(GoalState.REJECTED, Result(error_code=INVALID_GOAL, error_string=text), text)
         result = work.outcome()
         preempted = result.code is ErrorCode.PREEMPTED
         if not (result.ok or preempted or work.moving):  # rejected before it started
             message = Result(error_code=INVALID_GOAL, error_string=result.message)
-            return Done(State.REJECTED, message, result.message)
+            return ActionOutcome(GoalState.REJECTED, message, result.message)
         message = Result(error_code=_follow_code(result), error_string=result.message)
         if result.ok:
-            return Done(State.SUCCEEDED, message, result.message)
-        return Done(State.PREEMPTED if preempted else State.ABORTED, message, result.message)
+            return ActionOutcome(GoalState.SUCCEEDED, message, result.message)
+        return ActionOutcome(GoalState.PREEMPTED if preempted else GoalState.ABORTED, message, result.message)
 
 
 class _Feedback:
@@ -156,7 +158,7 @@ class _Feedback:
     def __init__(self, node: CellNode, goal: Goal):
         self._node, self._goal, self._next = node, goal, 0.0
 
-    def give(self, work: Work) -> None:
+    def give(self, work: MotionHandle) -> None:
         trajectory = work.trajectory
         if trajectory is None or work.began is None or time.monotonic() < self._next:
             return

@@ -16,7 +16,7 @@ import numpy as np
 
 from armcell.core import SE3, SO3, InputError, UnknownNameError
 from armcell.core.checks import require
-from armcell.ros.actions import ActionClient, State
+from armcell.ros.actions import ActionClient, GoalState
 from armcell.ros.bus import Bus
 from armcell.ros.convert import pose_message
 from armcell.ros.nodes.cell_motions import CellMotions
@@ -106,11 +106,13 @@ class GraspServer:
             allowed_planning_time=self._settings.planning_time,
         )  # fmt: skip
         self._say(f"grasping {item.name}")
-        sent = self._client.send(goal, lambda feedback: self._say(f"{item.name}: {feedback.state.lower()}"))
+        sent = self._client.send_goal(
+            goal, lambda feedback: self._say(f"{item.name}: {feedback.state.lower()}")
+        )
         if not sent.wait(TIMEOUT):
             sent.cancel()
             return self._said(False, f"{item.name}: nothing happened for {TIMEOUT:.0f} s")
-        if sent.state is State.SUCCEEDED:
+        if sent.state is GoalState.SUCCEEDED:
             return self._said(True, f"{item.name} is lifted")
         code = sent.result.error_code.val if sent.result is not None else "none"
         return self._said(False, f"{item.name}: {sent.text} (code {code})")

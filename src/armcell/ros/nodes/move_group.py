@@ -18,7 +18,7 @@ import numpy as np
 from armcell.collision import ExactChecker
 from armcell.core import ErrorCode, InputError, Outcome, PlanResult, UnknownNameError
 from armcell.planning import constraint_errors, pipelines, plan, plan_cartesian, planner_defaults, solve_ik
-from armcell.ros.actions import ActionServer, Done, Goal, State
+from armcell.ros.actions import ActionOutcome, ActionServer, Goal, GoalState
 from armcell.ros.bus import Bus
 from armcell.ros.convert import pose_from_message, pose_message
 from armcell.ros.moveit_convert import (
@@ -34,8 +34,8 @@ from armcell.ros.moveit_convert import (
 )
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.nodes.cell_motions import CellMotions
-from armcell.ros.nodes.conductor import Work
-from armcell.ros.nodes.gripping import with_finger_contacts
+from armcell.ros.nodes.gripper_node import with_finger_contacts
+from armcell.ros.nodes.motion_queue import MotionHandle
 from armcell.ros.nodes.scene_node import SceneNode
 from armcell.scene import WORLD, PlanningScene, SceneDiff
 
@@ -106,12 +106,14 @@ class MoveGroupNode:
     def header(self, frame: str = WORLD) -> Any:
         return self.bus.header(frame)
 
-    def code(self, code: ErrorCode, message: str = "") -> Any:
+    def error_code_message(self, code: ErrorCode, message: str = "") -> Any:
         return error_code_message(self.bus.schema, code, message)
 
-    def code_of(self, outcome: Outcome) -> Any:
+    def outcome_code(self, outcome: Outcome) -> Any:
         """Convert the outcome of a motion that move_group executed to MoveItErrorCodes and a reason."""
-        return self.code(outcome.code, outcome.message or ("" if outcome.ok else outcome.code.name))
+        return self.error_code_message(
+            outcome.code, outcome.message or ("" if outcome.ok else outcome.code.name)
+        )
 
     def state_message(self, scene: PlanningScene) -> Any:
         return robot_state_message(self.bus.schema, self.header(), scene)
@@ -135,7 +137,7 @@ class MoveGroupNode:
             result = plan(scene, wanted, cancel)
         except InputError as error:
             logger.warning("planning request refused: %s", error)
-            self.cell.tell("error", f"a client's request for {request.group_name} is refused: {error}")
+            self.cell.queue_event("error", f"a client's request for {request.group_name} is refused: {error}")
             return PlanResult(_request_code(request, error), str(error))
         repaired = result.evidence.get("start_repaired")
         if result.ok and repaired and repaired["begins_at"] != "actual start":
@@ -153,15 +155,15 @@ class MoveGroupNode:
         """Report a planning result of move_group to the cell's observers, even if it is not executed."""
         if result.trajectory is None:
             text = f"planning for {group} failed: {result.code.name}: {result.message}"
-            self.cell.tell("error", text, evidence={**asked, **result.evidence})
+            self.cell.queue_event("error", text, evidence={**asked, **result.evidence})
             return
-        self.cell.tell(
+        self.cell.queue_event(
             "plan", f"for a client, {group}", planner=result.planner_id, planning_time_s=result.planning_time,
             points=len(result.trajectory.times), duration_s=result.trajectory.duration,
             evidence={**asked, **result.evidence},
         )  # fmt: skip
 
-    def settled(self, group: str, cancel: threading.Event | None = None) -> None:
+    def wait_until_idle(self, group: str, cancel: threading.Event | None = None) -> None:
         """Wait until the planning group that a move_group request names has ended all of its motions.
 
         A plan that starts from a moving state would be invalid when it is executed.
@@ -174,7 +176,7 @@ class MoveGroupNode:
             if gripper.arm_group == group:
                 joints.update(gripper.joint_names)
         while not self._stop.is_set() and not (cancel is not None and cancel.is_set()):
-            works = self.cell.works(joints)
+            works = self.cell.motions(joints)
             if not works:
                 return
             works[0].wait(0.05)
@@ -185,10 +187,10 @@ class MoveGroupNode:
         If the request gives no start state, wait until the group has come to rest.
         """
         if not request.start_state.joint_state.name:
-            self.settled(request.group_name, cancel)
+            self.wait_until_idle(request.group_name, cancel)
         return self.cell.scene()
 
-    def planned(self, request: Any, scene: PlanningScene, result: PlanResult) -> Any:
+    def plan_response(self, request: Any, scene: PlanningScene, result: PlanResult) -> Any:
         """Create a MotionPlanResponse of move_group and publish the motion on display_planned_path."""
         # If the start state is invalid, the result already states the fault.
         state = self.state_message(_started(scene, request.start_state) if result.ok else scene)
@@ -203,13 +205,13 @@ class MoveGroupNode:
             request.group_name,
             trajectory,
             result.planning_time,
-            self.code_of(result),
+            self.outcome_code(result),
         )
 
     def _plan_service(self, request: Any) -> Any:
         asked = request.motion_plan_request
         scene = self.start_scene(asked)
-        return self.new("GetMotionPlanResponse", self.planned(asked, scene, self.plan(asked, scene)))
+        return self.new("GetMotionPlanResponse", self.plan_response(asked, scene, self.plan(asked, scene)))
 
     def _cartesian_service(self, request: Any) -> Any:
         scene = self.start_scene(request)
@@ -218,12 +220,12 @@ class MoveGroupNode:
             result = plan_cartesian(scene, cartesian_request_from_message(request, scene))
         except InputError as error:
             logger.warning("Cartesian request refused: %s", error)
-            self.cell.tell("error", f"a client's line for {request.group_name} is refused: {error}")
+            self.cell.queue_event("error", f"a client's line for {request.group_name} is refused: {error}")
             return self.new(
                 "GetCartesianPathResponse",
                 self.state_message(scene),
                 fraction=-1.0,
-                error_code=self.code(code_of(error, ErrorCode.FAILURE), str(error)),
+                error_code=self.error_code_message(unknown_name_code(error, ErrorCode.FAILURE), str(error)),
             )
         if result.fraction < 1.0:
             logger.warning("the line is followed for %.0f %%: %s", result.fraction * 100, result.message)
@@ -234,7 +236,9 @@ class MoveGroupNode:
             self.state_message(_started(scene, request.start_state)),
             robot_trajectory_message(self.bus.schema, self.header(), result.trajectory),
             float(result.fraction),
-            self.code(ErrorCode.SUCCESS if result.fraction > 0 or result.ok else result.code, result.message),
+            self.error_code_message(
+                ErrorCode.SUCCESS if result.fraction > 0 or result.ok else result.code, result.message
+            ),
         )
 
     # --- kinematics and validity ---
@@ -244,7 +248,7 @@ class MoveGroupNode:
 
         def answer(code: ErrorCode, why: str = "", solution: PlanningScene | None = None) -> Any:
             state = self.new("RobotState") if solution is None else self.state_message(solution)
-            return self.new("GetPositionIKResponse", state, self.code(code, why))
+            return self.new("GetPositionIKResponse", state, self.error_code_message(code, why))
 
         try:
             scene.model.group(asked.group_name)
@@ -270,7 +274,7 @@ class MoveGroupNode:
                 return answer(ErrorCode.NO_IK_SOLUTION, "the solution violates the request's constraints")
         except InputError as error:
             logger.warning("inverse kinematics refused: %s", error)
-            return answer(code_of(error, ErrorCode.FAILURE), str(error))
+            return answer(unknown_name_code(error, ErrorCode.FAILURE), str(error))
         return answer(ErrorCode.SUCCESS, solution=found)
 
     def _fk_service(self, request: Any) -> Any:
@@ -281,10 +285,10 @@ class MoveGroupNode:
             if unknown := [n for n in names if n not in scene.frame_names]:
                 raise UnknownNameError("link", unknown[0], scene.frame_names)
             frame = frame_of(request.header)
-            into = scene.frame_pose(frame).inv()
+            into = scene.frame_pose(frame).inverse()
         except InputError as error:
             logger.warning("forward kinematics refused: %s", error)
-            code = self.code(code_of(error, ErrorCode.FAILURE), str(error))
+            code = self.error_code_message(unknown_name_code(error, ErrorCode.FAILURE), str(error))
             return self.new("GetPositionFKResponse", error_code=code)
         poses = [
             self.bus.schema.new(
@@ -293,7 +297,7 @@ class MoveGroupNode:
             )
             for n in names
         ]  # fmt: skip
-        return self.new("GetPositionFKResponse", poses, names, self.code(ErrorCode.SUCCESS))
+        return self.new("GetPositionFKResponse", poses, names, self.error_code_message(ErrorCode.SUCCESS))
 
     def _validity_service(self, request: Any) -> Any:
         def answer(valid: bool, **more: Any) -> Any:
@@ -369,7 +373,7 @@ class MoveGroupNode:
         return self.new("SetPlannerParamsResponse")
 
     # --- the move_group action ---
-    def _move(self, goal: Goal) -> Done:
+    def _move(self, goal: Goal) -> ActionOutcome:
         """Plan a motion for a MoveGroup goal and execute it unless `plan_only` is set.
 
         With `replan`, plan and execute again if the execution fails.
@@ -391,7 +395,7 @@ class MoveGroupNode:
                 outcome = Outcome(ErrorCode.PREEMPTED, "cancelled")
                 break
             found = self.plan(request, scene, goal.cancel)
-            response = self.planned(request, scene, found)
+            response = self.plan_response(request, scene, found)
             result.trajectory_start, result.planned_trajectory = (
                 response.trajectory_start,
                 response.trajectory,
@@ -402,22 +406,22 @@ class MoveGroupNode:
             self.feedback(goal, "MoveGroup", "MONITOR")
             allowed = {**measured.allowed_pairs, **scene.allowed_pairs}
             planned_in = replace(measured, allowed_pairs=allowed)
-            outcome = self.executed(response.trajectory, goal.cancel, planned_in)
+            outcome = self.execute_trajectory(response.trajectory, goal.cancel, planned_in)
             result.executed_trajectory = response.trajectory
             if outcome.ok or outcome.code is ErrorCode.PREEMPTED:
                 break
         self.feedback(goal, "MoveGroup", "IDLE")
-        result.error_code = self.code_of(outcome)
-        return done(outcome, result)
+        result.error_code = self.outcome_code(outcome)
+        return goal_state(outcome, result)
 
-    def _execute(self, goal: Goal) -> Done:
+    def _execute(self, goal: Goal) -> ActionOutcome:
         self.feedback(goal, "ExecuteTrajectory", "MONITOR")
         names = tuple(goal.message.controller_names)
-        outcome = self.executed(goal.message.trajectory, goal.cancel, controllers=names)
+        outcome = self.execute_trajectory(goal.message.trajectory, goal.cancel, controllers=names)
         self.feedback(goal, "ExecuteTrajectory", "IDLE")
-        return done(outcome, self.new("ExecuteTrajectoryResult", self.code_of(outcome)))
+        return goal_state(outcome, self.new("ExecuteTrajectoryResult", self.outcome_code(outcome)))
 
-    def executed(
+    def execute_trajectory(
         self, trajectory: Any, cancel: threading.Event, planned_in: PlanningScene | None = None,
         controllers: Sequence[str] = (),
     ) -> Outcome:  # fmt: skip
@@ -435,18 +439,18 @@ class MoveGroupNode:
             return Outcome(ErrorCode.FAILURE, "multi-DOF trajectories are not executed")
         if not trajectory.joint_trajectory.points:
             return Outcome(ErrorCode.SUCCESS, "empty trajectory")
-        with self.stoppable(cancel):
+        with self.cancel_on_stop_event(cancel):
             try:
-                work = self.cell.play(
+                work = self.cell.queue_trajectory(
                     trajectory.joint_trajectory, planned_in=planned_in, controllers=controllers
                 )
-                return waited(work, cancel)
+                return wait_for_outcome(work, cancel)
             except InputError as error:
                 logger.warning("trajectory refused: %s", error)
                 return Outcome(ErrorCode.CONTROL_FAILED, str(error))
 
     @contextmanager
-    def stoppable(self, cancel: threading.Event) -> Iterator[None]:
+    def cancel_on_stop_event(self, cancel: threading.Event) -> Iterator[None]:
         """Let a "stop" event cancel the goal of a move_group action during a `with` block.
 
         The event also cancels the goal before its motion has started.
@@ -479,7 +483,7 @@ SERVICES = {
 }
 
 
-def waited(work: Work, cancel: threading.Event) -> Outcome:
+def wait_for_outcome(work: MotionHandle, cancel: threading.Event) -> Outcome:
     """Wait for the outcome of a move_group motion. If `cancel` is set, the motion stops."""
     while not work.wait(0.01):
         if cancel.is_set():
@@ -487,12 +491,12 @@ def waited(work: Work, cancel: threading.Event) -> Outcome:
     return work.outcome()
 
 
-def done(outcome: Outcome, result: Any) -> Done:
+def goal_state(outcome: Outcome, result: Any) -> ActionOutcome:
     """Return the final state of a move_group goal: SUCCEEDED, PREEMPTED or ABORTED (any other failure)."""
-    state = State.SUCCEEDED if outcome.ok else State.ABORTED
+    state = GoalState.SUCCEEDED if outcome.ok else GoalState.ABORTED
     if outcome.code is ErrorCode.PREEMPTED:
-        state = State.PREEMPTED
-    return Done(state, result, outcome.message or outcome.code.name)
+        state = GoalState.PREEMPTED
+    return ActionOutcome(state, result, outcome.message or outcome.code.name)
 
 
 def _started(scene: PlanningScene, message: Any) -> PlanningScene:
@@ -525,7 +529,7 @@ def _request_code(request: Any, error: InputError) -> ErrorCode:
     return ErrorCode.FAILURE
 
 
-def code_of(error: InputError, otherwise: ErrorCode) -> ErrorCode:
+def unknown_name_code(error: InputError, otherwise: ErrorCode) -> ErrorCode:
     """Return the error code of move_group for an unknown name, such as a frame, link or object.
 
     Args:

@@ -22,17 +22,17 @@ from armcell.grasping import (
     pre_opening,
 )
 from armcell.model import Gripper
-from armcell.ros.actions import ActionServer, Done, Goal
+from armcell.ros.actions import ActionOutcome, ActionServer, Goal
 from armcell.ros.convert import pose_from_message
 from armcell.ros.moveit_convert import robot_trajectory_message
 from armcell.ros.moveit_convert.objects import frame_of
 from armcell.ros.moveit_convert.states import trajectory_message
-from armcell.ros.nodes.gripping import NEAR
-from armcell.ros.nodes.move_group import MoveGroupNode, code_of, done, waited
+from armcell.ros.nodes.gripper_node import NEAR
+from armcell.ros.nodes.move_group import MoveGroupNode, goal_state, unknown_name_code, wait_for_outcome
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks import Pick, TaskSettings, grasp_stages
 from armcell.tasks.pick import is_near, retreats
-from armcell.tasks.search import PartialSolution, Planning, Stage, search
+from armcell.tasks.search import PartialSolution, SearchState, Stage, search
 from armcell.tasks.stages import (
     AppendPlannedMotion,
     Close,
@@ -41,12 +41,12 @@ from armcell.tasks.stages import (
     ExplicitPlacement,
     GripperTranslation,
     Lift,
-    Open,
+    OpenHand,
     Retreat,
     UseGrasps,
     UsePlacements,
 )
-from armcell.tasks.steps import EMPTY, Expect, Grip, Hold, Motion, StillHeld
+from armcell.tasks.steps import EMPTY, CheckStillHeld, CommandGripper, ConfirmGrasp, ExpectContact, Motion
 
 logger = logging.getLogger(__name__)
 
@@ -77,24 +77,24 @@ class PickPlaceNode:
         for member in self._members:
             member.close()
 
-    def _answer(self, goal: Goal, action: str, act: Callable[..., Outcome], what: str) -> Done:
+    def _answer(self, goal: Goal, action: str, act: Callable[..., Outcome], what: str) -> ActionOutcome:
         result = self._node.new(f"{action}Result")
         try:
             outcome = act(goal, goal.message, result)
         except InputError as error:
-            outcome = Outcome(code_of(error, ErrorCode.FAILURE), str(error))
-        result.error_code = self._node.code_of(outcome)
+            outcome = Outcome(unknown_name_code(error, ErrorCode.FAILURE), str(error))
+        result.error_code = self._node.outcome_code(outcome)
         self._node.feedback(goal, action, "IDLE")
         if not outcome.ok:
             logger.warning("%s failed: %s: %s", what, outcome.code.name, outcome.message)
-        return done(outcome, result)
+        return goal_state(outcome, result)
 
     # --- pickup ---
-    def _pickup(self, goal: Goal) -> Done:
+    def _pickup(self, goal: Goal) -> ActionOutcome:
         return self._answer(goal, "Pickup", self._picked, f"pick {goal.message.target_name}")
 
     def _picked(self, goal: Goal, asked: Any, result: Any) -> Outcome:
-        self._node.settled(asked.group_name, goal.cancel)
+        self._node.wait_until_idle(asked.group_name, goal.cancel)
         scene = self.cell.scene()
         if asked.target_name not in scene.objects:
             known = [n for n, o in scene.objects.items() if o.movable]
@@ -153,7 +153,7 @@ class PickPlaceNode:
         tip, T_world_tip = _tip(scene, gripper), _pose(scene, message.grasp_pose)
         T_world_tcp = T_world_tip @ scene.transform(tip, gripper.tcp_link)
         body = scene.objects[item]
-        T_object_tcp = body.T_world_object.inv() @ T_world_tcp
+        T_object_tcp = body.T_world_object.inverse() @ T_world_tcp
         width = body.extent(T_object_tcp.rotation.matrix[:, 1])
         opening = _posture(message.pre_grasp_posture, gripper)
         if opening is None:
@@ -172,11 +172,11 @@ class PickPlaceNode:
         )  # fmt: skip
 
     # --- place ---
-    def _place(self, goal: Goal) -> Done:
+    def _place(self, goal: Goal) -> ActionOutcome:
         return self._answer(goal, "Place", self._placed, f"place {goal.message.attached_object_name}")
 
     def _placed(self, goal: Goal, asked: Any, result: Any) -> Outcome:
-        self._node.settled(asked.group_name, goal.cancel)
+        self._node.wait_until_idle(asked.group_name, goal.cancel)
         scene, began = self.cell.scene(), time.monotonic()
         item, gripper = self._held(scene, asked)
         places = self._places(scene, asked, item, gripper)
@@ -185,7 +185,7 @@ class PickPlaceNode:
             UsePlacements(item, gripper, tuple(places), s.near),
             Connect("move to pre-place", gripper.arm_group, s.carry, target="pre_place"),
             AppendPlannedMotion("lower", "after_lower"),
-            Open(item, "", gripper, s.release_margin, 0.0),
+            OpenHand(item, "", gripper, s.release_margin, 0.0),
             Retreat(item, gripper, s.retreat_distance, s.near),
         ]
         solution, outcome = self.search(goal, "Place", stages, scene, asked.allowed_planning_time)
@@ -246,7 +246,7 @@ class PickPlaceNode:
     ) -> ExplicitPlacement:
         tip, T = _tip(scene, gripper), _pose(scene, message.place_pose)
         T_tip_object = scene.transform(tip, item)
-        T_world_tip = T if of_tip else T @ T_tip_object.inv()
+        T_world_tip = T if of_tip else T @ T_tip_object.inverse()
         T_world_object = T @ T_tip_object if of_tip else T
         translation = partial(_gripper_translation, scene, T_world_tip=T_world_tip, tip=tip)
         return ExplicitPlacement(
@@ -268,7 +268,7 @@ class PickPlaceNode:
         settings = self.settings
         if seconds > 0:
             settings = replace(settings, planning_budget=max(float(seconds), settings.planning_time))
-        planning = Planning(settings, cancel=goal.cancel)
+        planning = SearchState(settings, cancel=goal.cancel)
         solution = search(stages, PartialSolution(scene), planning)
         if solution is not None:
             return solution, Outcome(ErrorCode.SUCCESS)
@@ -277,16 +277,16 @@ class PickPlaceNode:
         for _, candidate, reason in planning.rejections.details:
             logger.info("candidate %s: %s", candidate, reason)
         code = ErrorCode.PLANNING_FAILED
-        if planning.failure is not None and planning.hopeless:
+        if planning.failure is not None and planning.should_stop:
             code = planning.failure.code
         summary = planning.rejections.summary()
-        self.cell.tell("error", f"{action}: {summary}", rejections=planning.rejections.details)
+        self.cell.queue_event("error", f"{action}: {summary}", rejections=planning.rejections.details)
         return None, Outcome(code, summary)
 
     def perform(self, goal: Goal, action: str, solution: PartialSolution) -> Outcome:
         """Execute the steps of a pick or place plan one after another."""
         self._node.feedback(goal, action, "MONITOR")
-        with self._node.stoppable(goal.cancel):
+        with self._node.cancel_on_stop_event(goal.cancel):
             return self._steps(goal, solution)
 
     def _steps(self, goal: Goal, solution: PartialSolution) -> Outcome:
@@ -299,16 +299,18 @@ class PickPlaceNode:
                     case Motion():
                         message = trajectory_message(bus.schema, self._node.header(), step.trajectory)
                         points = len(step.trajectory.times)
-                        cell.tell(
-                            "plan", step.name, points=points, duration_s=step.duration, **step.announced()
+                        cell.queue_event(
+                            "plan", step.name, points=points, duration_s=step.duration, **step.plan_metadata()
                         )
-                        work = cell.play(message, planned_in=step.planned_in)
-                        outcome = waited(work, goal.cancel)
-                    case Grip():
-                        outcome = waited(cell.drive(step.gripper, step.width, step.force), goal.cancel)
-                    case Hold() | StillHeld():
+                        work = cell.queue_trajectory(message, planned_in=step.planned_in)
+                        outcome = wait_for_outcome(work, goal.cancel)
+                    case CommandGripper():
+                        outcome = wait_for_outcome(
+                            cell.drive(step.gripper, step.width, step.force), goal.cancel
+                        )
+                    case ConfirmGrasp() | CheckStillHeld():
                         outcome = self._holds(step.gripper, step.object)
-                    case Expect():
+                    case ExpectContact():
                         cell.expect_contact(step.body, step.others, step.expected)
                         continue
                     case _:
@@ -321,7 +323,7 @@ class PickPlaceNode:
         return Outcome(ErrorCode.SUCCESS)
 
     def _holds(self, gripper: Gripper, item: str) -> Outcome:
-        held = self.cell.held(gripper)
+        held = self.cell.held_object(gripper)
         if held == item:
             return Outcome(ErrorCode.SUCCESS)
         text = f"{held} is between the fingers" if held else "nothing is between the fingers"
@@ -384,11 +386,11 @@ class _BusPick(Pick):
         return outcome
 
     def keeps_object(self) -> bool:
-        return self._cell.held(self._gripper) == self._item
+        return self._cell.held_object(self._gripper) == self._item
 
     def open_hand(self) -> bool:
         held, gripper = self.keeps_object(), self._gripper
-        waited(self._cell.drive(gripper, gripper.max_width, gripper.max_force), self._goal.cancel)
+        wait_for_outcome(self._cell.drive(gripper, gripper.max_width, gripper.max_force), self._goal.cancel)
         return held
 
     def is_around_object(self) -> bool:
@@ -396,7 +398,7 @@ class _BusPick(Pick):
         return self._item in scene.objects and is_near(scene, self._item, self._gripper, self._node.settings)
 
     def back_off(self) -> None:
-        planning = Planning(self._node.settings, cancel=self._goal.cancel)
+        planning = SearchState(self._node.settings, cancel=self._goal.cancel)
         for solution in retreats(self._cell.scene(), self._item, self._gripper, planning):
             self._node.perform(self._goal, "Pickup", solution)
 
@@ -425,7 +427,7 @@ def _check_link(scene: PlanningScene, grasps: Sequence[Any], gripper: Gripper, i
             the remedy.
     """
     tip = _tip(scene, gripper)
-    Ts = [item.T_world_object.inv() @ _pose(scene, grasp.grasp_pose) for grasp in grasps]
+    Ts = [item.T_world_object.inverse() @ _pose(scene, grasp.grasp_pose) for grasp in grasps]
     low, high = item.bounds()
 
     def fit(link: str) -> int:

@@ -20,27 +20,27 @@ from numpy.typing import ArrayLike
 from armcell.cell import Controller, LiveCell
 from armcell.core import SE3, ErrorCode, InputError, JointState, JointTrajectory, Outcome
 from armcell.core.checks import require
-from armcell.drivers import Capability, Driver, DriverProxy, Following, GripperReading
+from armcell.drivers import Capability, Driver, DriverProxy, ExecutionHandle, GripperReading
 from armcell.model import Gripper
 from armcell.records.mcap_writer import ros_name
 from armcell.ros.bus import Bus
-from armcell.ros.complaints import Complaints
 from armcell.ros.convert import pose_from_message
+from armcell.ros.fault_counter import FaultCounter
 from armcell.ros.moveit_convert.states import joint_state_from_message, trajectory_message
 from armcell.ros.nodes.cell_motions import CellMotions
 from armcell.ros.nodes.cell_node import STATUS, TRAJECTORY
-from armcell.ros.nodes.conductor import Work
-from armcell.ros.nodes.controllers import (
+from armcell.ros.nodes.external_controllers import (
     ARRIVED,
     CANCELLED,
     FACTOR,
     GRACE,
-    Controllers,
+    ExternalControllers,
     ReportedMotion,
-    off_goal,
+    goal_error,
 )
-from armcell.ros.nodes.gripping import GripperMotions, around_tcp, topics
-from armcell.ros.units import check_near, unit_fault
+from armcell.ros.nodes.gripper_node import GripperMotions, gripper_topics, objects_near_tcp
+from armcell.ros.nodes.motion_queue import MotionHandle
+from armcell.ros.units import check_in_meters, unit_fault
 from armcell.scene import WORLD, PlanningScene
 
 logger = logging.getLogger(__name__)
@@ -51,7 +51,7 @@ GRIP_TIME = 0.3  # [s, wall clock] of standstill after which closing fingers hol
 FINGER_TIMEOUT = 3.0  # [s] to wait for moving fingers before a motion is planned
 GRIP_START = 0.4  # [s] for fingers to begin to move
 MOVED = 5e-4  # [m] smallest change of the width that counts as a motion of the fingers
-PATIENCE = 2.4  # factor on the times of `gripping`, for fingers whose state comes over the bus
+PATIENCE = 2.4  # factor on the times of `gripper_command_steps`, for fingers whose state comes over the bus
 HELD_MARGIN = 0.01  # [m] an object is between the fingers if its box with this margin contains the tcp
 POLL = 0.01  # [s]
 CLOSED = 0.002  # [m] threshold for a width below the first one, or above the commanded one
@@ -96,7 +96,7 @@ class RemoteDriver(Driver):
         self._holds: dict[str, tuple[JointState, str | None]] = {}  # held object for the last joint states
         self._grips: dict[str, Callable[[], Outcome | None]] = {}  # results of the gripper controllers
         self._said: list[str] = []
-        self._complaints = Complaints()
+        self._complaints = FaultCounter()
         self._refused = ""  # reason for which the last joint states were rejected
         self._announces = False  # True if the simulator reports the start of motions
 
@@ -105,7 +105,7 @@ class RemoteDriver(Driver):
         bus, movable = self._bus, sorted(self._unseen)
         self._began = self._now = time.monotonic()
         self._closed.clear()
-        self._controllers = Controllers(bus, self._specs, self.joint_state)
+        self._controllers = ExternalControllers(bus, self._specs, self.joint_state)
         object_topics = {f"/object_pose/{ros_name(n)}": n for n in movable}
         if len(movable) == 1:
             object_topics["/object_pose"] = movable[0]
@@ -119,7 +119,9 @@ class RemoteDriver(Driver):
             ),
         ]
         self._trajectories = bus.advertise(TRAJECTORY, "trajectory_msgs/JointTrajectory")
-        self._grippers = {g: bus.advertise(t, "std_msgs/Float64") for g, t in topics(self.model).items()}
+        self._grippers = {
+            g: bus.advertise(t, "std_msgs/Float64") for g, t in gripper_topics(self.model).items()
+        }
         for gripper, publisher in self._grippers.items():  # scripts may also command them
             self._members.append(
                 bus.subscribe(publisher.topic, "std_msgs/Float64", self._command_callback(gripper), 2)
@@ -147,7 +149,7 @@ class RemoteDriver(Driver):
         """Log a fault in the messages to the remote driver.
         Each kind of fault is logged only once, because messages arrive often.
         """
-        if self._complaints.is_new(re.sub(r"[-+.0-9]+", "", text)):
+        if self._complaints.count(re.sub(r"[-+.0-9]+", "", text)):
             logger.warning("%s", text)
 
     def _on_joints(self, message: Any) -> None:
@@ -191,7 +193,7 @@ class RemoteDriver(Driver):
                 T = (SE3.identity() if known else self._scene.frame_pose(frame)) @ pose_from_message(
                     message.pose
                 )
-                check_near(T)
+                check_in_meters(T)
             except InputError as error:
                 self._complain(f"pose of {name}: {error}")
                 return
@@ -221,12 +223,12 @@ class RemoteDriver(Driver):
 
     # --- state ---
     @property
-    def is_seen(self) -> bool:
+    def has_joint_states(self) -> bool:
         """Return whether the remote driver has received any joint states from its robot."""
         return self._joints is not None
 
     @property
-    def silence(self) -> float:
+    def time_since_joint_states(self) -> float:
         """Return the time [s, wall clock] since the remote driver last
         received joint states; 0 if it has received none.
         """
@@ -234,7 +236,7 @@ class RemoteDriver(Driver):
             return time.monotonic() - self._at if self._joints is not None else 0.0
 
     @property
-    def has_closed(self) -> bool:
+    def has_closed_gripper(self) -> bool:
         """Return whether a gripper of the remote driver has closed since the start or was commanded to
         close.
         """
@@ -271,9 +273,9 @@ class RemoteDriver(Driver):
         while not is_there() and time.monotonic() < give_up and not self._closed.is_set():
             time.sleep(POLL)
 
-    def find(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
+    def wait_for_controllers(self, joints: Iterable[str], names: Sequence[str] = ()) -> None:
         """Wait until the ROS controllers for some joints of the remote driver are available."""
-        self._controllers.find(joints, names)
+        self._controllers.wait_for_controllers(joints, names)
 
     def joint_state(self) -> JointState:
         """Return the latest joint states that the remote driver has received from the bus.
@@ -315,7 +317,7 @@ class RemoteDriver(Driver):
             "a robot at the other end of the bus cannot stream setpoints", hint="send a whole trajectory"
         )
 
-    def follow(self, trajectory: JointTrajectory, controllers: Sequence[str] = ()) -> Following:
+    def follow(self, trajectory: JointTrajectory, controllers: Sequence[str] = ()) -> ExecutionHandle:
         """Send a trajectory to the robot of the remote driver and return a handle to the motion.
 
         Args:
@@ -390,7 +392,7 @@ class RemoteDriver(Driver):
         scene = replace(self._scene, positions=np.clip(state.positions, self.model.lower, self.model.upper))
         for item, T in self.object_poses().items():
             scene = scene.with_object_pose(item, T)
-        between = around_tcp(scene, gripper, HELD_MARGIN)
+        between = objects_near_tcp(scene, gripper, HELD_MARGIN)
         return between[0].name if between else None
 
 
@@ -416,7 +418,7 @@ class _Played(ReportedMotion):
             return result
         if said and time.monotonic() < self._give_up:
             return None
-        error, rests = off_goal(driver.joint_state(), self._trajectory)
+        error, rests = goal_error(driver.joint_state(), self._trajectory)
         if error <= ARRIVED and rests and not said:  # the simulator reports no status
             return Outcome(ErrorCode.SUCCESS)
         if time.monotonic() < self._give_up:
@@ -475,11 +477,11 @@ class RemoteMotions(CellMotions):
         self._driver.wait_for_fingers()
         return super().scene()
 
-    def play(self, *args: Any, **kwargs: Any) -> Work:
+    def queue_trajectory(self, *args: Any, **kwargs: Any) -> MotionHandle:
         self._driver.wait_for_state()
-        return super().play(*args, **kwargs)
+        return super().queue_trajectory(*args, **kwargs)
 
-    def drive(self, gripper: Gripper, width: float, force: float) -> Work:
+    def drive(self, gripper: Gripper, width: float, force: float) -> MotionHandle:
         self._driver.wait_for_state()
         if any(gripper.joint_name in joints for joints in self.controllers.values()):
             self._find((gripper.joint_name,), ())
@@ -488,12 +490,12 @@ class RemoteMotions(CellMotions):
     def _find(self, joints: Sequence[str], controllers: Sequence[str]) -> None:
         if controllers or self.controllers:
             super()._find(joints, controllers or tuple(self.controllers))
-            self._driver.find(joints, controllers)
+            self._driver.wait_for_controllers(joints, controllers)
 
     def _restricted(self, driver: Driver, controllers: Sequence[str]) -> Driver:
         return _Restricted(driver, self._driver, controllers)
 
-    def _in_passing(self, others: list[Work], new: JointTrajectory) -> str:
+    def _temporary_conflict(self, others: list[MotionHandle], new: JointTrajectory) -> str:
         return "one motion at a time" if any(not w.is_over for w in others) else ""
 
 
@@ -504,5 +506,5 @@ class _Restricted(DriverProxy):
         super().__init__(driver)
         self._remote, self._names = remote, controllers
 
-    def follow(self, trajectory: JointTrajectory) -> Following:
+    def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
         return self._remote.follow(trajectory, self._names)

@@ -9,7 +9,7 @@ from typing import Any
 
 from armcell.core import InputError
 from armcell.ros.bus import Bus
-from armcell.ros.complaints import Complaints
+from armcell.ros.fault_counter import FaultCounter
 from armcell.ros.moveit_convert import (
     Components,
     attached_changes,
@@ -38,7 +38,7 @@ class SceneNode:
     def __init__(self, cell: CellMotions, bus: Bus):
         self._cell, self._bus = cell, bus
         self._stop, self._changed = threading.Event(), threading.Event()
-        self._complaints = Complaints()
+        self._complaints = FaultCounter()
         self._clearing: list[Callable[[], None]] = []
         self._out = [bus.advertise(name, "moveit_msgs/PlanningScene", latch=True) for name in MONITORED]
         self._members: list[Any] = [
@@ -89,11 +89,11 @@ class SceneNode:
             return self._bus.schema.new("moveit_msgs/ApplyPlanningSceneResponse", False)
         return self._bus.schema.new("moveit_msgs/ApplyPlanningSceneResponse", True)
 
-    def on_clear(self, clear: Callable[[], None]) -> None:
+    def on_clear_octomap(self, clear: Callable[[], None]) -> None:
         """Register a function that the scene node calls when a client clears the octomap."""
         self._clearing.append(clear)
 
-    def tell_changed(self) -> None:
+    def schedule_publication(self) -> None:
         """Schedule the publication of the complete planning scene, after a change that did not come from a
         client.
         """
@@ -106,7 +106,7 @@ class SceneNode:
         def make(scene: PlanningScene) -> PlanningScene:
             return scene.apply(SceneDiff.of(SetOctomap(None))) if OCTOMAP in scene.objects else scene
 
-        self._cell.change(make)
+        self._cell.edit_scene(make)
         self._changed.set()
         return self._bus.schema.new("std_srvs/EmptyResponse")
 
@@ -116,13 +116,13 @@ class SceneNode:
             try:
                 self._change(diff, message)
             except InputError as error:
-                if self._complaints.is_new(f"{message._type}: {error}"):
+                if self._complaints.count(f"{message._type}: {error}"):
                     logger.warning("%s refused: %s", message._type, error)
 
         return take
 
     def _change(self, diff: Callable[[Any, PlanningScene], SceneDiff], message: Any) -> None:
-        self._cell.change(lambda scene: scene.apply(diff(message, scene)))
+        self._cell.edit_scene(lambda scene: scene.apply(diff(message, scene)))
         self._changed.set()
 
     def _tell(self) -> None:

@@ -15,11 +15,11 @@ from typing import Any
 
 from armcell.core import ArmcellError
 from armcell.ros.bus import Bus, Handler, Publisher, TopicInfo
-from armcell.ros.codec import Codec, ros1
+from armcell.ros.codec import Codec, ros1_codec
 from armcell.ros.names import NameMap
 from armcell.ros.ros1.header import Fields
 from armcell.ros.ros1.node import Ros1Node
-from armcell.ros.ros1.rpc import RpcError
+from armcell.ros.ros1.xmlrpc import RpcError
 
 logger = logging.getLogger(__name__)
 SETTLE = 0.02  # [s] to collect several bus changes into one synchronization
@@ -31,7 +31,7 @@ class BusBridge:
 
     def __init__(self, bus: Bus, node: Ros1Node, names: NameMap):
         self._bus, self._node, self._names = bus, node, names
-        self._codec = ros1(bus.schema)
+        self._codec = ros1_codec(bus.schema)
         self._published: dict[str, str] = {}  # bus topic -> message type
         self._subscribed: dict[str, str] = {}
         self._served: dict[str, str] = {}
@@ -42,11 +42,11 @@ class BusBridge:
         self._thread = threading.Thread(target=self._run, name=f"ros1 bridge {node.name}", daemon=True)
 
     def start(self) -> None:
-        self._bus.find_elsewhere(self._find)
+        self._bus.add_service_finder(self._find)
         self._thread.start()
 
     def close(self) -> None:
-        self._bus.forget_elsewhere(self._find)
+        self._bus.remove_service_finder(self._find)
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join(5.0)
@@ -155,7 +155,7 @@ class _ToBus:
     def __init__(self, codec: Codec, publisher: Publisher):
         self._codec, self._publisher = codec, publisher
 
-    def take(self, body: bytes) -> None:
+    def on_message(self, body: bytes) -> None:
         message = self._codec.decode(self._publisher.type, body)
         if not self._publisher.closed:
             self._publisher.publish(message)

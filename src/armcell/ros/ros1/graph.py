@@ -11,7 +11,7 @@ from typing import Any
 
 from armcell._interrupts import deferred, last_will
 from armcell.core import InputError
-from armcell.core.endpoints import Endpoint
+from armcell.core.network_endpoints import Endpoint
 from armcell.ros.bus import Bus
 from armcell.ros.names import NameMap
 from armcell.ros.ros1.bridge import CLOCK, USE_SIM_TIME, BusBridge
@@ -19,8 +19,8 @@ from armcell.ros.ros1.graph_parameters import GraphParameters
 from armcell.ros.ros1.master import Ros1Master
 from armcell.ros.ros1.node import Ros1Node
 from armcell.ros.ros1.rosout import LEVELS, RosOut
-from armcell.ros.ros1.rpc import RpcError, ask
 from armcell.ros.ros1.settings import Ros1Settings, is_this_machine
+from armcell.ros.ros1.xmlrpc import RpcError, call_method
 
 logger = logging.getLogger(__name__)
 SETTLED = 10.0  # [s] to register everything
@@ -48,8 +48,8 @@ class Ros1Graph:
         on_end: called with the reason, in a thread of the node, when another node or the master requests
             this node's shutdown.
         keep: parameters for which a value in the graph takes precedence over the value on the bus.
-        bus_is_graph: the bus uses the graph's names already (`Bus.renamed`); the namespace and remappings in
-            the settings then apply to the node's name only.
+        bus_is_graph: the bus uses the graph's names already (`Bus.with_remapping`); the namespace and
+            remappings in the settings then apply to the node's name only.
 
     Everything on the bus, now and later, is offered to the graph. The bus reaches the graph's topics,
     services and actions by their names. The bus uses the graph's parameters.
@@ -161,7 +161,7 @@ class Ros1Graph:
         s = self.settings
         if s.own_master is not True:
             try:
-                ask(s.master, "getPid", f"/{s.name}", timeout=s.timeout)
+                call_method(s.master, "getPid", f"/{s.name}", timeout=s.timeout)
                 return
             except RpcError as error:
                 here = is_this_machine(s.master_address[0])
@@ -188,8 +188,8 @@ class Ros1Graph:
         for name in self._keep:
             if name in before and self.node.ask_master("hasParam", names.to_graph(name)):
                 before.delete(name)
-        joined.tell_all()
-        self.node.registrar.on_return = joined.tell_all
+        joined.upload_all()
+        self.node.registrar.on_return = joined.upload_all
         self.bus.parameters = joined
 
         def leave() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from armcell.core import InputError, UnknownNameError
 from armcell.ros.names import NameMap
 from armcell.ros.parameters import _NONE, Parameters
-from armcell.ros.ros1.rpc import ERROR, RpcError
+from armcell.ros.ros1.xmlrpc import ERROR, RpcError
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ class GraphParameters(Parameters):
 
     Args:
         ask: calls the master: `ask(method, *arguments)`.
-        kept: the bus's parameters before it joined the graph; `tell_all` sends them to the master.
+        kept: the bus's parameters before it joined the graph; `upload_all` sends them to the master.
     """
 
     def __init__(self, ask: Ask, names: NameMap, kept: Parameters):
@@ -36,7 +36,7 @@ class GraphParameters(Parameters):
         self._ask, self._names, self.kept = ask, names, kept
         self._telling = threading.Lock()
 
-    def tell_all(self) -> None:
+    def upload_all(self) -> None:
         """Send all parameters that the bus has stored so far to the parameter server of the ROS 1 master.
 
         Raises:

@@ -19,14 +19,14 @@ MAX_FIELDS = 64
 Fields = dict[str, str]
 
 
-def encoded(fields: Mapping[str, str]) -> bytes:
+def encode_header(fields: Mapping[str, str]) -> bytes:
     """Encode the connection header of TCPROS as bytes. The result includes the length prefix."""
     lines = [f"{key}={value}".encode() for key, value in sorted(fields.items())]
     body = b"".join(LENGTH.pack(len(line)) + line for line in lines)
     return LENGTH.pack(len(body)) + body
 
 
-def decoded(body: bytes) -> Fields:
+def decode_header(body: bytes) -> Fields:
     """Parse a TCPROS connection header, given without its length prefix, and return its fields.
 
     Raises:
@@ -60,13 +60,13 @@ def receive(sock: socket.socket) -> Fields:
         WireError: the received bytes are not a valid header.
         OSError: the connection broke, or the timeout ran out.
     """
-    (size,) = LENGTH.unpack(exactly(sock, 4))
+    (size,) = LENGTH.unpack(read_exactly(sock, 4))
     if size > MAX_HEADER:
         raise WireError(f"a connection header of {size} bytes")
-    return decoded(exactly(sock, size))
+    return decode_header(read_exactly(sock, size))
 
 
-def exactly(sock: socket.socket, count: int) -> bytes:
+def read_exactly(sock: socket.socket, count: int) -> bytes:
     """Read exactly `count` bytes from a socket, for the header or the body of a TCPROS message.
 
     Raises:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 from armcell.core import InputError
-from armcell.core.endpoints import Endpoint, listen, reserve
+from armcell.core.network_endpoints import Endpoint, listen, reserve
 
 logger = logging.getLogger(__name__)
 MAX_CONNECTIONS = 512
@@ -83,7 +83,7 @@ class Listener:
         with self._lock:
             threads = dict(self._open)
         for sock in threads.values():
-            shut(sock)
+            shut_down_socket(sock)
         for thread in threads:
             if thread is not threading.current_thread():
                 thread.join(JOIN_TIMEOUT)
@@ -137,7 +137,7 @@ class Listener:
                 sock.close()
 
 
-def shut(sock: socket.socket) -> None:
+def shut_down_socket(sock: socket.socket) -> None:
     """Shut down a socket from which another thread reads. That thread then closes the socket."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from armcell.core import ArmcellError
-from armcell.core.endpoints import Endpoint
-from armcell.ros.ros1 import rpc
+from armcell.core.network_endpoints import Endpoint
+from armcell.ros.ros1 import xmlrpc
 from armcell.ros.ros1.parameter_tree import ParameterTree, subscriber_update
-from armcell.ros.ros1.rpc import Answer, Method, RpcServer, call
 from armcell.ros.ros1.settings import Ros1Settings
+from armcell.ros.ros1.xmlrpc import Answer, Method, RpcServer, call_raw
 
 logger = logging.getLogger(__name__)
 TELLERS = 4  # threads that notify nodes of changes
@@ -111,9 +111,9 @@ class Ros1Master:
         self.close()
 
     def _methods(self) -> dict[str, Method]:
-        topic, service, key = rpc.graph_name("topic"), rpc.graph_name("service"), self._key
-        kind, api, text = rpc.text("topic_type"), rpc.address("caller_api"), rpc.text("subgraph")
-        rosrpc, node = rpc.address("service_api"), rpc.graph_name("node")
+        topic, service, key = xmlrpc.graph_name("topic"), xmlrpc.graph_name("service"), self._key
+        kind, api, text = xmlrpc.text("topic_type"), xmlrpc.address("caller_api"), xmlrpc.text("subgraph")
+        rosrpc, node = xmlrpc.address("service_api"), xmlrpc.graph_name("node")
         return {
             "registerPublisher": Method(self._register_publisher, (topic, kind, api), []),
             "unregisterPublisher": Method(self._unregister_publisher, (topic, api)),
@@ -129,11 +129,11 @@ class Ros1Master:
             "getUri": Method(lambda _: (1, "", self.uri), empty=""),
             "getPid": Method(lambda _: (1, "", os.getpid()), empty=-1),
             "shutdown": Method(lambda *_: (0, "this master ends with armcell", 0), (text,), optional=1),
-            "setParam": Method(self._set_param, (key, rpc.anything)),
+            "setParam": Method(self._set_param, (key, xmlrpc.anything)),
             "getParam": Method(self._get_param, (key,)),
             "deleteParam": Method(self._delete_param, (key,)),
             "hasParam": Method(self._has_param, (key,), False),
-            "searchParam": Method(self._search_param, (rpc.text("key"),), ""),
+            "searchParam": Method(self._search_param, (xmlrpc.text("key"),), ""),
             "getParamNames": Method(self._param_names, empty=[]),
             "subscribeParam": Method(self._subscribe_param, (api, key), {}),
             "unsubscribeParam": Method(self._unsubscribe_param, (api, key)),
@@ -145,7 +145,7 @@ class Ros1Master:
         character.
         """
         if not isinstance(value, str) or not value:
-            raise rpc.Rejected("ERROR: parameter [key] must be a non-empty string")
+            raise xmlrpc.InvalidArgument("ERROR: parameter [key] must be a non-empty string")
         if value.startswith("~"):
             value = f"{caller}/{value[1:]}"
         elif not value.startswith("/"):
@@ -372,7 +372,7 @@ class _Tellers:
                 self._waiting[uri] = []
             for method, arguments in _newest(todo):
                 try:
-                    call(uri, method, NAME, *arguments, timeout=TELL_TIMEOUT)
+                    call_raw(uri, method, NAME, *arguments, timeout=TELL_TIMEOUT)
                 except ArmcellError as error:
                     logger.debug("%s of %s: %s", method, uri, error)
 

@@ -15,21 +15,21 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from armcell.core import InputError
-from armcell.core.endpoints import Endpoint
+from armcell.core.network_endpoints import Endpoint
 from armcell.ros.bus import ServiceError
 from armcell.ros.codec import WireError
-from armcell.ros.complaints import Complaints
+from armcell.ros.fault_counter import FaultCounter
 from armcell.ros.names import resolve
-from armcell.ros.ros1 import rpc
-from armcell.ros.ros1.header import Fields, encoded, receive
+from armcell.ros.ros1 import xmlrpc
+from armcell.ros.ros1.header import Fields, encode_header, receive
 from armcell.ros.ros1.listener import Listener
 from armcell.ros.ros1.publication import ANY, Attach, Publication
 from armcell.ros.ros1.reactor import Reactor
 from armcell.ros.ros1.registrar import Kind, Registrar
-from armcell.ros.ros1.rpc import Answer, Method, RpcError, RpcServer, ask
-from armcell.ros.ros1.services import Answerer, Caller, ServedService
+from armcell.ros.ros1.services import Answerer, ServedService, ServiceClient
 from armcell.ros.ros1.settings import Ros1Settings, is_this_machine
 from armcell.ros.ros1.subscription import Sink, Subscription
+from armcell.ros.ros1.xmlrpc import Answer, Method, RpcError, RpcServer, call_method
 from armcell.ros.schema import Schema
 
 logger = logging.getLogger(__name__)
@@ -59,10 +59,10 @@ class Ros1Node:
         self._publications: dict[str, Publication] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._services: dict[str, ServedService] = {}
-        self._complaints = Complaints()
+        self._complaints = FaultCounter()
         self._reactor = Reactor(f"ros1 {self.name}")
         self._executor = ThreadPoolExecutor(CONNECTORS, f"ros1 connect {self.name}")
-        self._caller = Caller(self.name, schema, settings.timeout, settings.max_message)
+        self._caller = ServiceClient(self.name, schema, settings.timeout, settings.max_message)
         self._rpc = RpcServer(settings.bind, 0, self._methods(), f"ros1 xml-rpc {self.name}")
         self._tcpros = Listener(settings.bind, 0, self._connected, f"ros1 tcpros {self.name}")
         self.registrar = Registrar(
@@ -78,7 +78,7 @@ class Ros1Node:
             InputError: no master answers, or the address cannot be listened on.
         """
         try:
-            ask(self.master, "getPid", self.name, timeout=self.settings.timeout)
+            call_method(self.master, "getPid", self.name, timeout=self.settings.timeout)
         except RpcError as error:
             raise InputError(
                 f"no ROS master: {error}",
@@ -150,7 +150,7 @@ class Ros1Node:
         Raises:
             RpcError: the master does not answer, or answers with a failure.
         """
-        return ask(self.master, method, self.name, *arguments, timeout=self.settings.timeout)
+        return call_method(self.master, method, self.name, *arguments, timeout=self.settings.timeout)
 
     # --- topics ---
     def publish(self, topic: str, type_name: str, attach: Attach, latching: Callable[[], bool]) -> None:
@@ -163,13 +163,13 @@ class Ros1Node:
             if topic in self._publications:
                 raise InputError(f"{self.name} publishes {topic} already")
             self._publications[topic] = made
-        self.registrar.want(Kind.PUBLISHER, topic, type_name)
+        self.registrar.register(Kind.PUBLISHER, topic, type_name)
 
     def unpublish(self, topic: str) -> None:
         with self._lock:
             gone = self._publications.pop(topic, None)
         if gone is not None:
-            self.registrar.drop(Kind.PUBLISHER, topic)
+            self.registrar.unregister(Kind.PUBLISHER, topic)
             gone.close()
 
     def subscribe(self, topic: str, type_name: str, open_sink: Callable[[Fields], Sink]) -> None:
@@ -190,13 +190,13 @@ class Ros1Node:
             if topic in self._subscriptions:
                 raise InputError(f"{self.name} subscribes to {topic} already")
             self._subscriptions[topic] = made
-        self.registrar.want(Kind.SUBSCRIBER, topic, type_name)
+        self.registrar.register(Kind.SUBSCRIBER, topic, type_name)
 
     def unsubscribe(self, topic: str) -> None:
         with self._lock:
             gone = self._subscriptions.pop(topic, None)
         if gone is not None:
-            self.registrar.drop(Kind.SUBSCRIBER, topic)
+            self.registrar.unregister(Kind.SUBSCRIBER, topic)
             gone.close()
 
     def publications(self) -> list[Publication]:
@@ -213,13 +213,13 @@ class Ros1Node:
         made = ServedService(name, type_name, self.schema, self.name, answer, self.settings.max_message)
         with self._lock:
             self._services[name] = made
-        self.registrar.want(Kind.SERVICE, name, self.service_uri)
+        self.registrar.register(Kind.SERVICE, name, self.service_uri)
 
     def unserve(self, name: str) -> None:
         with self._lock:
             gone = self._services.pop(name, None)
         if gone is not None:
-            self.registrar.drop(Kind.SERVICE, name)
+            self.registrar.unregister(Kind.SERVICE, name)
 
     def find_service(self, name: str) -> str | None:
         """Return the address at which another ROS 1 node serves a service, or None if there is no such
@@ -269,8 +269,8 @@ class Ros1Node:
 
     # --- slave API ---
     def _methods(self) -> dict[str, Method]:
-        topic, key = rpc.graph_name("topic"), rpc.graph_name("parameter_key")
-        publishers = rpc.several("publishers", rpc.address("publishers"))
+        topic, key = xmlrpc.graph_name("topic"), xmlrpc.graph_name("parameter_key")
+        publishers = xmlrpc.list_of("publishers", xmlrpc.address("publishers"))
         return {
             "getBusStats": Method(self._bus_stats, empty=[]),
             "getBusInfo": Method(self._bus_info, empty=[]),
@@ -278,16 +278,16 @@ class Ros1Node:
             "getUri": Method(lambda _: (1, "", self.uri), empty=""),
             "getName": Method(lambda _: (1, "", self.name), empty=""),
             "getPid": Method(lambda _: (1, "", os.getpid()), empty=-1),
-            "shutdown": Method(self._shutdown, (rpc.text("msg"),), optional=1),
+            "shutdown": Method(self._shutdown, (xmlrpc.text("msg"),), optional=1),
             "getSubscriptions": Method(
                 lambda _: (1, "subscriptions", [[s.topic, s.type] for s in self.subscriptions()]), empty=[]
             ),
             "getPublications": Method(
                 lambda _: (1, "publications", [[p.topic, p.type] for p in self.publications()]), empty=[]
             ),
-            "paramUpdate": Method(lambda *_: (-1, "not subscribed", 0), (key, rpc.anything), -1),
+            "paramUpdate": Method(lambda *_: (-1, "not subscribed", 0), (key, xmlrpc.anything), -1),
             "publisherUpdate": Method(self._publisher_update, (topic, publishers), -1),
-            "requestTopic": Method(self._request_topic, (topic, rpc.anything), []),
+            "requestTopic": Method(self._request_topic, (topic, xmlrpc.anything), []),
         }
 
     def _bus_stats(self, caller: str) -> Answer:
@@ -325,7 +325,7 @@ class Ros1Node:
         self._on_shutdown(reason)
 
     def _publisher_update(self, caller: str, topic: str, publishers: list[str]) -> Answer:
-        self.registrar.publishers_are(topic, publishers)
+        self.registrar.update_publishers(topic, publishers)
         return 1, "", 0
 
     def _publishers_are(self, topic: str, uris: list[str]) -> None:
@@ -398,9 +398,9 @@ class Ros1Node:
 
     def _refuse(self, sock: socket.socket, peer: str, text: str) -> None:
         self._complain(peer, text)
-        sock.sendall(encoded({"error": text}))
+        sock.sendall(encode_header({"error": text}))
 
     def _complain(self, peer: str, text: str) -> None:
         """Count a connection error of the ROS 1 node. Only the first error of each kind is logged."""
-        if self._complaints.is_new(re.sub(r"[0-9]+", "", text[:200])):
+        if self._complaints.count(re.sub(r"[0-9]+", "", text[:200])):
             logger.warning("TCPROS: %s: %s", peer, " ".join(text[:400].split()))

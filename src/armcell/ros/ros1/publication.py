@@ -12,9 +12,9 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from armcell.core import InputError
-from armcell.ros.codec import ros1
+from armcell.ros.codec import ros1_codec
 from armcell.ros.definitions import field_parts
-from armcell.ros.ros1.header import LENGTH, Fields, encoded
+from armcell.ros.ros1.header import LENGTH, Fields, encode_header
 from armcell.ros.ros1.reactor import Reactor
 from armcell.ros.schema import Schema
 
@@ -50,7 +50,7 @@ class Publication:
     ):  # fmt: skip
         self.topic, self.type, self.md5 = topic, type_name, schema.md5(type_name)
         self._text = schema.full_text(type_name)
-        self._codec, self._caller, self._reactor = ros1(schema), caller, reactor
+        self._codec, self._caller, self._reactor = ros1_codec(schema), caller, reactor
         self._attach, self._latching = attach, latching
         self._queue, self._queue_bytes = queue, queue_bytes
         self._codec.prepare(type_name)
@@ -95,7 +95,7 @@ class Publication:
         if hasattr(socket, "TCP_NOTSENT_LOWAT"):
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
         link = SubscriberLink(
-            sock, self, header["callerid"], peer, encoded(fields), self._queue, self._queue_bytes
+            sock, self, header["callerid"], peer, encode_header(fields), self._queue, self._queue_bytes
         )
         with self._lock:
             closed = self._closed
@@ -221,17 +221,17 @@ class SubscriberLink:
                 self.sent += 1
         return False
 
-    def readable(self) -> None:
+    def on_readable(self) -> None:
         """Detect whether a ROS 1 subscriber has closed its connection to the published topic."""
         with contextlib.suppress(BlockingIOError):
             if not self.sock.recv(4096):
                 raise ConnectionError("the subscriber closed the connection")
 
-    def writable(self) -> bool:
+    def on_writable(self) -> bool:
         with self._lock:
             return self._send()
 
-    def ended(self, reason: str) -> None:
+    def on_closed(self, reason: str) -> None:
         with self._lock:
             self.closed = True
             self._waiting.clear()

@@ -26,13 +26,13 @@ class Channel(Protocol):
 
     sock: socket.socket
 
-    def readable(self) -> None:
+    def on_readable(self) -> None:
         """Read the data that has arrived at a socket of the reactor. Raise OSError when the connection is
         over.
         """
         ...
 
-    def writable(self) -> bool:
+    def on_writable(self) -> bool:
         """Send the data that is queued for a socket of the reactor. Return True if unsent data remains.
 
         Raises:
@@ -40,7 +40,7 @@ class Channel(Protocol):
         """
         ...
 
-    def ended(self, reason: str) -> None:
+    def on_closed(self, reason: str) -> None:
         """Handle the end of a connection after the reactor has closed its socket."""
         ...
 
@@ -140,8 +140,8 @@ class Reactor:
     def _serve(self, channel: Channel, events: int) -> None:
         try:
             if events & selectors.EVENT_READ:
-                channel.readable()
-            if events & selectors.EVENT_WRITE and not channel.writable():
+                channel.on_readable()
+            if events & selectors.EVENT_WRITE and not channel.on_writable():
                 self._watch(channel, False)
         except OSError as error:
             self._end(channel, error.strerror or str(error))
@@ -167,4 +167,4 @@ class Reactor:
         with contextlib.suppress(KeyError, ValueError):
             self._selector.unregister(channel.sock)
         channel.sock.close()
-        channel.ended(reason)
+        channel.on_closed(reason)

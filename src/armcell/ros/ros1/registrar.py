@@ -9,7 +9,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
-from armcell.ros.ros1.rpc import ERROR, RpcError, ask
+from armcell.ros.ros1.xmlrpc import ERROR, RpcError, call_method
 
 logger = logging.getLogger(__name__)
 CHECK_PERIOD = 1.0  # [s] between two checks that the master still knows this node
@@ -61,18 +61,18 @@ class Registrar:
     def start(self) -> None:
         self._thread.start()
 
-    def want(self, kind: Kind, name: str, what: str) -> None:
+    def register(self, kind: Kind, name: str, what: str) -> None:
         with self._changed:
             self._wanted[Entry(kind, name)] = what
             self._refused.discard(Entry(kind, name))
             self._changed.notify_all()
 
-    def drop(self, kind: Kind, name: str) -> None:
+    def unregister(self, kind: Kind, name: str) -> None:
         with self._changed:
             self._wanted.pop(Entry(kind, name), None)
             self._changed.notify_all()
 
-    def publishers_are(self, topic: str, uris: list[str]) -> None:
+    def update_publishers(self, topic: str, uris: list[str]) -> None:
         """Handle a publisherUpdate call.
         With this call, the ROS 1 master reports the current publishers of a topic.
         """
@@ -185,14 +185,14 @@ class Registrar:
             arguments += [what, self._uri()]
         else:
             arguments.append(what if entry.kind is Kind.SERVICE else self._uri())
-        return ask(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
+        return call_method(self.master, f"{verb}{entry.kind.value}", *arguments, timeout=timeout)
 
     def _check(self) -> None:
         """Ask the ROS 1 master whether it still knows this node.
         A master that was restarted has lost all registrations.
         """
         try:
-            known = ask(self.master, "lookupNode", self._caller, self._caller, timeout=self._timeout)
+            known = call_method(self.master, "lookupNode", self._caller, self._caller, timeout=self._timeout)
         except RpcError as error:
             if error.code != ERROR:
                 raise

@@ -16,9 +16,9 @@ from typing import Any
 
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import ServiceError
-from armcell.ros.codec import WireError, ros1
-from armcell.ros.ros1.header import LENGTH, Fields, encoded, exactly, receive
-from armcell.ros.ros1.listener import shut
+from armcell.ros.codec import WireError, ros1_codec
+from armcell.ros.ros1.header import LENGTH, Fields, encode_header, read_exactly, receive
+from armcell.ros.ros1.listener import shut_down_socket
 from armcell.ros.ros1.publication import ANY
 from armcell.ros.ros1.settings import host_and_port
 from armcell.ros.schema import Schema
@@ -40,7 +40,7 @@ class ServedService:
 
     def __init__(self, name: str, type_name: str, schema: Schema, caller: str, answer: Answerer, most: int):
         self.name, self.type, self.md5 = name, type_name, schema.md5(type_name)
-        self._caller, self._answer, self._codec, self._most = caller, answer, ros1(schema), most
+        self._caller, self._answer, self._codec, self._most = caller, answer, ros1_codec(schema), most
         self.calls = 0
 
     def refusal(self, header: Fields) -> str | None:
@@ -60,18 +60,18 @@ class ServedService:
             "callerid": self._caller, "service": self.name, "md5sum": self.md5, "type": self.type,
             "request_type": f"{self.type}Request", "response_type": f"{self.type}Response",
         }  # fmt: skip
-        sock.sendall(encoded(fields))
+        sock.sendall(encode_header(fields))
         if header.get("probe") == "1":
             return
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sock.settimeout(None)
         persistent = header.get("persistent", "0").lower() in TRUE
         while True:
-            (size,) = LENGTH.unpack(exactly(sock, 4))
+            (size,) = LENGTH.unpack(read_exactly(sock, 4))
             if size > self._most:
                 sock.sendall(_refused(f"a request of {size} bytes"))
                 return
-            sock.sendall(self._answered(exactly(sock, size)))
+            sock.sendall(self._answered(read_exactly(sock, size)))
             if not persistent:
                 return
 
@@ -92,7 +92,7 @@ def _refused(text: str) -> bytes:
     return b"\0" + LENGTH.pack(len(reason)) + reason
 
 
-class Caller:
+class ServiceClient:
     """Client for services of other ROS 1 nodes. `close` also ends calls that are in progress."""
 
     def __init__(self, caller: str, schema: Schema, timeout: float, most: int):
@@ -139,7 +139,7 @@ class Caller:
             if closed:
                 raise ServiceError(f"service {name}: the node is closed")
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            sock.sendall(encoded(fields))
+            sock.sendall(encode_header(fields))
             header = receive(sock)
             if "error" in header:
                 raise ServiceError(f"service {name} refuses: {header['error']}")
@@ -160,18 +160,24 @@ class Caller:
         with self._lock:
             self._closed = True
             for sock in self._open:
-                shut(sock)
+                shut_down_socket(sock)
 
 
 class Connection:
     """Connection of a client to a ROS 1 service. It carries one call at a time."""
 
     def __init__(
-        self, caller: Caller, sock: socket.socket, name: str, type_name: str, schema: Schema, most: int,
+        self,
+        caller: ServiceClient,
+        sock: socket.socket,
+        name: str,
+        type_name: str,
+        schema: Schema,
+        most: int,
         header: Fields,
-    ):  # fmt: skip
+    ):
         self._caller, self._sock, self._name, self._type = caller, sock, name, type_name
-        self._codec, self._most = ros1(schema), most
+        self._codec, self._most = ros1_codec(schema), most
         self.header = header
         self._turn = threading.Lock()
 
@@ -186,11 +192,11 @@ class Connection:
             try:
                 self._sock.settimeout(None)
                 self._sock.sendall(LENGTH.pack(len(body)) + body)
-                ok = exactly(self._sock, 1)
-                (size,) = LENGTH.unpack(exactly(self._sock, 4))
+                ok = read_exactly(self._sock, 1)
+                (size,) = LENGTH.unpack(read_exactly(self._sock, 4))
                 if size > self._most:
                     raise ServiceError(f"service {self._name} announces an answer of {size} bytes")
-                answer = exactly(self._sock, size)
+                answer = read_exactly(self._sock, size)
             except OSError as error:
                 raise ServiceError(f"service {self._name} gave no answer: {error}") from None
         if ok == b"\0":

@@ -13,11 +13,11 @@ from typing import Protocol
 
 from armcell.core import ArmcellError, InputError
 from armcell.ros.codec import WireError
-from armcell.ros.complaints import Complaints
-from armcell.ros.ros1.header import LENGTH, Fields, encoded, receive
+from armcell.ros.fault_counter import FaultCounter
+from armcell.ros.ros1.header import LENGTH, Fields, encode_header, receive
 from armcell.ros.ros1.publication import ANY
 from armcell.ros.ros1.reactor import Reactor
-from armcell.ros.ros1.rpc import RpcError, ask
+from armcell.ros.ros1.xmlrpc import RpcError, call_method
 
 logger = logging.getLogger(__name__)
 RECEIVE_BYTES = 256 << 10
@@ -27,7 +27,7 @@ FIRST_RETRY, LAST_RETRY = 0.2, 5.0  # [s] first and longest delay between attemp
 class Sink(Protocol):
     """Receiver of the messages from one publisher to which a ROS 1 node has subscribed."""
 
-    def take(self, body: bytes) -> None:
+    def on_message(self, body: bytes) -> None:
         """Handle one serialized message that a publisher has sent to the ROS 1 subscription.
 
         Raises:
@@ -59,7 +59,7 @@ class Subscription:
         self._own_uri, self._executor = own_uri, executor
         self._lock = threading.Lock()
         self._links: dict[str, PublisherLink] = {}
-        self._complaints = Complaints()
+        self._complaints = FaultCounter()
         self._closed = False
 
     def links(self) -> list[PublisherLink]:
@@ -95,7 +95,7 @@ class Subscription:
                 self._executor.submit(link.connect)
 
     def say_once(self, text: str) -> None:
-        if self._complaints.is_new(text):
+        if self._complaints.count(text):
             logger.warning("%s: %s", self.topic, text)
 
     def close(self) -> None:
@@ -157,7 +157,7 @@ class PublisherLink:
 
     def _opened(self) -> socket.socket:
         of = self._of
-        chosen = ask(self.uri, "requestTopic", of.caller, of.topic, [["TCPROS"]], timeout=of.timeout)
+        chosen = call_method(self.uri, "requestTopic", of.caller, of.topic, [["TCPROS"]], timeout=of.timeout)
         if not (isinstance(chosen, list) and len(chosen) >= 3 and chosen[0] == "TCPROS"):
             raise WireError(f"it does not offer TCPROS but {str(chosen)[:100]}")
         _, host, port = chosen[:3]
@@ -172,7 +172,7 @@ class PublisherLink:
             "callerid": of.caller, "topic": of.topic, "type": of.type, "md5sum": of.md5,
             "message_definition": of.text, "tcp_nodelay": "1",
         }  # fmt: skip
-        sock.sendall(encoded(fields))
+        sock.sendall(encode_header(fields))
         header = receive(sock)
         if "error" in header:
             raise WireError(f"it refuses: {header['error']}")
@@ -191,7 +191,7 @@ class PublisherLink:
             self._retry = min(2 * self._retry, LAST_RETRY)
 
     # --- in the reactor ---
-    def readable(self) -> None:
+    def on_readable(self) -> None:
         try:
             data = self.sock.recv(RECEIVE_BYTES)
         except BlockingIOError:
@@ -218,15 +218,15 @@ class PublisherLink:
     def _take(self, body: bytes) -> None:
         assert self._sink is not None
         try:
-            self._sink.take(body)
+            self._sink.on_message(body)
             self.received += 1
         except ArmcellError as error:
             self._of.say_once(f"from {self.uri}: {error}")
 
-    def writable(self) -> bool:
+    def on_writable(self) -> bool:
         return False
 
-    def ended(self, reason: str) -> None:
+    def on_closed(self, reason: str) -> None:
         with self._lock:
             self.connected, sink, self._sink = False, self._sink, None
         if sink is not None:

@@ -7,8 +7,8 @@ the parts of the bridge. bridge: connects a bus to a domain.
 """
 
 from armcell.ros.ros2.bridge import Ros2Bridge, Ros2Settings, Ros2Status
-from armcell.ros.ros2.qos import DEFAULT, LATCHED, PARAMETERS, SENSOR_DATA, SERVICES, Profile
-from armcell.ros.ros2.range import Reach, from_environment
+from armcell.ros.ros2.domain_scope import DomainScope, from_environment
+from armcell.ros.ros2.qos import DEFAULT, LATCHED, PARAMETERS, SENSOR_DATA, SERVICES, QosProfile
 
 __all__ = [
     "DEFAULT",
@@ -16,8 +16,8 @@ __all__ = [
     "PARAMETERS",
     "SENSOR_DATA",
     "SERVICES",
-    "Profile",
-    "Reach",
+    "DomainScope",
+    "QosProfile",
     "Ros2Bridge",
     "Ros2Settings",
     "Ros2Status",

@@ -16,21 +16,21 @@ from typing import Any
 
 from armcell._interrupts import deferred, last_will
 from armcell.core import ArmcellError, InputError
-from armcell.core.endpoints import Endpoint
+from armcell.core.network_endpoints import Endpoint
 from armcell.ros.bus import Bus, Handler, TopicInfo
-from armcell.ros.descriptions import Descriptions
 from armcell.ros.distros import distro_from_environment
 from armcell.ros.names import resolve
+from armcell.ros.robot_description_publisher import RobotDescriptionPublisher
 from armcell.ros.ros2 import names
+from armcell.ros.ros2.action_client import Ros2ActionClient
+from armcell.ros.ros2.action_server import Ros2ActionServer
 from armcell.ros.ros2.codec import ros2_codec
 from armcell.ros.ros2.context import Context
-from armcell.ros.ros2.goals import ActionServing
+from armcell.ros.ros2.domain_scope import DomainScope, from_environment
 from armcell.ros.ros2.parameters import ParameterServices
-from armcell.ros.ros2.qos import Profile
-from armcell.ros.ros2.range import Reach, from_environment
-from armcell.ros.ros2.reaching import ActionReaching
-from armcell.ros.ros2.services import Asked, Client, Server
-from armcell.ros.ros2.topics import Incoming, Outgoing
+from armcell.ros.ros2.qos import QosProfile
+from armcell.ros.ros2.services import Client, RequestId, Server
+from armcell.ros.ros2.topics import IncomingTopic, OutgoingTopic
 
 logger = logging.getLogger(__name__)
 LOOK = 0.1  # [s] longest time between two checks of discovery
@@ -45,10 +45,10 @@ ACTION_TOPICS = {
 class Ros2Settings:
     """Settings of the bridge between the bus and a ROS 2 domain."""
 
-    reach: Reach = field(default_factory=from_environment)
+    reach: DomainScope = field(default_factory=from_environment)
     node: str = "/armcell"  # node name in `ros2 node list`
     distro: str = field(default_factory=distro_from_environment)  # distribution of the message definitions
-    qos: Mapping[str, Profile] = field(default_factory=dict)  # by topic; others get ROS 2's usual profile
+    qos: Mapping[str, QosProfile] = field(default_factory=dict)  # by topic; others get ROS 2's usual profile
     service_timeout: float = 60.0  # [s] within which a service in the domain must answer
 
     def __post_init__(self) -> None:
@@ -81,15 +81,15 @@ class Ros2Bridge:
     def __init__(self, bus: Bus, settings: Ros2Settings | None = None):
         self.bus, self.settings = bus, settings or Ros2Settings()
         self._context: Context | None = None
-        self._out: dict[str, Outgoing] = {}
-        self._in: dict[str, Incoming] = {}
+        self._out: dict[str, OutgoingTopic] = {}
+        self._in: dict[str, IncomingTopic] = {}
         self._servers: dict[str, tuple[str, Server]] = {}
-        self._actions: dict[str, ActionServing] = {}
-        self._reaching: dict[str, ActionReaching] = {}
+        self._actions: dict[str, Ros2ActionServer] = {}
+        self._reaching: dict[str, Ros2ActionClient] = {}
         self._clients: dict[str, Client] = {}
         self._refused: set[tuple[str, str]] = set()
         self._parameters: ParameterServices | None = None
-        self._descriptions = Descriptions(bus)
+        self._descriptions = RobotDescriptionPublisher(bus)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="ros2 bridge", daemon=True)
@@ -104,7 +104,7 @@ class Ros2Bridge:
             raise
         self._context = context
         self._revoke = last_will(self.close)
-        self.bus.find_elsewhere(self._find)
+        self.bus.add_service_finder(self._find)
         self._look(context)
         self._thread.start()
 
@@ -124,7 +124,7 @@ class Ros2Bridge:
 
     def _leave(self, context: Context) -> None:
         self._thread.join(SHUT_DOWN)
-        self.bus.forget_elsewhere(self._find)
+        self.bus.remove_service_finder(self._find)
         parts: list[Any] = [
             self._descriptions,
             self._parameters,
@@ -229,17 +229,17 @@ class Ros2Bridge:
                 seen = now
                 self._look(context)
             for outgoing in self._out.values():
-                outgoing.follow()
+                outgoing.update_subscription()
             if due:
                 next_look = time.monotonic() + PERIOD
                 for part in (*self._out.values(), *self._in.values()):
-                    part.look()
+                    part.check_qos()
 
     def _look(self, context: Context) -> None:
         """Create and remove endpoints of the ROS 2 bridge so that they match the topics, services and actions
         of the bus.
         """
-        self._descriptions.look()
+        self._descriptions.publish_changes()
         infos = {info.name: info for info in self.bus.topics(besides=self)}
         acting = self._action_names(infos)
         self._look_actions(context, infos, acting)
@@ -254,14 +254,14 @@ class Ros2Bridge:
                 self._in.pop(name).close()
         for name, (type_name, keep) in latched.items():
             if name not in self._out:
-                self._try(name, self._out, Outgoing, type_name, keep)
+                self._try(name, self._out, OutgoingTopic, type_name, keep)
         for name, type_name in wanted.items():
             if name not in self._in:
-                self._try(name, self._in, Incoming, type_name)
+                self._try(name, self._in, IncomingTopic, type_name)
         for incoming in self._in.values():
-            incoming.look()
+            incoming.check_qos()
         self._look_services(context)
-        context.announcer.tell()
+        context.announcer.announce()
 
     def _try(self, name: str, table: dict[str, Any], make: Any, type_name: str, *more: Any) -> None:
         """Start forwarding a topic between the bus and ROS 2.
@@ -287,7 +287,7 @@ class Ros2Bridge:
                 self._servers[name] = (type_name, self._serve(context, name, type_name))
 
     def _serve(self, context: Context, name: str, type_name: str) -> Server:
-        def on_request(server: Server, request: Any, asked: Asked) -> None:
+        def on_request(server: Server, request: Any, asked: RequestId) -> None:
             server.reply(asked, self.bus.call(name, request))
 
         return Server(context, name, type_name, on_request)
@@ -315,8 +315,8 @@ class Ros2Bridge:
             if n not in served and outside.get(names.action_name(n, t) + names.SEND_GOAL) == f"{t}_SendGoal"
         }  # fmt: skip
         for wanted, table, make in (
-            (served, self._actions, ActionServing),
-            (reached, self._reaching, ActionReaching),
+            (served, self._actions, Ros2ActionServer),
+            (reached, self._reaching, Ros2ActionClient),
         ):
             parts: dict[str, Any] = table  # type: ignore[assignment]
             for name, part in list(parts.items()):

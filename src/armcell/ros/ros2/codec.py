@@ -21,8 +21,8 @@ from armcell.core import InputError, UnknownNameError
 from armcell.ros.codec import MAX_ITEMS, WireError
 from armcell.ros.definitions import PLACEHOLDER, field_parts, plain_name, rosbags_name
 from armcell.ros.distros import DISTROS
-from armcell.ros.messages import Message, Tidy, make_class, python_name
-from armcell.ros.ros2.dialect import definitions
+from armcell.ros.messages import ArrayConverter, Message, make_class, python_name
+from armcell.ros.ros2.ros2_definitions import definitions
 from armcell.ros.ros2.type_hash import TypeHashes
 from armcell.ros.schema import Schema
 
@@ -48,7 +48,7 @@ class Ros2Codec:
             self._store.fielddefs[rosbags_name(name)] = cast(Any, tuple(definition))
         self._store.types = _Makers(self)
         self._wire: dict[str, type[Message]] = {}
-        self._tidies: dict[str, Tidy] = {}
+        self._tidies: dict[str, ArrayConverter] = {}
         self._translations: dict[str, _Translation] = {}
 
     # --- types ---
@@ -74,12 +74,14 @@ class Ros2Codec:
             self._wire[name] = make_class(name, self.definitions[name], self.wire_class)
         return self._wire[name]
 
-    def has_more(self, name: str) -> bool:
+    def has_ros2_only_fields(self, name: str) -> bool:
         """Return whether the ROS 2 codec knows fields of a message type that ROS 1 does not have.
 
         Messages that a script creates lack those fields.
         """
-        return name in self.schema.definitions and self.schema.whole(name) != self.schema.definition(name)
+        return name in self.schema.definitions and self.schema.merged_definition(
+            name
+        ) != self.schema.definition(name)
 
     def prepare(self, name: str) -> None:
         """Generate the serialization functions of the ROS 2 codec for a
@@ -128,11 +130,11 @@ class Ros2Codec:
         except (IndexError, OverflowError, MemoryError) as error:
             raise WireError(f"{len(data)} bytes are no {name}: {error!r}") from None
 
-    def _tidy(self, name: str) -> Tidy:
+    def _tidy(self, name: str) -> ArrayConverter:
         if name in self.schema.definitions:
-            return self.schema.tidy(name)
+            return self.schema.array_converter(name)
         if name not in self._tidies:
-            self._tidies[name] = Tidy(self.definitions[name], self._tidy)
+            self._tidies[name] = ArrayConverter(self.definitions[name], self._tidy)
         return self._tidies[name]
 
     def translation(self, name: str) -> _Translation:
@@ -177,7 +179,7 @@ class _Translation:
         self._make: Callable[..., Any] = codec.wire_class(name)
         self._pairs: list[tuple[str, str | None, _Translation | None, bool]] = []
         nodes = [node for field, node in codec.definitions[name].fields if field != PLACEHOLDER]
-        self.needed = codec.has_more(name)
+        self.needed = codec.has_ros2_only_fields(name)
         for (field, ours), node in zip(_pairs(codec, name), nodes):
             is_message, kind, length = field_parts(node)
             inner = codec.translation(kind) if is_message else None

@@ -9,13 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from armcell.ros.bus import Bus
-from armcell.ros.complaints import Complaints
+from armcell.ros.fault_counter import FaultCounter
 from armcell.ros.ros2.codec import Ros2Codec
 from armcell.ros.ros2.dds import Participant, Reader, Sample, Writer
+from armcell.ros.ros2.domain_scope import DomainScope
 from armcell.ros.ros2.graph import Announcer, Graph
 from armcell.ros.ros2.names import DdsName
-from armcell.ros.ros2.qos import Profile
-from armcell.ros.ros2.range import Reach
+from armcell.ros.ros2.qos import QosProfile
 
 logger = logging.getLogger(__name__)
 WORKERS = 8  # service calls that are answered in parallel
@@ -32,12 +32,12 @@ class Context:
         InputError, DdsError: the participant cannot join the domain.
     """
 
-    def __init__(self, bus: Bus, codec: Ros2Codec, reach: Reach, node: str):
+    def __init__(self, bus: Bus, codec: Ros2Codec, reach: DomainScope, node: str):
         self.bus, self.codec = bus, codec
         self.participant = Participant(reach, codec)
         self.graph = Graph(self.participant, codec)
         self.announcer = Announcer(self.participant, codec, node)
-        self.complaints = Complaints(MAX_COMPLAINTS)
+        self.complaints = FaultCounter(MAX_COMPLAINTS)
         self.dropped = 0
         self._lock = threading.Lock()
         self._calls = 0
@@ -54,7 +54,7 @@ class Context:
 
     def complain(self, kind: str, text: str) -> None:
         """Count an error of the ROS 2 bridge. Only the first error of each kind is logged."""
-        if self.complaints.is_new(kind):
+        if self.complaints.count(kind):
             logger.warning("%s", text[:400])
 
     def has_dropped(self) -> None:
@@ -62,13 +62,13 @@ class Context:
             self.dropped += 1
 
     # --- endpoints that belong to this bridge's node ---
-    def writer(self, name: DdsName, profile: Profile, user_data: str = "", wait: bool = False) -> Writer:
+    def writer(self, name: DdsName, profile: QosProfile, user_data: str = "", wait: bool = False) -> Writer:
         writer = self.participant.writer(name, profile, user_data.encode(), wait)
         self.announcer.add(writer.guid, True)
         return writer
 
     def reader(
-        self, name: DdsName, profile: Profile, on_sample: Callable[[Sample], None], user_data: str = ""
+        self, name: DdsName, profile: QosProfile, on_sample: Callable[[Sample], None], user_data: str = ""
     ) -> Reader:
         reader = self.participant.reader(name, profile, on_sample, user_data.encode())
         self.announcer.add(reader.guid, False)
@@ -91,7 +91,7 @@ class Context:
         return ".".join(f"{byte:x}" for byte in data)
 
     # --- work that may take long ---
-    def work(self, run: Callable[..., Any], *arguments: Any) -> bool:
+    def run_in_pool(self, run: Callable[..., Any], *arguments: Any) -> bool:
         """Run a function in the worker pool of the ROS 2 bridge. Return False if too many calls are
         waiting.
         """

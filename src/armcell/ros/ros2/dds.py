@@ -21,12 +21,12 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from armcell.core import ArmcellError, InputError, MissingExtraError
-from armcell.core.endpoints import open_sockets
+from armcell.core.network_endpoints import open_sockets
 from armcell.ros.ros2.codec import Ros2Codec
+from armcell.ros.ros2.domain_scope import DomainScope
 from armcell.ros.ros2.idl import Types
 from armcell.ros.ros2.names import DdsName
-from armcell.ros.ros2.qos import Profile, policies
-from armcell.ros.ros2.range import Reach
+from armcell.ros.ros2.qos import QosProfile, to_dds_qos
 
 logger = logging.getLogger(__name__)
 BATCH = 64  # samples per take
@@ -133,7 +133,7 @@ class _Domains:
         self._domains: dict[int, tuple[int, str]] = {}
         self._users: Counter[int] = Counter()
 
-    def enter(self, reach: Reach) -> None:
+    def enter(self, reach: DomainScope) -> None:
         dds, xml = library(), reach.xml()
         with self._lock:
             have = self._domains.get(reach.domain)
@@ -166,7 +166,7 @@ class Participant:
         InputError, DdsError: the participant cannot join the domain.
     """
 
-    def __init__(self, reach: Reach, codec: Ros2Codec, enclave: str = "/"):
+    def __init__(self, reach: DomainScope, codec: Ros2Codec, enclave: str = "/"):
         self._dds = library()
         self.reach, self.codec = reach, codec
         self._types = Types(codec)
@@ -178,7 +178,7 @@ class Participant:
         before = open_sockets()
         _DOMAINS.enter(reach)
         try:
-            with self._qos(Profile(), f"enclave={enclave};".encode(), bare=True) as qos:
+            with self._qos(QosProfile(), f"enclave={enclave};".encode(), bare=True) as qos:
                 made = self._dds.dds_create_participant(reach.domain, qos, None)
             self.handle = check(made, "participant")
             self._waitset = check(self._dds.dds_create_waitset(self.handle), "waitset")
@@ -214,7 +214,9 @@ class Participant:
         _DOMAINS.leave(self.reach.domain)
 
     # --- endpoints ---
-    def writer(self, name: DdsName, profile: Profile, user_data: bytes = b"", wait: bool = False) -> Writer:
+    def writer(
+        self, name: DdsName, profile: QosProfile, user_data: bytes = b"", wait: bool = False
+    ) -> Writer:
         with self._qos(profile, user_data + self._type_hash(name), wait=wait) as qos:
             made = self._dds.dds_create_writer(self.handle, self._topic(name), qos, None)
         return Writer(self, name, check(made, f"writer of {name.topic}"))
@@ -222,7 +224,7 @@ class Participant:
     def reader(
         self,
         name: DdsName,
-        profile: Profile,
+        profile: QosProfile,
         on_sample: Callable[[Sample], None],
         user_data: bytes = b"",
         ignore_own: bool = True,
@@ -269,10 +271,12 @@ class Participant:
         return f"typehash={found};".encode() if found else b""
 
     @contextlib.contextmanager
-    def _qos(self, profile: Profile, user_data: bytes, ignore: bool = False, wait: bool = False, bare=False):
+    def _qos(
+        self, profile: QosProfile, user_data: bytes, ignore: bool = False, wait: bool = False, bare=False
+    ):
         from cyclonedds.qos import Policy, Qos
 
-        made = Qos(Policy.Userdata(user_data)) if bare else policies(profile, user_data, ignore, wait)
+        made = Qos(Policy.Userdata(user_data)) if bare else to_dds_qos(profile, user_data, ignore, wait)
         qos = self._dds.cqos.qos_to_cqos(made)
         try:
             yield qos

@@ -11,7 +11,7 @@ from armcell.core import ArmcellError
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.codec import Ros2Codec
 from armcell.ros.ros2.dds import Participant, Sample
-from armcell.ros.ros2.qos import DISCOVERY, DISCOVERY_READER, Profile, profile_of, user_values
+from armcell.ros.ros2.qos import DISCOVERY, DISCOVERY_READER, QosProfile, profile_of, user_values
 
 logger = logging.getLogger(__name__)
 ALIVE = 16  # DDS_ALIVE_INSTANCE_STATE
@@ -24,7 +24,7 @@ class Endpoint:
 
     topic: str
     type: str
-    profile: Profile
+    profile: QosProfile
     user: tuple[tuple[str, str], ...]
     participant: bytes
     writes: bool
@@ -146,7 +146,7 @@ class Announcer:
         with self._lock:
             self._gids.pop(guid, None)
 
-    def tell(self) -> None:
+    def announce(self) -> None:
         """Announce the endpoints of this node to the ROS 2 graph if they have changed since the last call."""
         with self._lock:
             gids = dict(self._gids)

@@ -13,7 +13,7 @@ import numpy as np
 from armcell.core import ArmcellError
 from armcell.ros.ros2.context import Context
 from armcell.ros.ros2.qos import PARAMETERS
-from armcell.ros.ros2.services import Asked, Server
+from armcell.ros.ros2.services import RequestId, Server
 
 # rcl_interfaces/ParameterType, with the field of ParameterValue that holds such a value
 NOT_SET = 0
@@ -68,7 +68,7 @@ class ParameterServices:
             server.close()
 
     def _serve(self, name: str, type_name: str, answer: Callable[[Any], Any]) -> Server:
-        def on_request(server: Server, request: Any, asked: Asked) -> None:
+        def on_request(server: Server, request: Any, asked: RequestId) -> None:
             server.reply(asked, self._new(f"{type_name}Response", answer(request)))
 
         return Server(self._context, name, type_name, on_request, profile=PARAMETERS)

@@ -13,7 +13,7 @@ from armcell.core.checks import require
 
 
 @dataclass(frozen=True)
-class Profile:
+class QosProfile:
     """Quality-of-service (QoS) profile that a ROS 2 endpoint offers or requests."""
 
     reliable: bool = True
@@ -27,7 +27,7 @@ class Profile:
         reliability = "reliable" if self.reliable else "best effort"
         return f"{reliability}, {'transient local' if self.latched else 'volatile'}"
 
-    def lacks(self, requested: Profile) -> list[str]:
+    def missing_policies(self, requested: QosProfile) -> list[str]:
         """List the QoS policies that a ROS 2 subscriber requests but that the profile of the publisher does
         not offer.
 
@@ -41,21 +41,21 @@ class Profile:
         return missing
 
 
-DEFAULT = Profile()
-SENSOR_DATA = Profile(reliable=False, depth=5)
-SERVICES = Profile()
-PARAMETERS = Profile(depth=1000)
-LATCHED = Profile(latched=True, depth=1)
-TF = Profile(depth=100)
-TF_STATIC = Profile(latched=True, depth=100)
-CLOCK = Profile(depth=1)
-DISCOVERY = Profile(latched=True, depth=1)
-DISCOVERY_READER = Profile(latched=True, depth=0)
+DEFAULT = QosProfile()
+SENSOR_DATA = QosProfile(reliable=False, depth=5)
+SERVICES = QosProfile()
+PARAMETERS = QosProfile(depth=1000)
+LATCHED = QosProfile(latched=True, depth=1)
+TF = QosProfile(depth=100)
+TF_STATIC = QosProfile(latched=True, depth=100)
+CLOCK = QosProfile(depth=1)
+DISCOVERY = QosProfile(latched=True, depth=1)
+DISCOVERY_READER = QosProfile(latched=True, depth=0)
 
 LARGE = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/PointCloud2")
 
 
-def offered(topic: str, type_name: str, latched: bool) -> Profile:
+def publisher_profile(topic: str, type_name: str, latched: bool) -> QosProfile:
     """Return the QoS profile with which the bridge publishes a ROS 2 topic.
 
     Images and point clouds are reliable as well, with the short queue of sensor data, so that subscribers of
@@ -70,11 +70,11 @@ def offered(topic: str, type_name: str, latched: bool) -> Profile:
     if topic == "/clock":
         return CLOCK
     if type_name in LARGE:
-        return Profile(depth=SENSOR_DATA.depth)
+        return QosProfile(depth=SENSOR_DATA.depth)
     return DEFAULT
 
 
-def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Profile:
+def subscriber_profile(publishers: Iterable[QosProfile], depth: int = DEFAULT.depth) -> QosProfile:
     """Return the QoS profile for a ROS 2 subscription. It is the strongest profile that every known publisher
     offers.
 
@@ -82,14 +82,16 @@ def requested(publishers: Iterable[Profile], depth: int = DEFAULT.depth) -> Prof
     """
     known = list(publishers)
     if not known:
-        return Profile(depth=depth)
-    return Profile(all(p.reliable for p in known), all(p.latched for p in known), depth)
+        return QosProfile(depth=depth)
+    return QosProfile(all(p.reliable for p in known), all(p.latched for p in known), depth)
 
 
 BLOCKING = 100_000_000  # [ns] longest wait for queue space when writing a service message
 
 
-def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False, wait: bool = False) -> Any:
+def to_dds_qos(
+    profile: QosProfile, user_data: bytes = b"", ignore_own: bool = False, wait: bool = False
+) -> Any:
     """Convert a QoS profile of ROS 2 to a `cyclonedds` Qos.
 
     Args:
@@ -117,14 +119,14 @@ def policies(profile: Profile, user_data: bytes = b"", ignore_own: bool = False,
     return Qos(*found)
 
 
-def profile_of(qos: Any) -> Profile:
+def profile_of(qos: Any) -> QosProfile:
     """Convert the `cyclonedds` Qos of another endpoint to a QoS profile of ROS 2.
 
     Discovery does not report the depth, which keeps its default.
     """
     from cyclonedds.qos import Policy
 
-    return Profile(
+    return QosProfile(
         reliable=_policy(qos, "Reliability") != Policy.Reliability.BestEffort,
         latched=_policy(qos, "Durability") not in (None, Policy.Durability.Volatile),
     )

@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import ServiceError
 from armcell.ros.codec import WireError
-from armcell.ros.reasons import failed
+from armcell.ros.failure_responses import write_failure
 from armcell.ros.ros2 import names
 from armcell.ros.ros2.codec import HEADER_BYTES
 from armcell.ros.ros2.context import Context
 from armcell.ros.ros2.dds import DdsError, Sample
-from armcell.ros.ros2.qos import SERVICES, Profile, user_values
+from armcell.ros.ros2.qos import SERVICES, QosProfile, user_values
 
 CALL_HEADER = 16
 WAIT_FOR_CLIENT = 0.5  # [s] to find the client's reader before a reply is written
@@ -30,7 +30,7 @@ POLL = 0.005  # [s]
 MAX_KNOWN = 1000  # clients whose readiness is cached
 
 
-class Asked(NamedTuple):
+class RequestId(NamedTuple):
     """Identity of a received ROS 2 service call. The reply must contain it.
 
     `client` and `seq` come from the request's header; `writer` is the local handle of the client's writer.
@@ -41,7 +41,7 @@ class Asked(NamedTuple):
     writer: int
 
 
-def split(sample: Sample) -> tuple[Asked, bytes]:
+def split(sample: Sample) -> tuple[RequestId, bytes]:
     """Split the serialized request or reply of a ROS 2 service into the header of the call and the bytes of
     the message.
 
@@ -52,7 +52,7 @@ def split(sample: Sample) -> tuple[Asked, bytes]:
     if len(data) < HEADER_BYTES + CALL_HEADER:
         raise WireError(f"{len(data)} bytes are no service message")
     client, seq = struct.unpack_from("<Qq" if data[1] & 1 else ">Qq", data, HEADER_BYTES)
-    return Asked(client, seq, sample.writer), data[:HEADER_BYTES] + data[HEADER_BYTES + CALL_HEADER :]
+    return RequestId(client, seq, sample.writer), data[:HEADER_BYTES] + data[HEADER_BYTES + CALL_HEADER :]
 
 
 def joined(client: int, seq: int, encoded: memoryview) -> bytes:
@@ -68,9 +68,14 @@ class Server:
     """
 
     def __init__(
-        self, context: Context, name: str, type_name: str, on_request: Callable[[Server, Any, Asked], None],
-        kind: str = "srv", profile: Profile = SERVICES,
-    ):  # fmt: skip
+        self,
+        context: Context,
+        name: str,
+        type_name: str,
+        on_request: Callable[[Server, Any, RequestId], None],
+        kind: str = "srv",
+        profile: QosProfile = SERVICES,
+    ):
         self._context, self.name, self.type = context, name, type_name
         self._request, self._reply = (part(name, type_name, kind) for part in (names.request, names.reply))
         self._on_request = on_request
@@ -92,11 +97,11 @@ class Server:
         except WireError as error:
             self._context.complain(f"request {self.name}", f"service {self.name}: {error}")
             return
-        if not self._context.work(self._answer, asked, body):
+        if not self._context.run_in_pool(self._answer, asked, body):
             self._context.complain(f"full {self.name}", f"service {self.name}: too many calls wait")
             self.refuse(asked, "too many calls wait")
 
-    def _answer(self, asked: Asked, body: bytes) -> None:
+    def _answer(self, asked: RequestId, body: bytes) -> None:
         self._made.wait()
         try:
             self._on_request(self, self._context.codec.decode(self._request.message, body), asked)
@@ -104,13 +109,13 @@ class Server:
             self._context.complain(f"service {self.name} {str(error)[:80]}", f"service {self.name}: {error}")
             self.refuse(asked, str(error))
 
-    def refuse(self, asked: Asked, why: str) -> None:
+    def refuse(self, asked: RequestId, why: str) -> None:
         """Reply to a failed call of a ROS 2 service with default values and with the reason of the
         failure.
         """
-        self.reply(asked, failed(self._context.codec.new(self._reply.message), why))
+        self.reply(asked, write_failure(self._context.codec.new(self._reply.message), why))
 
-    def reply(self, asked: Asked, response: Any) -> None:
+    def reply(self, asked: RequestId, response: Any) -> None:
         """Send the response to a ROS 2 service call as soon as the reader of the client has been discovered.
 
         Raises:
@@ -157,7 +162,7 @@ class Client:
         self._context, self.name, self.type = context, name, type_name
         self._request, self._reply = (part(name, type_name, kind) for part in (names.request, names.reply))
         self._numbers = itertools.count(1)
-        self._waiting: dict[int, Waiting] = {}
+        self._waiting: dict[int, PendingResponse] = {}
         self._lock = threading.Lock()
         for part in (self._request, self._reply):
             context.codec.prepare(part.message)
@@ -171,10 +176,10 @@ class Client:
         with self._lock:
             waiting = list(self._waiting.values())
         for answer in waiting:
-            answer.give(None)
+            answer.set_response(None)
 
     @property
-    def is_there(self) -> bool:
+    def service_is_ready(self) -> bool:
         """Return whether discovery has found both endpoints of a ROS 2 service server: its request reader and
         its reply writer.
         """
@@ -187,7 +192,7 @@ class Client:
             timeout: limit [s].
         """
         give_up = time.monotonic() + timeout
-        while not self.is_there:
+        while not self.service_is_ready:
             if time.monotonic() > give_up or self._context.closed:
                 return False
             time.sleep(POLL)
@@ -204,22 +209,22 @@ class Client:
         began = time.monotonic()
         if not self.wait(timeout):
             raise ServiceError(f"service {self.name}: no ROS 2 node serves it")
-        waiting = self.ask(request)
+        waiting = self.call_async(request)
         answer = waiting.wait(max(began + timeout - time.monotonic(), 0.0))
         if answer is None:
             raise ServiceError(f"service {self.name}: no answer from ROS 2 in {timeout:g} s")
         return answer
 
-    def ask(self, request: Any) -> Waiting:
+    def call_async(self, request: Any) -> PendingResponse:
         """Send a request to a ROS 2 service without waiting.
-        Return a `Waiting` object, which receives the response.
+        Return a `PendingResponse` object, which receives the response.
 
         Raises:
             InputError: a field of the request does not fit its type.
             ServiceError: the request could not be sent.
         """
         number = next(self._numbers)
-        waiting = Waiting(lambda: self._forget(number))
+        waiting = PendingResponse(lambda: self._forget(number))
         with self._lock:
             self._waiting[number] = waiting
         try:
@@ -246,10 +251,10 @@ class Client:
         except WireError as error:
             self._context.complain(f"reply {self.name}", f"service {self.name}: {error}")
         if waiting is not None:
-            waiting.give(answer)
+            waiting.set_response(answer)
 
 
-class Waiting:
+class PendingResponse:
     """Response to a ROS 2 service call that may still be pending."""
 
     def __init__(self, forget: Callable[[], None]):
@@ -257,7 +262,7 @@ class Waiting:
         self._answer: Any = None
         self._forget = forget
 
-    def give(self, answer: Any) -> None:
+    def set_response(self, answer: Any) -> None:
         self._answer = answer
         self._there.set()
 

@@ -10,7 +10,7 @@ from armcell.ros.ros2 import names
 from armcell.ros.ros2.context import Context
 from armcell.ros.ros2.dds import OFFERED_INCOMPATIBLE, REQUESTED_INCOMPATIBLE, Reader, Sample
 from armcell.ros.ros2.names import DdsName
-from armcell.ros.ros2.qos import LARGE, TF_STATIC, Profile, offered, requested
+from armcell.ros.ros2.qos import LARGE, TF_STATIC, QosProfile, publisher_profile, subscriber_profile
 
 ON_DEMAND = (
     "sensor_msgs/CameraInfo",
@@ -20,23 +20,23 @@ ON_DEMAND = (
 OTHER = "this definition of the message"  # the only remaining cause if all QoS policies are compatible
 
 
-class Outgoing:
+class OutgoingTopic:
     """Topic of the bus that the bridge publishes in the ROS 2 domain."""
 
     def __init__(
         self, context: Context, owner: object, topic: str, type_name: str, latched: bool,
-        profile: Profile | None = None,
+        profile: QosProfile | None = None,
     ):  # fmt: skip
         self._context, self.topic, self.type, self.latched = context, topic, type_name, latched
-        self.profile = profile or offered(topic, type_name, latched)
+        self.profile = profile or publisher_profile(topic, type_name, latched)
         self.sent = 0
         context.codec.prepare(type_name)
         self._owner = owner
         self._writer = context.writer(names.topic(topic, type_name), self.profile)
         self._attachment: Attachment | None = None
-        self.follow()
+        self.update_subscription()
 
-    def follow(self) -> None:
+    def update_subscription(self) -> None:
         """Subscribe to the topic on the bus, but only while ROS 2 nodes need its messages.
 
         Messages that are expensive to produce (images, point clouds, TF) are needed only while the domain has
@@ -74,13 +74,13 @@ class Outgoing:
         else:
             context.has_dropped()
 
-    def look(self) -> None:
+    def check_qos(self) -> None:
         """Report the ROS 2 subscribers that cannot receive a topic of the bus, each with the reason."""
         others = self._context.graph.endpoints(self._writer.name.topic, writes=False)
         _check_types(self._context, self.topic, self._writer.name, [e.type for e in others])
         same = [e for e in others if e.type == self._writer.name.type]
         if self._writer.newly_incompatible(OFFERED_INCOMPATIBLE) and same:
-            missing = {lack for e in same for lack in self.profile.lacks(e.profile)} or {OTHER}
+            missing = {lack for e in same for lack in self.profile.missing_policies(e.profile)} or {OTHER}
             self._context.complain(
                 f"offered {self.topic}",
                 f"{self.topic}: a ROS 2 subscriber asks for {' and '.join(sorted(missing))}, which is not "
@@ -88,11 +88,11 @@ class Outgoing:
             )
 
 
-class Incoming:
+class IncomingTopic:
     """Topic of the ROS 2 domain that the bridge publishes on the bus."""
 
     def __init__(
-        self, context: Context, owner: object, topic: str, type_name: str, profile: Profile | None = None
+        self, context: Context, owner: object, topic: str, type_name: str, profile: QosProfile | None = None
     ):
         self._context, self._owner, self.topic, self.type = context, owner, topic, type_name
         self._fixed = profile
@@ -103,7 +103,7 @@ class Incoming:
         self._publisher = context.bus.advertise(topic, type_name, self.profile.latched, owner)
         self._reader = self._read()
 
-    def _wanted(self) -> Profile:
+    def _wanted(self) -> QosProfile:
         """Return the QoS profile that the bridge requests when it subscribes to a ROS 2 topic.
 
         The result is the configured profile, or else the profile that all known publishers offer.
@@ -111,8 +111,8 @@ class Incoming:
         if self._fixed is not None:
             return self._fixed
         others = self._context.graph.endpoints(self._name.topic, writes=True)
-        depth = TF_STATIC.depth if self.topic in ("/tf", "/tf_static") else Profile().depth
-        return requested((e.profile for e in others if e.type == self._name.type), depth)
+        depth = TF_STATIC.depth if self.topic in ("/tf", "/tf_static") else QosProfile().depth
+        return subscriber_profile((e.profile for e in others if e.type == self._name.type), depth)
 
     def _read(self) -> Reader:
         return self._context.reader(self._name, self.profile, self._take)
@@ -131,7 +131,7 @@ class Incoming:
             if not self._publisher.closed:
                 context.complain(f"decode {self.topic}", f"{self.topic}: {error}")
 
-    def look(self) -> None:
+    def check_qos(self) -> None:
         """Adapt the QoS with which the bridge subscribes to a ROS 2 topic to the publishers of the topic.
         Report incompatible publishers.
         """
@@ -148,7 +148,7 @@ class Incoming:
             return
         same = [e for e in others if e.type == self._name.type]
         if self._reader.newly_incompatible(REQUESTED_INCOMPATIBLE) and same:
-            missing = {lack for e in same for lack in e.profile.lacks(self.profile)} or {OTHER}
+            missing = {lack for e in same for lack in e.profile.missing_policies(self.profile)} or {OTHER}
             context.complain(
                 f"requested {self.topic}",
                 f"{self.topic}: a ROS 2 publisher does not offer {' and '.join(sorted(missing))}: "

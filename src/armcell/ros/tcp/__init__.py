@@ -5,7 +5,7 @@ link: one socket with its two threads. peer: the protocol, common to both sides.
 that register topics and services.
 """
 
-from armcell.ros.tcp.client import Bridge, RosTcpClient
+from armcell.ros.tcp.client import ForwardedNames, RosTcpClient
 from armcell.ros.tcp.server import RosTcpServer, ServerSettings
 
-__all__ = ["Bridge", "RosTcpClient", "RosTcpServer", "ServerSettings"]
+__all__ = ["ForwardedNames", "RosTcpClient", "RosTcpServer", "ServerSettings"]

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import Bus
 from armcell.ros.codec import CODECS
-from armcell.ros.tcp.frames import KEEP_ALIVE as KEEP_ALIVE_FRAME
-from armcell.ros.tcp.frames import MAX_BODY
-from armcell.ros.tcp.link import Link
-from armcell.ros.tcp.outbox import Caps
-from armcell.ros.tcp.peer import Params, Peer, need
+from armcell.ros.tcp.connection import RosTcpConnection
+from armcell.ros.tcp.framing import KEEP_ALIVE as KEEP_ALIVE_FRAME
+from armcell.ros.tcp.framing import MAX_BODY
+from armcell.ros.tcp.outbox import OutboxLimits
+from armcell.ros.tcp.peer import Params, Peer, required_parameter
 
 logger = logging.getLogger(__name__)
 RETRY = 1.0  # [s] between two connection attempts, as in Unity's connector
@@ -29,7 +29,7 @@ LOGS = {"__log": logging.INFO, "__warn": logging.WARNING, "__error": logging.ERR
 
 
 @dataclass(frozen=True)
-class Bridge:
+class ForwardedNames:
     """Topics and services that a ROS-TCP client forwards between the bus and other programs,
     as dicts from name to type.
     """
@@ -61,7 +61,7 @@ class RosTcpClient:
         bus: Bus,
         host: str,
         port: int,
-        bridge: Bridge,
+        bridge: ForwardedNames,
         protocol: str = "ROS1",
         service_timeout: float = 10.0,
         queue: int = 10,
@@ -136,13 +136,13 @@ class RosTcpClient:
     def _serve(self, sock: socket.socket) -> None:
         name = f"endpoint {self.address[0]}:{self.address[1]}"
         connection = _Connection(self.bus, name, self._protocol, self._service_timeout)
-        connection.link = Link(
+        connection.link = RosTcpConnection(
             sock,
             connection.on_frame,
             connection.on_end,
             connection.on_fault,
             MAX_BODY,
-            Caps(self._queue),
+            OutboxLimits(self._queue),
             KEEP_ALIVE,
         )
         self.connection = connection
@@ -183,7 +183,7 @@ class _Connection(Peer):
             **{name: self._logger(name) for name in LOGS},
         }
 
-    def register(self, bridge: Bridge) -> None:
+    def register(self, bridge: ForwardedNames) -> None:
         """Register all topics and services of the ROS-TCP client at the endpoint.
 
         The endpoint runs the commands in order.
@@ -191,7 +191,7 @@ class _Connection(Peer):
         for topic, type_name in bridge.publish.items():
             self.command("__publish", topic=topic, message_name=type_name, queue_size=10, latch=False)
         for topic, type_name in bridge.subscribe.items():
-            self.take(topic, type_name, latch=False)
+            self.receive_topic(topic, type_name, latch=False)
             self.command("__subscribe", topic=topic, message_name=type_name)
         for name, type_name in bridge.implement.items():
             self.service_types[name] = type_name
@@ -214,7 +214,7 @@ class _Connection(Peer):
         self.greeted.set()
 
     def _handshake(self, params: Params) -> None:
-        version = need(params, "version", str)
+        version = required_parameter(params, "version", str)
         protocol = "ROS1"
         try:
             metadata = json.loads(params.get("metadata") or "{}")
@@ -227,7 +227,7 @@ class _Connection(Peer):
         self.greeted.set()
 
     def _topic_list(self, params: Params) -> None:
-        names, types = need(params, "topics", list), need(params, "types", list)
+        names, types = required_parameter(params, "topics", list), required_parameter(params, "types", list)
         self.topics = {str(n): str(t) for n, t in zip(names, types)}
         self.listed.set()
 

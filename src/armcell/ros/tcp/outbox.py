@@ -15,7 +15,7 @@ from typing import NamedTuple
 Part = bytes | memoryview
 
 
-class Caps(NamedTuple):
+class OutboxLimits(NamedTuple):
     """Limits on the size of the outbox of a ROS-TCP connection."""
 
     messages: int = 10  # per topic
@@ -28,14 +28,14 @@ class Outbox:
     thread sends it.
 
     Args:
-        on_overflow: called when waiting commands exceed `Caps.control_bytes`; must return quickly.
+        on_overflow: called when waiting commands exceed `OutboxLimits.control_bytes`; must return quickly.
 
     Attributes:
         dropped: number of dropped messages by topic.
         waiting_bytes: bytes that wait to be sent.
     """
 
-    def __init__(self, caps: Caps = Caps(), on_overflow: Callable[[], None] = lambda: None):
+    def __init__(self, caps: OutboxLimits = OutboxLimits(), on_overflow: Callable[[], None] = lambda: None):
         self._caps, self._on_overflow = caps, on_overflow
         self._condition = threading.Condition()
         self._control: deque[tuple[Part, ...]] = deque()
@@ -106,7 +106,7 @@ class Outbox:
         Args:
             timeout: limit [s]; None waits without limit.
         Raises:
-            EOFError: the outbox is closed, or waiting commands exceed `Caps.control_bytes`.
+            EOFError: the outbox is closed, or waiting commands exceed `OutboxLimits.control_bytes`.
         """
         with self._condition:
             self._condition.wait_for(

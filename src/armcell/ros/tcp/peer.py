@@ -19,10 +19,10 @@ from typing import Any
 from armcell.core import ArmcellError, InputError
 from armcell.ros.bus import Attachment, Bus, Publisher, Service, ServiceError
 from armcell.ros.codec import Codec
-from armcell.ros.complaints import Complaints
+from armcell.ros.fault_counter import FaultCounter
 from armcell.ros.names import resolve
-from armcell.ros.tcp.frames import CommandError, Frame, command, head, parameters
-from armcell.ros.tcp.link import Link
+from armcell.ros.tcp.connection import RosTcpConnection
+from armcell.ros.tcp.framing import CommandError, Frame, command, frame_header, parameters
 
 logger = logging.getLogger(__name__)
 WORKERS = 4  # service calls of one peer that run in parallel
@@ -45,14 +45,14 @@ class Peer:
     def __init__(self, bus: Bus, codec: Codec, address: str, service_timeout: float, terminate: bool = False):
         self.bus, self.codec, self.address = bus, codec, address
         self.terminate = terminate
-        self.link: Link  # the creator of the peer sets it before anything runs
+        self.link: RosTcpConnection  # the creator of the peer sets it before anything runs
         self.offered: dict[str, Attachment] = {}  # by topic name as the peer spells it
         self.taken: dict[str, Publisher] = {}
         self.remote: dict[str, Service] = {}
         self.service_types: dict[str, str] = {}  # bus services that the peer registered to call
         self.received: Counter[str] = Counter()
         self.sent: Counter[str] = Counter()
-        self.complaints = Complaints()
+        self.complaints = FaultCounter()
         self._service_timeout = service_timeout
         self._pending: tuple[bool, int] | None = None  # (is a request, srv_id) of the next frame
         self._numbers = itertools.count(1001)
@@ -74,7 +74,7 @@ class Peer:
         """Count an error of the ROS-TCP peer. The first error of each kind is also logged and sent to the
         peer.
         """
-        if self.complaints.is_new(kind):
+        if self.complaints.count(kind):
             logger.warning("%s: %s", self.address, text[: 2 * SHOWN])
             self.tell_error(text)
 
@@ -107,7 +107,7 @@ class Peer:
                 self.complain(f"encode {topic}", f"{topic}: {error}")
                 return
             self.sent[topic] += 1
-            self.link.put_message(topic, head(topic, len(body), self.terminate), body)
+            self.link.put_message(topic, frame_header(topic, len(body), self.terminate), body)
 
         self.offered[topic] = self.bus.attach(topic, type_name, put)
         self._undo_if_closed()
@@ -123,7 +123,7 @@ class Peer:
             attachment.close()
             self.link.outbox.forget(topic)
 
-    def take(self, topic: str, type_name: str, latch: bool) -> None:
+    def receive_topic(self, topic: str, type_name: str, latch: bool) -> None:
         """Publish on the bus the messages that the ROS-TCP peer sends to a topic.
 
         A repeated call keeps a latched message.
@@ -165,7 +165,7 @@ class Peer:
             try:
                 self.link.put(
                     command("__request", {"srv_id": number}, self.terminate),
-                    head(name, len(body), self.terminate),
+                    frame_header(name, len(body), self.terminate),
                     body,
                 )
                 if self._closed:
@@ -233,7 +233,7 @@ class Peer:
             self.received[topic] += 1
 
     def _expect(self, is_request: bool, params: Params) -> None:
-        self._pending = is_request, need(params, "srv_id", int)
+        self._pending = is_request, required_parameter(params, "srv_id", int)
 
     def _on_response(self, number: int, frame: Frame) -> None:
         with self._lock:
@@ -298,7 +298,7 @@ class Peer:
     def _respond(self, number: int, name: str, body: Any) -> None:
         self.link.put(
             command("__response", {"srv_id": number}, self.terminate),
-            head(name, len(body), self.terminate),
+            frame_header(name, len(body), self.terminate),
             body,
         )
 
@@ -346,7 +346,7 @@ class _Answer:
         return self._data
 
 
-def need(params: Params, name: str, kind: type) -> Any:
+def required_parameter(params: Params, name: str, kind: type) -> Any:
     """Return a required parameter of a command from the ROS-TCP peer. Other parameters are ignored.
 
     Raises:

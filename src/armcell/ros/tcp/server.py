@@ -19,15 +19,15 @@ from typing import Any
 
 from armcell.core import InputError
 from armcell.core.checks import require
-from armcell.core.endpoints import Endpoint, listen, reserve
+from armcell.core.network_endpoints import Endpoint, listen, reserve
 from armcell.ros.bus import Bus
 from armcell.ros.codec import CODECS, Codec
 from armcell.ros.definitions import plain_name
 from armcell.ros.names import resolve
-from armcell.ros.tcp.frames import MAX_BODY, Frame, command
-from armcell.ros.tcp.link import Link
-from armcell.ros.tcp.outbox import Caps
-from armcell.ros.tcp.peer import Params, Peer, need
+from armcell.ros.tcp.connection import RosTcpConnection
+from armcell.ros.tcp.framing import MAX_BODY, Frame, command
+from armcell.ros.tcp.outbox import OutboxLimits
+from armcell.ros.tcp.peer import Params, Peer, required_parameter
 
 logger = logging.getLogger(__name__)
 VERSION = "v0.7.0"  # version that Unity's connector 0.7 expects; 0.6 ignores the handshake
@@ -213,23 +213,23 @@ class _Session(Peer):
         self._server, self._protocol = server, protocol
         self._decided = settings.protocol != "auto"
         self._greeting, self._greeted = threading.Lock(), ""
-        self.link = Link(
+        self.link = RosTcpConnection(
             sock,
             self.on_frame,
             self._on_end,
             self.on_fault,
             settings.max_body,
-            Caps(messages=settings.queue),
+            OutboxLimits(messages=settings.queue),
         )
         self.commands |= {
             "__subscribe": self._subscribe,
             "__publish": self._publish,
             "__ros_service": self._ros_service,
             "__unity_service": self._unity_service,
-            "__remove_subscriber": lambda p: self.withdraw(need(p, "topic", str)),
-            "__remove_publisher": lambda p: self.drop(need(p, "topic", str)),
-            "__remove_ros_service": lambda p: self._forget_service(need(p, "topic", str)),
-            "__remove_unity_service": lambda p: self.stop_serving(need(p, "topic", str)),
+            "__remove_subscriber": lambda p: self.withdraw(required_parameter(p, "topic", str)),
+            "__remove_publisher": lambda p: self.drop(required_parameter(p, "topic", str)),
+            "__remove_ros_service": lambda p: self._forget_service(required_parameter(p, "topic", str)),
+            "__remove_unity_service": lambda p: self.stop_serving(required_parameter(p, "topic", str)),
             "__topic_list": self._topic_list,
             "__ping": lambda p: self.command("__ping_response", request_time=p.get("request_time", 0)),
         }
@@ -288,7 +288,7 @@ class _Session(Peer):
 
     def _publish(self, params: Params) -> None:
         topic, type_name = self._registration(params)
-        self.take(topic, type_name, bool(params.get("latch", False)))
+        self.receive_topic(topic, type_name, bool(params.get("latch", False)))
 
     def _ros_service(self, params: Params) -> None:
         name, type_name = self._registration(params)
@@ -308,7 +308,9 @@ class _Session(Peer):
             self.serve_remote(name, type_name)
 
     def _registration(self, params: Params) -> tuple[str, str]:
-        return need(params, "topic", str), plain_name(need(params, "message_name", str))
+        return required_parameter(params, "topic", str), plain_name(
+            required_parameter(params, "message_name", str)
+        )
 
     def _forget_service(self, name: str) -> None:
         self.service_types.pop(name, None)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from armcell.cell import Cell
 from armcell.core import InputError
-from armcell.ros.csharp import csharp, write
+from armcell.ros.csharp_generator import generate_csharp, write
 from armcell.ros.schema import Schema, schema
 from armcell.ros.unity.scene import scene_json
 from armcell.ros.unity.urdf import file_name, write_urdf
@@ -74,4 +74,4 @@ def export_unity(
 def copy_package(target: Path, types: Schema | None = None) -> None:
     """Copy the C# package for Unity and add generated C# classes of moveit_msgs and control_msgs."""
     shutil.copytree(package_source(), target, dirs_exist_ok=True)
-    write(csharp(types or schema()), target / MESSAGES)
+    write(generate_csharp(types or schema()), target / MESSAGES)

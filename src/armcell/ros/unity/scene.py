@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from armcell.cell import Cell
-from armcell.collision.convex import convex_pieces
+from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import SE3, Format, Mesh, Shape, shape_kind, shape_name
 from armcell.execution import ExecutionSettings
 from armcell.model import Gripper, RobotModel
 from armcell.records.mcap_writer import ros_name
-from armcell.ros.nodes.gripping import TOPIC as GRIPPER
-from armcell.ros.nodes.states import RATE
+from armcell.ros.nodes.gripper_node import TOPIC as GRIPPER
+from armcell.ros.nodes.state_publisher import RATE
 from armcell.ros.unity.meshes import small_hull, write_stl
 from armcell.ros.unity.urdf import file_name
 from armcell.scene import CollisionObject
 from armcell.sim import PhysicsSettings
-from armcell.sim.joint_gains import joint_drive
+from armcell.sim.joint_gains import effective_gains
 
 FORMAT = 1
 FIXED_TIMESTEP = 0.005  # [s] keeps grasp contacts in PhysX; with Unity's default of 0.02 they slip
@@ -99,7 +99,7 @@ def _drives(model: RobotModel, physics: PhysicsSettings) -> dict[str, dict[str, 
             stiffness, damping = FINGER_STIFFNESS, FINGER_DAMPING
             effort = gripper.max_force * abs(gripper.width_per_joint) / 2
         else:
-            drive = joint_drive(joint, physics)
+            drive = effective_gains(joint, physics)
             stiffness, damping = drive.kp, drive.kv
         drives[joint.name] = {"stiffness": stiffness, "damping": damping}
         if math.isfinite(effort):

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
-from armcell.collision.convex import convex_pieces
+from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import SE3, SO3, Format, Mesh, Shape, shape_kind, shape_name, simpler_parts
 from armcell.model import Inertial, Joint, Link, RobotModel
 from armcell.model.assets import DEFAULT_COLOR
@@ -49,7 +49,7 @@ def file_name(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
 
 
-def principal(inertial: Inertial | None) -> tuple[float, SE3, np.ndarray]:
+def principal_inertia(inertial: Inertial | None) -> tuple[float, SE3, np.ndarray]:
     """Return the mass [kg], the principal frame and the principal moments
     of inertia of a link for the URDF that Unity imports.
 
@@ -72,7 +72,7 @@ class _Writer:
 
     def link(self, robot: etree._Element, link: Link) -> None:
         element = etree.SubElement(robot, "link", name=link.name)
-        mass, T, (ixx, iyy, izz) = principal(link.inertial)
+        mass, T, (ixx, iyy, izz) = principal_inertia(link.inertial)
         inertial = etree.SubElement(element, "inertial")
         _origin(inertial, T)
         etree.SubElement(inertial, "mass", value=_text(mass))

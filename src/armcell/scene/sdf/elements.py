@@ -14,7 +14,7 @@ Element = etree._Element
 
 
 @dataclass(frozen=True)
-class Skipped:
+class SkippedElement:
     """An SDF element that armcell has not converted, or has converted only approximately."""
 
     file: Path
@@ -41,8 +41,8 @@ def fail(element: Element, reason: str, hint: str | None = None) -> InputError:
     )
 
 
-def skipped(element: Element, why: str) -> Skipped:
-    return Skipped(file_of(element), element.sourceline or 0, label(element), why)
+def skipped(element: Element, why: str) -> SkippedElement:
+    return SkippedElement(file_of(element), element.sourceline or 0, label(element), why)
 
 
 def children(element: Element, tag: str) -> list[Element]:

@@ -88,4 +88,4 @@ class Scope:
         T = pose_of(pose)
         if named in ("", base):
             return T
-        return self.pose(base, asked_by).inv() @ self.pose(named, asked_by) @ T
+        return self.pose(base, asked_by).inverse() @ self.pose(named, asked_by) @ T

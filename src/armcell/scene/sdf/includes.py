@@ -8,7 +8,7 @@ from pathlib import Path
 
 from armcell.core import InputError
 from armcell.model.assets import resolve_uri
-from armcell.model.files import parse_xml, read_text
+from armcell.model.untrusted_files import parse_xml, read_text
 from armcell.scene.sdf.elements import Element, children, fail
 
 VARIABLES = (
@@ -20,7 +20,7 @@ MAX_CONFIG_BYTES = 1_000_000
 ABOVE = 4  # number of folders above a file that are searched for sibling models
 
 
-class Library:
+class ResourceFinder:
     """Finder for the model and mesh files that SDF includes refer to by URI.
 
     The search covers the given folders, Gazebo's search path and the folders around the file.

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from armcell.core import SE3, InputError
-from armcell.model.files import parse_xml, read_text
+from armcell.model.untrusted_files import parse_xml, read_text
 from armcell.scene.sdf.elements import (
     Element,
-    Skipped,
+    SkippedElement,
     child,
     children,
     fail,
@@ -22,7 +22,7 @@ from armcell.scene.sdf.elements import (
     text_of,
 )
 from armcell.scene.sdf.frames import Scope
-from armcell.scene.sdf.includes import Library
+from armcell.scene.sdf.includes import ResourceFinder
 
 MAX_MODELS = 5000
 MAX_NESTING = 24  # depth of nested models, by <model> or <include>
@@ -55,13 +55,13 @@ class Model:
     static: bool = False
 
 
-class Tree:
+class ModelReader:
     """Reader for nested SDF models. It follows includes and records the elements that it skips."""
 
-    def __init__(self, library: Library, skip: Collection[str] = ()):
+    def __init__(self, library: ResourceFinder, skip: Collection[str] = ()):
         self.library, self.skip = library, set(skip)
         self.used: set[str] = set()  # names in `skip` that matched a model
-        self.notes: list[Skipped] = []
+        self.notes: list[SkippedElement] = []
         self._count = 0
         self._roots: dict[Path, Element] = {}
 
@@ -81,7 +81,7 @@ class Tree:
             self._roots[file] = element
         return self._roots[file]
 
-    def others(self, element: Element, known: Collection[str]) -> None:
+    def record_unconverted(self, element: Element, known: Collection[str]) -> None:
         """Record the child elements of an SDF model that armcell does not convert."""
         for entry in element:
             if isinstance(entry.tag, str) and entry.tag not in known:
@@ -126,7 +126,7 @@ class Tree:
             return None
         if len(models) != 1:
             raise fail(include, f"{file_of(root)} has {len(models)} models, one is needed")
-        self.others(include, INCLUDE)
+        self.record_unconverted(include, INCLUDE)
         name = text_of(include, "name", name_of(models[0]))
         model = self._placed(models[0], include, name, scope, depth)
         if child(include, "static") is not None:
@@ -162,7 +162,7 @@ class Tree:
         pose = child(placed_by, "pose")
         pose = child(element, "pose") if pose is None else pose
         frame = text_of(placed_by, "placement_frame", "") or element.get("placement_frame", "")
-        T = model.scope.pose(frame, element).inv() if frame else None
+        T = model.scope.pose(frame, element).inverse() if frame else None
         scope.add(placed_by, name, pose=pose, T_pose_frame=T)
         scope.inner[name] = model.scope
         return model
@@ -181,13 +181,13 @@ class Tree:
                 raise fail(link, "a second link of this name")
             model.links[name_of(link)] = link
             model.scope.add(link, name_of(link), pose=child(link, "pose"))
-            self.others(link, LINK)
+            self.record_unconverted(link, LINK)
         model.inner = list(self.models_in(element, model.scope, depth))
         for joint in children(element, "joint"):
             model.joints.append(joint)
             model.scope.add(joint, name_of(joint), text_of(joint, "child"), child(joint, "pose"))
         add_frames(element, model.scope)
-        self.others(element, MODEL)
+        self.record_unconverted(element, MODEL)
         return model
 
 

@@ -15,7 +15,7 @@ from armcell.model.assets import load_mesh
 from armcell.scene.objects import Color, Material, shape_volume
 from armcell.scene.sdf.elements import (
     Element,
-    Skipped,
+    SkippedElement,
     child,
     children,
     fail,
@@ -27,7 +27,7 @@ from armcell.scene.sdf.elements import (
     text_of,
     vector,
 )
-from armcell.scene.sdf.includes import Library
+from armcell.scene.sdf.includes import ResourceFinder
 
 DEFAULT_MASS = 1.0  # [kg] of a link without <inertial>; SDF's default
 WATER = 1000.0  # [kg/m^3]; SDF's default density for inertials that are computed
@@ -43,7 +43,7 @@ GAZEBO_COLORS: dict[str, Color] = {
 
 
 @dataclass(frozen=True)
-class Solid:
+class SdfCollision:
     """One collision element of an SDF link as a solid, with shape, pose, density and friction."""
 
     shape: Shape
@@ -52,12 +52,12 @@ class Solid:
     friction: tuple[float, float] | None  # static, dynamic
 
 
-def geometry_of(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
+def geometry_of(element: Element, library: ResourceFinder) -> tuple[Shape, SE3] | SkippedElement:
     """Convert the shape of an SDF <collision> or <visual> element.
     Return the shape and its pose in the element's frame.
 
     Returns:
-        (shape, T_element_shape), or a `Skipped` note if the shape is not converted.
+        (shape, T_element_shape), or a `SkippedElement` note if the shape is not converted.
     Raises:
         InputError: the geometry is missing, a size is not positive, or a mesh is not found or not readable.
     """
@@ -77,7 +77,7 @@ def geometry_of(element: Element, library: Library) -> tuple[Shape, SE3] | Skipp
         raise fail(shape, str(error), None) from None
 
 
-def _plane(element: Element, library: Library) -> tuple[Shape, SE3]:
+def _plane(element: Element, library: ResourceFinder) -> tuple[Shape, SE3]:
     normal = np.asarray(vector(element, "normal", 3, "0 0 1"))
     length = float(np.linalg.norm(normal))
     if length < 1e-9:
@@ -85,7 +85,7 @@ def _plane(element: Element, library: Library) -> tuple[Shape, SE3]:
     return Plane(), SE3(SO3.between((0.0, 0.0, 1.0), normal / length), np.zeros(3))
 
 
-def _ellipsoid(element: Element, library: Library) -> tuple[Shape, SE3]:
+def _ellipsoid(element: Element, library: ResourceFinder) -> tuple[Shape, SE3]:
     import trimesh
 
     radii = np.asarray(vector(element, "radii", 3))
@@ -95,7 +95,7 @@ def _ellipsoid(element: Element, library: Library) -> tuple[Shape, SE3]:
     return Mesh(np.asarray(ball.vertices) * radii, np.asarray(ball.faces, np.int32)), SE3.identity()
 
 
-def _mesh(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
+def _mesh(element: Element, library: ResourceFinder) -> tuple[Shape, SE3] | SkippedElement:
     if child(element, "submesh") is not None:
         return skipped(element, "a submesh is not converted: export it as a file of its own")
     sx, sy, sz = vector(element, "scale", 3, "1 1 1")
@@ -107,8 +107,8 @@ def _mesh(element: Element, library: Library) -> tuple[Shape, SE3] | Skipped:
     return load_mesh(file, (sx, sy, sz)), SE3.identity()
 
 
-def _sized(kind: ShapeKind) -> Callable[[Element, Library], tuple[Shape, SE3]]:
-    def read(element: Element, library: Library) -> tuple[Shape, SE3]:
+def _sized(kind: ShapeKind) -> Callable[[Element, ResourceFinder], tuple[Shape, SE3]]:
+    def read(element: Element, library: ResourceFinder) -> tuple[Shape, SE3]:
         shape = kind.from_named(
             lambda key: number(element, key), lambda key, count: vector(element, key, count)
         )
@@ -117,7 +117,7 @@ def _sized(kind: ShapeKind) -> Callable[[Element, Library], tuple[Shape, SE3]]:
     return read
 
 
-_READERS: dict[str, Callable[[Element, Library], tuple[Shape, SE3] | Skipped]] = {
+_READERS: dict[str, Callable[[Element, ResourceFinder], tuple[Shape, SE3] | SkippedElement]] = {
     **{name: _sized(kind) for name, kind in named_shapes(Format.SDF).items()},
     "ellipsoid": _ellipsoid,
     "plane": _plane,
@@ -125,7 +125,7 @@ _READERS: dict[str, Callable[[Element, Library], tuple[Shape, SE3] | Skipped]] =
 }
 
 
-def friction_of(collision: Element) -> tuple[tuple[float, float] | None, Skipped | None]:
+def friction_of(collision: Element) -> tuple[tuple[float, float] | None, SkippedElement | None]:
     """Return the friction (static, dynamic) of an SDF <collision> element, and a note on approximations.
 
     SDF has one coefficient per direction (ODE's mu and mu2, or Bullet's); armcell uses the smaller one.
@@ -161,7 +161,7 @@ def _coefficient(element: Element) -> float:
     return value
 
 
-def material_of(solids: list[Solid]) -> tuple[Material, bool]:
+def material_of(solids: list[SdfCollision]) -> tuple[Material, bool]:
     """Return a single material for all SDF <collision> elements of an object,
     and whether their materials differ.
 
@@ -174,7 +174,7 @@ def material_of(solids: list[Solid]) -> tuple[Material, bool]:
     return Material(static, dynamic_friction=None if dynamic == static else dynamic), len(given) > 1
 
 
-def mass_of(link: Element, solids: list[Solid]) -> float:
+def mass_of(link: Element, solids: list[SdfCollision]) -> float:
     """Return the mass [kg] of an SDF link from its <inertial> element. Without this element the mass is 1 kg.
 
     Raises:
@@ -220,17 +220,17 @@ def _material_color(visual: Element) -> Color | None:
 
 
 def solid_of(
-    collision: Element, T_link_collision: SE3, library: Library
-) -> tuple[Solid | None, list[Skipped]]:
+    collision: Element, T_link_collision: SE3, library: ResourceFinder
+) -> tuple[SdfCollision | None, list[SkippedElement]]:
     """Convert an SDF <collision> element to a solid. The solid is None if its shape is not supported.
 
     Returns:
         The solid or None, and the notes about skipped or approximated content.
     """
     geometry = geometry_of(collision, library)
-    if isinstance(geometry, Skipped):
+    if isinstance(geometry, SkippedElement):
         return None, [geometry]
     shape, T = geometry
     friction, note = friction_of(collision)
-    solid = Solid(shape, T_link_collision @ T, number(collision, "density", WATER), friction)
+    solid = SdfCollision(shape, T_link_collision @ T, number(collision, "density", WATER), friction)
     return solid, [note] if note is not None else []

@@ -12,7 +12,7 @@ from armcell.scene.mesh_object import check_mesh
 from armcell.scene.objects import CollisionObject
 from armcell.scene.sdf.elements import (
     Element,
-    Skipped,
+    SkippedElement,
     child,
     children,
     fail,
@@ -22,9 +22,9 @@ from armcell.scene.sdf.elements import (
     text_of,
 )
 from armcell.scene.sdf.frames import Scope
-from armcell.scene.sdf.includes import Library
-from armcell.scene.sdf.models import Model, Tree, add_frames, saved_poses
-from armcell.scene.sdf.solids import Solid, color_of, mass_of, material_of, solid_of
+from armcell.scene.sdf.includes import ResourceFinder
+from armcell.scene.sdf.models import Model, ModelReader, add_frames, saved_poses
+from armcell.scene.sdf.solids import SdfCollision, color_of, mass_of, material_of, solid_of
 
 WORLD = {"model", "include", "frame", "gravity", "state"}
 GRAVITY, CLOSE = 9.8, 0.05  # [m/s^2]
@@ -36,7 +36,7 @@ class SdfWorld:
 
     name: str
     objects: tuple[CollisionObject, ...]
-    skipped: tuple[Skipped, ...]  # content without a counterpart, or converted to an approximation
+    skipped: tuple[SkippedElement, ...]  # content without a counterpart, or converted to an approximation
 
 
 def load_sdf(file: str | Path, folders: Sequence[Path] = (), skip: Collection[str] = ()) -> SdfWorld:
@@ -56,7 +56,7 @@ def load_sdf(file: str | Path, folders: Sequence[Path] = (), skip: Collection[st
             are more than `MAX_MODELS` models, or no model has a name in `skip`; the message names file, line
             and element.
     """
-    tree = Tree(Library(folders), skip)
+    tree = ModelReader(ResourceFinder(folders), skip)
     root = tree.root(Path(file))
     worlds = children(root, "world")
     for other in worlds[1:]:
@@ -67,7 +67,7 @@ def load_sdf(file: str | Path, folders: Sequence[Path] = (), skip: Collection[st
     add_frames(parent, scope)
     if not worlds and not models:
         raise fail(root, "has neither a <world> nor a <model>")
-    tree.others(parent, WORLD)
+    tree.record_unconverted(parent, WORLD)
     _note_gravity(parent, tree)
     saved = saved_poses(parent)
     objects: list[CollisionObject] = []
@@ -84,7 +84,7 @@ def load_sdf(file: str | Path, folders: Sequence[Path] = (), skip: Collection[st
     return SdfWorld(parent.get("name") or Path(file).stem, tuple(objects), tuple(notes))
 
 
-def _note_gravity(world: Element, tree: Tree) -> None:
+def _note_gravity(world: Element, tree: ModelReader) -> None:
     gravity = child(world, "gravity")
     if gravity is None:
         return
@@ -101,13 +101,13 @@ class _Body:
     element: Element
     T_world_link: SE3
     static: bool
-    solids: list[Solid] = field(default_factory=list)
+    solids: list[SdfCollision] = field(default_factory=list)
 
 
 class _Flat:
     """A top-level model of an SDF world, flattened with its nested models and converted to scene objects."""
 
-    def __init__(self, tree: Tree, model: Model, T_world_model: SE3, saved: dict[str, SE3]):
+    def __init__(self, tree: ModelReader, model: Model, T_world_model: SE3, saved: dict[str, SE3]):
         self.tree, self.model, self.T_world_model = tree, model, T_world_model
         self.bodies: dict[str, _Body] = {}
         self.joints: list[tuple[Element, str, str]] = []  # (element, parent, child); a path or "world"
@@ -220,7 +220,7 @@ class _Flat:
         shapes: list[tuple[Shape, SE3]] = []
         for body in bodies:
             alone = len(bodies) == 1
-            T_object_link = SE3.identity() if alone else T_world_object.inv() @ body.T_world_link
+            T_object_link = SE3.identity() if alone else T_world_object.inverse() @ body.T_world_link
             for solid in body.solids:
                 if self._fits(body, solid, fixed):
                     shapes.append((solid.shape, T_object_link @ solid.T_link_shape))
@@ -239,7 +239,7 @@ class _Flat:
         except InputError as error:
             raise fail(first.element, error.reason, error.hint) from None
 
-    def _fits(self, body: _Body, solid: Solid, fixed: bool) -> bool:
+    def _fits(self, body: _Body, solid: SdfCollision, fixed: bool) -> bool:
         """Return whether the mesh of an object in an SDF world has a plausible size; if not, record
         a note.
         """

@@ -1,10 +1,10 @@
 """Tasks for arms that work side by side at their own pace, and for two arms on one object."""
 
-from armcell.tasks.arms.carry import Carrying, shifted
+from armcell.tasks.arms.carry import TwoArmCarry, moved_object_pose
 from armcell.tasks.arms.coupled import move_together
 from armcell.tasks.arms.hand_over import hand_over
 from armcell.tasks.arms.hand_pair import CarrySettings
-from armcell.tasks.arms.order import orders
+from armcell.tasks.arms.object_order import orders
 from armcell.tasks.arms.screw import ScrewSettings, screw
 from armcell.tasks.arms.side_by_side import ArmContext, SideBySide, side_by_side
 from armcell.tasks.arms.tour_cost import CycleTimes
@@ -12,14 +12,14 @@ from armcell.tasks.arms.tour_cost import CycleTimes
 __all__ = [
     "ArmContext",
     "CarrySettings",
-    "Carrying",
     "CycleTimes",
     "ScrewSettings",
     "SideBySide",
+    "TwoArmCarry",
     "hand_over",
     "move_together",
+    "moved_object_pose",
     "orders",
     "screw",
-    "shifted",
     "side_by_side",
 ]

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.collision.arms import without_arms
+from armcell.collision.inter_arm_checker import without_arms
 from armcell.core import SE3, SO3, CartesianRequest, ErrorCode, InputError, JointState, Outcome
 from armcell.execution import Admittance
 from armcell.planning import plan_cartesian
 from armcell.tasks.arms.hand_pair import CarrySettings, HandPair, PairHold
 from armcell.tasks.arms.two_arm_pick import PickWithTwoArms
 from armcell.tasks.context import StageReport, TaskContext
-from armcell.timing import merged, synchronized
+from armcell.timing import merge_trajectories, synchronize_trajectories
 
 Array = NDArray[np.float64]
 SLIP_EVERY = 10  # cycles between two measurements of the slip
@@ -38,7 +38,7 @@ class CarryRecord:
         }  # fmt: skip
 
 
-class Carrying:
+class TwoArmCarry:
     """Task in which two arms carry an object: they grasp both of its ends,
     move it, put it down and release it.
 
@@ -104,7 +104,7 @@ class Carrying:
         and rotate it about the vertical.
         """
         here = self._object_pose(self._known())
-        return self.move(shifted(here, x, y, z, turn_deg), name=name)
+        return self.move(moved_object_pose(here, x, y, z, turn_deg), name=name)
 
     def release(self) -> Outcome:
         """Open both grippers after two arms have carried an object, and retreat straight from the object."""
@@ -134,7 +134,7 @@ class Carrying:
                     Outcome(result.code, f"retreat of {group}: {result.message}", result.evidence)
                 )
             retreats.append(result.trajectory)
-        outcome = self.hands.play("retreat both", merged(*synchronized(retreats)))
+        outcome = self.hands.play("retreat both", merge_trajectories(*synchronize_trajectories(retreats)))
         for gripper in self.hands.grippers.values():
             self.ctx.expect_contact(self.item, gripper.contact_links, expected=False)
         return self._with_record(outcome)
@@ -144,7 +144,7 @@ class Carrying:
         positions and the first hand's grasp.
         """
         first = self.hands.first
-        return self.hands.tcp_poses_at(held.q)[first] @ held.carried.grasps[first].inv()
+        return self.hands.tcp_poses_at(held.q)[first] @ held.carried.grasps[first].inverse()
 
     def _known(self) -> PairHold:
         if self._held is None:
@@ -181,7 +181,7 @@ class Carrying:
     def _slip(self) -> float:
         held = self._known()
         here = (
-            self.hands.measured_tcp_poses()[self.hands.first].inv()
+            self.hands.measured_tcp_poses()[self.hands.first].inverse()
             @ self.ctx.driver.object_poses()[self.item]
         )
         return held.T_first_object.distance_to(here)[0]
@@ -194,7 +194,7 @@ class Carrying:
         """
         held, s, r = self._known(), self.settings, self.record
         hands = self.hands.measured_tcp_poses()
-        off, turn = held.T_hands.distance_to(hands[self.hands.first].inv() @ hands[self.hands.second])
+        off, turn = held.T_hands.distance_to(hands[self.hands.first].inverse() @ hands[self.hands.second])
         force = float(np.linalg.norm(self._admittance.force))
         r.off_m, r.turn_rad = max(r.off_m, off), max(r.turn_rad, turn)
         r.squeeze_n, r.ticks = max(r.squeeze_n, force), r.ticks + 1
@@ -211,7 +211,7 @@ class Carrying:
         return replace(outcome, evidence={**outcome.evidence, **self.record.as_dict()})
 
 
-def shifted(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
+def moved_object_pose(T: SE3, x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> SE3:
     """Return the pose of an object that two arms carry,
     moved along the world axes and rotated about the vertical.
     """

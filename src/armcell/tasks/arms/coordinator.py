@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armcell.collision.arms import Arms
+from armcell.collision.inter_arm_checker import InterArmChecker
 from armcell.core import (
     ErrorCode,
     InputError,
@@ -69,7 +69,7 @@ class MotionCoordinator:
         return {other: self.running[other] for other in self.others(group)}
 
     # --- motions ---
-    def clear(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
+    def request_start(self, ctx: ArmContext, motion: Motion) -> JointTrajectory | Outcome:
         """Wait until the coordinator allows an arm to start its motion, or a detour to the same goal.
         Return the allowed motion.
         """
@@ -133,12 +133,12 @@ class MotionCoordinator:
         pause and move during this check, so each pair of them is certified for any timing.
         """
         if not ctx.driver.is_simulated:
-            pairs = [(Arms(scene, (ctx.group, name)), other) for name, other in others.items()]
+            pairs = [(InterArmChecker(scene, (ctx.group, name)), other) for name, other in others.items()]
             return all(
                 arms.certify_any_time(wanted, other.trajectory, self._clearance_now(arms, scene))
                 for arms, other in pairs
             )
-        arms = Arms(scene, (ctx.group, *others), ctx.group)
+        arms = InterArmChecker(scene, (ctx.group, *others), ctx.group)
         return arms.certify(
             wanted, *(other.trajectory for other in others.values()),
             starts=(now, *(other.start for other in others.values())),
@@ -155,7 +155,7 @@ class MotionCoordinator:
             return tuple(others)
         return tuple(n for n in others if not self._free(ctx, scene, wanted, {n: others[n]}, now))
 
-    def _clearance_now(self, arms: Arms, scene: PlanningScene) -> float:
+    def _clearance_now(self, arms: InterArmChecker, scene: PlanningScene) -> float:
         """Return the clearance that the coordinator requires between the arms. If the arms are already
         closer, return slightly less than their present distance.
         """
@@ -193,7 +193,7 @@ class MotionCoordinator:
 
     def rest(self, ctx: ArmContext) -> None:
         """Record in the motion coordinator that an arm has come to rest."""
-        self.running[ctx.group] = RunningMotion.standing(ctx.whole_scene(), ctx.group, ctx.driver.now)
+        self.running[ctx.group] = RunningMotion.at_rest(ctx.whole_scene(), ctx.group, ctx.driver.now)
 
     # --- waiting for each other ---
     def _rests(self, ctx: ArmContext, group: str) -> bool:
@@ -244,7 +244,7 @@ class MotionCoordinator:
 
     def _timed_out(self, ctx: ArmContext, motion: Motion, blockers: tuple[str, ...]) -> Outcome:
         scene, others = ctx.whole_scene(), self._running_besides(ctx.group)
-        proof = Arms(scene, (ctx.group, *others), ctx.group).certify(
+        proof = InterArmChecker(scene, (ctx.group, *others), ctx.group).certify(
             motion.trajectory, *(other.trajectory for other in others.values()),
             starts=(ctx.driver.now, *(other.start for other in others.values())),
             clearance=self.clearance, begin=ctx.driver.now,

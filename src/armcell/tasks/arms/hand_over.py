@@ -12,12 +12,12 @@ from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
 from armcell.tasks.context import TaskContext
-from armcell.tasks.interfaces import holding
+from armcell.tasks.interfaces import holding_condition
 from armcell.tasks.pick import check_hand_is_free, grasp_stages
-from armcell.tasks.search import PartialSolution, Planning, Stage, stage_types
-from armcell.tasks.stages import ChooseGrasp, Close, Connect, Straight
+from armcell.tasks.search import PartialSolution, SearchState, Stage, stage_types
+from armcell.tasks.stages import ChooseGrasp, Close, Connect, MoveStraight
 from armcell.tasks.stages.grasp import finger_state, reachable
-from armcell.tasks.steps import Expect, Grip, StillHeld, perform_all
+from armcell.tasks.steps import CheckStillHeld, CommandGripper, ExpectContact, perform_all
 from armcell.tasks.task import plan_stages
 
 TURNS = (0.0, np.pi / 2, -np.pi / 2, np.pi)  # [rad] rotations about the vertical tried at a meeting point
@@ -51,13 +51,13 @@ def hand_over(ctx: TaskContext, item: str, receiver: Gripper, at: Sequence[SE3] 
             Close(item, receiver, (), s.grasp_settle),
         ),
         OpenGiver(item, giver, s.release_margin, s.release_settle),
-        Straight("retreat", giver.arm_group, giver.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
+        MoveStraight("retreat", giver.arm_group, giver.tcp_link, s.near, (0.0, 0.0, -s.retreat_distance),
                  in_tip_frame=True, allow=((item, giver.hand_links),)),
     ]  # fmt: skip
     solution, outcome = plan_stages(ctx, stages, f"hand over {item}")
     if solution is None:
         return outcome
-    done = perform_all(ctx, (*solution.steps, Expect(item, giver.contact_links, expected=False)))
+    done = perform_all(ctx, (*solution.steps, ExpectContact(item, giver.contact_links, expected=False)))
     return replace(done, evidence={**done.evidence, "grasp": solution.data["grasp"]})
 
 
@@ -94,17 +94,17 @@ class ChooseMeetingPose:
 
     @property
     def requires(self) -> tuple[str, ...]:
-        return (holding(self.object),)
+        return (holding_condition(self.object),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         scene, tcp = solution.scene, self.giver.tcp_link
-        T_object_tcp = scene.frame_pose(self.object).inv() @ scene.frame_pose(tcp)
+        T_object_tcp = scene.frame_pose(self.object).inverse() @ scene.frame_pose(tcp)
         for i, pose in enumerate(self.poses):
             candidate = f"meeting {i + 1}"
             target = pose @ T_object_tcp
             for arm in reachable(scene, self.giver, target, planning, self.name, candidate):
                 yield solution.then(
-                    StillHeld(self.object, self.giver), candidate=candidate, meeting=arm.positions
+                    CheckStillHeld(self.object, self.giver), candidate=candidate, meeting=arm.positions
                 )
 
 
@@ -119,9 +119,9 @@ class OfferObject:
 
     @property
     def consumes(self) -> tuple[str, ...]:
-        return (holding(self.object),)
+        return (holding_condition(self.object),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         scene = solution.scene.with_detached(self.object)
         yield solution.then(scene=scene.with_allowed(self.object, self.giver.hand_links))
 
@@ -139,10 +139,10 @@ class OpenGiver:
     settle: float
     name: str = "yield"
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         width = self.giver.width_in(solution.scene.state) + self.margin
         width = min(width, self.giver.max_width)
         yield solution.then(
-            Grip("let go", self.giver, width, self.giver.max_force, self.settle),
+            CommandGripper("let go", self.giver, width, self.giver.max_force, self.settle),
             scene=solution.scene.with_state(finger_state(self.giver, width)),
         )

@@ -14,7 +14,7 @@ from armcell.execution import Admittance, AdmittanceSettings, execute_coupled
 from armcell.kinematics import kinematic_tree
 from armcell.tasks.context import StageReport, TaskContext
 from armcell.tasks.steps import staged
-from armcell.timing import delayed
+from armcell.timing import delay_trajectory
 from armcell.timing.chords import chords
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ def _turn(names: tuple[str, ...], q: Array, turns: float, s: ScrewSettings) -> J
     positions[:, -1] += angle * share
     velocities[:, -1], accelerations[:, -1] = angle * rate, angle * bend
     turn = JointTrajectory(names, x * duration, positions, velocities, accelerations)
-    return delayed(turn, s.press_time)
+    return delay_trajectory(turn, s.press_time)
 
 
 class _Turning:
@@ -129,7 +129,7 @@ class _Turning:
         thread if that body is known, else in the world.
         """
         poses = self.ctx.driver.object_poses()
-        return poses[self.item] if self.into not in poses else poses[self.into].inv() @ poses[self.item]
+        return poses[self.item] if self.into not in poses else poses[self.into].inverse() @ poses[self.item]
 
     def correct(self, t: float, q: Array, v: Array) -> tuple[Array, Array]:
         full = self.ctx.driver.joint_state().positions.copy()
@@ -147,7 +147,7 @@ class _Turning:
 
     def watch(self) -> Outcome | None:
         now = self._pose()
-        turn = (self._last.rotation.inv() @ now.rotation).log()
+        turn = (self._last.rotation.inverse() @ now.rotation).log()
         self.angle += -float(turn[2])
         self._last = now
         size = float(np.linalg.norm(self.ctx.driver.wrench(self.gripper)[:3]))
@@ -156,7 +156,7 @@ class _Turning:
         return None
 
     def evidence(self) -> dict[str, float]:
-        went = self.began.inv().apply(self._last.translation)
+        went = self.began.inverse().apply(self._last.translation)
         return {
             "turned": self.angle / (2 * np.pi), "went_in_mm": -1000 * float(went[2]),
             "force_mean_N": float(np.mean(self.forces)) if self.forces else 0.0,

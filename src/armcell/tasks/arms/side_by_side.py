@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
-from armcell.collision.arms import check_arms, without_arms
+from armcell.collision.inter_arm_checker import check_arms, without_arms
 from armcell.core import ErrorCode, JointTrajectory, Outcome
 from armcell.drivers import Driver
 from armcell.execution import ArmDriver, run_cooperatively
 from armcell.planning import RunningMotion
 from armcell.scene import PlanningScene
 from armcell.tasks.arms.coordinator import MotionCoordinator
-from armcell.tasks.context import Holding, TaskContext
+from armcell.tasks.context import HeldObject, TaskContext
 from armcell.tasks.steps import Motion
 
 
@@ -32,7 +32,7 @@ class ArmContext(TaskContext):
         arm = {g.name for g in parent.base.model.grippers.values() if g.arm_group == group}
         self.holding = {n: h for n, h in parent.holding.items() if h.gripper.name in arm}
 
-    def hands(self) -> Iterable[Holding]:
+    def hands(self) -> Iterable[HeldObject]:
         return self.parent.hands()
 
     def scene(self) -> PlanningScene:
@@ -44,8 +44,8 @@ class ArmContext(TaskContext):
     def observe(self) -> None:
         self.parent.observe()
 
-    def clear(self, motion: Motion) -> JointTrajectory | Outcome:
-        return self.coordinator.clear(self, motion)
+    def request_start(self, motion: Motion) -> JointTrajectory | Outcome:
+        return self.coordinator.request_start(self, motion)
 
     def reserve(self, zone: str) -> AbstractContextManager[None]:
         return self.coordinator.reserved(self, zone)
@@ -101,7 +101,7 @@ def side_by_side(
     outcomes: dict[str, Outcome] = {}
     began, scene = ctx.driver.now, ctx.scene()
     for group in groups:
-        coordinator.running[group] = RunningMotion.standing(scene, group, began)
+        coordinator.running[group] = RunningMotion.at_rest(scene, group, began)
 
     def program(group: str) -> Callable[[ArmDriver], None]:
         def run(driver: ArmDriver) -> None:

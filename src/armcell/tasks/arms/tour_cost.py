@@ -111,7 +111,7 @@ class TourEstimator:
         if not near or near[0].q is None:
             return None
         above = (self._placed[item] @ near[0].grasp.T_object_tcp).shifted(0.0, 0.0, s.lower_distance)
-        there = self._reaching.to(above, near[0].q)
+        there = self._reaching.ik_near(above, near[0].q)
         return None if there is None else (near[0].seconds, near[0].q, there)
 
     def _on_zone(self, item: str) -> SE3:

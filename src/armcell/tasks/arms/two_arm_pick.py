@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from armcell.collision import neighbors
-from armcell.collision.arms import Arms, without_arms
+from armcell.collision.inter_arm_checker import InterArmChecker, without_arms
 from armcell.core import (
     SE3,
     SO3,
@@ -31,11 +31,11 @@ from armcell.tasks.arms.coupled import move_together
 from armcell.tasks.arms.hand_pair import HandPair, PairHold
 from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import Pick
-from armcell.tasks.search import PartialSolution, Planning, Stage, search, stage_types
+from armcell.tasks.search import PartialSolution, SearchState, Stage, search, stage_types
 from armcell.tasks.stages import AppendPlannedMotion
 from armcell.tasks.stages.grasp import finger_state
-from armcell.tasks.steps import DONE, Expect, perform_all
-from armcell.timing import merged, reversed_in_time, synchronized
+from armcell.tasks.steps import DONE, ExpectContact, perform_all
+from armcell.timing import merge_trajectories, reverse_trajectory, synchronize_trajectories
 
 GRASPS = 6  # grasps for which detours are searched if no straight path exists
 OPEN_SETTLE = 0.3  # [s] pause after opening both hands
@@ -43,7 +43,7 @@ OPEN_SETTLE = 0.3  # [s] pause after opening both hands
 
 class PickWithTwoArms(Pick):
     """Pick recipe in which two arms grasp one object at the same time, each at one end. The recipe does not
-    lift the object; `Carrying.move` does.
+    lift the object; `TwoArmCarry.move` does.
 
     Args:
         route: later poses of the object; grasps that cannot reach them are rejected.
@@ -57,7 +57,7 @@ class PickWithTwoArms(Pick):
         hands, ctx = self._hands, self._hands.ctx
         budget = ctx.settings.planning_budget + hands.settings.planning_time
         settings = replace(ctx.settings, planning_budget=budget, planning_threads=1)
-        planning = Planning(settings, ctx.seed, ctx.cancel)
+        planning = SearchState(settings, ctx.seed, ctx.cancel)
         stages: list[Stage] = [
             ChooseGraspPair(hands, self._route),
             ConnectPair(hands),
@@ -99,7 +99,7 @@ class ChooseGraspPair:
     name: str = "grasp"
     provides = ("grasp_pair", "supports", "approach", "after_approach")
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         scene, others = solution.scene, []
         for pair in self._pairs(scene, planning):
             ahead = self._along_route(scene, pair, 0.0) if self.route else None
@@ -122,7 +122,7 @@ class ChooseGraspPair:
 
     def _proposal(self, solution: PartialSolution, pair: GraspPair) -> PartialSolution:
         hands = self.hands
-        approach = _Approach(hands, merged(*pair.approaches))
+        approach = _Approach(hands, merge_trajectories(*pair.approaches))
         widths = {g: _opening(hands, g) for g in hands.groups}
         return solution.then(
             _MoveFingers(hands, "open both", widths, OPEN_SETTLE), grasp_pair=pair,
@@ -140,7 +140,7 @@ class ChooseGraspPair:
         start = scene.object(hands.item).T_world_object
         return hands.plan(trial, carried, start, self.route, seconds)
 
-    def _pairs(self, scene: PlanningScene, planning: Planning) -> Iterator[GraspPair]:
+    def _pairs(self, scene: PlanningScene, planning: SearchState) -> Iterator[GraspPair]:
         """Yield simultaneous approaches of both arms for a two-arm pick,
         those nearest to the present state first.
         """
@@ -159,9 +159,9 @@ class ChooseGraspPair:
                 for a, _ in pair
             )
 
-        arms = Arms(scene, hands.groups)
+        arms = InterArmChecker(scene, hands.groups)
         for pair in sorted(product(*options.values()), key=far):
-            motions = synchronized([trajectory for trajectory, _ in pair])
+            motions = synchronize_trajectories([trajectory for trajectory, _ in pair])
             if not arms.certify(motions[0], motions[1], clearance=0.01, evidence=False).free:
                 planning.reject(self.name, "", "the hands come too near each other")
                 continue
@@ -193,7 +193,7 @@ class ChooseGraspPair:
                                          acceleration_scaling=near.acceleration),
                 )  # fmt: skip
                 if result.ok and result.trajectory is not None:
-                    yield reversed_in_time(result.trajectory), T
+                    yield reverse_trajectory(result.trajectory), T
 
 
 @stage_types.register("connect_pair")
@@ -207,13 +207,13 @@ class ConnectPair:
     name: str = "both to the ends"
     requires = ("grasp_pair",)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         hands, pair = self.hands, solution.data["grasp_pair"]
         goals = {
             g: JointGoal(JointState(a.joint_names, a.positions[0]))
             for g, a in zip(hands.groups, pair.approaches, strict=True)
         }
-        expected = (Expect(hands.item, hands.grippers[g].contact_links) for g in hands.groups)
+        expected = (ExpectContact(hands.item, hands.grippers[g].contact_links) for g in hands.groups)
         yield solution.then(_MoveTogether(hands, goals, self.name), *expected)
 
 
@@ -226,7 +226,7 @@ class ClosePair:
     name: str = "close"
     requires = ("grasp_pair", "supports")
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         hands = self.hands
         item = solution.scene.object(hands.item)
         closed = dict.fromkeys(hands.groups, 0.0)
@@ -300,11 +300,11 @@ class _HoldWithBoth:
         q = q[[order.index(n) for n in hands.names]]
         T_object = driver.object_poses()[hands.item]
         commanded, measured = hands.tcp_poses_at(q), hands.measured_tcp_poses()
-        grasps = {g: T_object.inv() @ commanded[g] for g in hands.groups}
+        grasps = {g: T_object.inverse() @ commanded[g] for g in hands.groups}
         first, second = hands.first, hands.second
         hands.hold = PairHold(
-            CarriedObject(hands.item, grasps, hands.tips), measured[first].inv() @ measured[second],
-            measured[first].inv() @ T_object, self.supports, q,
+            CarriedObject(hands.item, grasps, hands.tips), measured[first].inverse() @ measured[second],
+            measured[first].inverse() @ T_object, self.supports, q,
         )  # fmt: skip
         ctx.emit("grasp", f"both hands hold {hands.item}")
         return DONE

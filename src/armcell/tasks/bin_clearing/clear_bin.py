@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 
 from armcell.core import ErrorCode, InputError, NamedGoal, Outcome
-from armcell.grasping import AboveSettings, HeapGrasp, grasps_from_above, hand_of
+from armcell.grasping import HeapGrasp, TopDownGraspSettings, hand_of, top_down_grasps
 from armcell.model import Gripper, SuctionGripper
 from armcell.planning import warm_up
-from armcell.tasks.bin_clearing.settings import ClearSettings
+from armcell.tasks.bin_clearing.settings import BinClearingSettings
 from armcell.tasks.bin_clearing.stages import (
     HEAP,
     HELD,
+    CheckObjectInFingers,
     ChooseFromHeap,
     ChooseReleasePoint,
     CloseOnHeap,
-    OpenAbove,
-    StillThere,
+    ReleaseAboveTray,
     detach_held,
     holds,
 )
@@ -31,22 +31,22 @@ from armcell.tasks.bin_clearing.work_regions import (
     add_heap,
     first_not_empty,
     floor_of,
-    look_at,
     lowest_points,
     table_around,
+    view_region,
 )
 from armcell.tasks.context import TaskContext
 from armcell.tasks.pick import Pick, grasp_stages
 from armcell.tasks.search import PartialSolution, Stage
-from armcell.tasks.stages import AppendPlannedMotion, Connect, RunSteps, Straight
-from armcell.tasks.steps import Grip, perform_all
+from armcell.tasks.stages import AppendPlannedMotion, Connect, MoveStraight, RunSteps
+from armcell.tasks.steps import CommandGripper, perform_all
 from armcell.tasks.task import plan_stages
 
 _FINAL = (ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA, ErrorCode.SENSOR_INFO_STALE, ErrorCode.FAILURE)
 
 
 @dataclass
-class ClearCounts:
+class BinClearingCounts:
     """Counters for picks and failures while a bin is cleared."""
 
     picks: int = 0  # closed grasps
@@ -69,7 +69,7 @@ def clear_bin(
     table: str,
     look: Look,
     look_at_tray: Look,
-    settings: ClearSettings = ClearSettings(),
+    settings: BinClearingSettings = BinClearingSettings(),
 ) -> Outcome:
     """Pick objects from a bin, and release them over a tray, until the bin is empty.
 
@@ -103,9 +103,9 @@ def clear_bin(
 class _BinClearing:
     """State of one run that clears a bin: the arm looks, picks an object and releases it over the tray."""
 
-    def __init__(self, ctx: TaskContext, gripper: Gripper, bin: str, settings: ClearSettings):
+    def __init__(self, ctx: TaskContext, gripper: Gripper, bin: str, settings: BinClearingSettings):
         self.ctx, self.gripper, self.bin, self.settings = ctx, gripper, bin, settings
-        self.counts = ClearCounts()
+        self.counts = BinClearingCounts()
 
     def run(
         self, regions: Sequence[tuple[Look, WorkRegion]], look_at_tray: Look, tray: WorkRegion
@@ -154,7 +154,7 @@ class _BinClearing:
         reading = ctx.driver.gripper(gripper.name)
         if holds(reading, s.thinnest):
             width = min(reading.width + t.release_margin, opening)
-            Grip("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
+            CommandGripper("open", gripper, width, gripper.max_force, t.release_settle).perform(ctx)
         touching = ((HEAP, gripper.hand_links), (self.bin, gripper.hand_links))
         self._try_straight("retreat", s.lift, touching)
         self._leave_view()
@@ -164,7 +164,7 @@ class _BinClearing:
         If no motion is found, the hand stays.
         """
         gripper = self.gripper
-        stage = Straight(
+        stage = MoveStraight(
             name, gripper.arm_group, gripper.tcp_link, self.ctx.settings.near, (0.0, 0.0, rise), allow=allow
         )
         solution, _ = plan_stages(self.ctx, [stage], name)
@@ -188,7 +188,7 @@ class _BinClearing:
         Return FAILURE if the tray is full.
         """
         ctx, gripper, s, t = self.ctx, self.gripper, self.settings, self.ctx.settings
-        seen = look_at(ctx, look, tray, s)
+        seen = view_region(ctx, look, tray, s)
         if isinstance(seen, Outcome):
             return seen
         points = lowest_points(seen, s)
@@ -203,9 +203,11 @@ class _BinClearing:
             ChooseReleasePoint(points, hang, gripper, t.near, t.lower_distance),
             Connect("move to tray", gripper.arm_group, t.carry, target="pre_place"),
             AppendPlannedMotion("lower", "after_lower", "lower"),
-            OpenAbove(gripper, t.release_margin, t.release_settle, s.thinnest),
-            Straight("retreat", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, t.retreat_distance)),
-        ]  # fmt: skip
+            ReleaseAboveTray(gripper, t.release_margin, t.release_settle, s.thinnest),
+            MoveStraight(
+                "retreat", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, t.retreat_distance)
+            ),
+        ]
         solution, outcome = plan_stages(ctx, stages, f"put {tray.name}")
         if solution is not None:
             outcome = perform_all(ctx, solution.steps)
@@ -215,7 +217,7 @@ class _BinClearing:
         if outcome.code is not ErrorCode.PREEMPTED:
             self.counts.dropped += not holds(ctx.driver.gripper(gripper.name), s.thinnest)
             detach_held(ctx)
-            Grip("open", gripper, grasp.opening, gripper.max_force, t.release_settle).perform(ctx)
+            CommandGripper("open", gripper, grasp.opening, gripper.max_force, t.release_settle).perform(ctx)
             self._leave_view()
         return outcome
 
@@ -249,9 +251,9 @@ class _PickFromHeap(Pick):
         stages = grasp_stages(
             ChooseFromHeap(grasps, gripper, t.near, t.approach_distance), gripper, t,
             CloseOnHeap(gripper, self._here.region.floor, t.grasp_settle, s.thinnest),
-            Straight("lift", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift),
+            MoveStraight("lift", gripper.arm_group, gripper.tcp_link, t.near, (0.0, 0.0, s.lift),
                      allow=((HELD, (HEAP, self._clearing.bin)), (HEAP, gripper.hand_links))),
-            RunSteps("check grasp", (StillThere(gripper, s.thinnest),)),
+            RunSteps("check grasp", (CheckObjectInFingers(gripper, s.thinnest),)),
         )  # fmt: skip
         solution, outcome = plan_stages(ctx, stages, self.label)
         if solution is None:
@@ -269,7 +271,7 @@ class _PickFromHeap(Pick):
         clearing, here = self._clearing, self._here
         s, hand = clearing.settings, hand_of(clearing.ctx.base.model, clearing.gripper)
         for how in (s.grasps, _closer(s.grasps, 2), _closer(s.grasps, 3)):
-            grasps = grasps_from_above(
+            grasps = top_down_grasps(
                 here.map, here.labels, here.region.floor, hand, s.force, how, clearing.counts.avoid
             )
             if grasps:
@@ -288,7 +290,7 @@ class _PickFromHeap(Pick):
         self._clearing.retreat(self.grasp.opening)
 
 
-def _closer(settings: AboveSettings, times: int) -> AboveSettings:
+def _closer(settings: TopDownGraspSettings, times: int) -> TopDownGraspSettings:
     """Return grasp settings for clearing a bin near its walls: a smaller margin,
     more orientations, and grasps at corners.
     """

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from armcell.core.checks import checked, require
-from armcell.grasping import AboveSettings
+from armcell.grasping import TopDownGraspSettings
 
 
 @dataclass(frozen=True)
 @checked()
-class ClearSettings:
+class BinClearingSettings:
     """Settings for clearing a bin with a camera. All lengths are in meters."""
 
     force: float = 30.0  # [N] per finger, because weights are unknown
@@ -25,7 +25,7 @@ class ClearSettings:
     most_picks: int = 60
     thinnest: float = 0.0015  # fingers closer together are empty
     max_age: float = 0.5  # [s] maximum age of an image
-    grasps: AboveSettings = AboveSettings()
+    grasps: TopDownGraspSettings = TopDownGraspSettings()
 
     def __post_init__(self) -> None:
         for name in ("force", "lift", "above_floor", "resolution", "gap", "spot_radius", "pile", "max_age"):

@@ -17,13 +17,13 @@ from armcell.grasping import HeapGrasp
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
 from armcell.tasks.context import StageReport, TaskContext
-from armcell.tasks.interfaces import holding
-from armcell.tasks.search import PartialSolution, Planning, stage_types
+from armcell.tasks.interfaces import holding_condition
+from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import APPROACH, approaches, finger_state
-from armcell.tasks.stages.moves import shifted, straight, with_contacts
+from armcell.tasks.stages.moves import plan_straight, shifted, with_contacts
 from armcell.tasks.stages.place import DESCENT, descents
-from armcell.tasks.steps import DONE, Grip, not_held, staged
+from armcell.tasks.steps import DONE, CommandGripper, not_held, staged
 
 HEAP = "heap"
 """Name of the camera's points in the bin, in the planning scene."""
@@ -48,13 +48,13 @@ class ChooseFromHeap:
     name: str = "grasp"
     provides = APPROACH
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         for grasp in self.grasps:
             yield from approaches(solution, planning, self.name, HEAP, self.gripper, grasp, self._back)
 
     def _back(self, at_grasp: PlanningScene, T_world_tcp: SE3) -> PlanResult:
         up = shifted(T_world_tcp, (0.0, 0.0, -self.distance), in_own_frame=True)
-        return straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, up, self.speed)
+        return plan_straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, up, self.speed)
 
 
 @stage_types.register("close_on_heap")
@@ -68,9 +68,9 @@ class CloseOnHeap:
     thinnest: float
     name: str = "close"
     requires = ("grasp",)
-    provides = (holding(HELD),)
+    provides = (holding_condition(HELD),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         grasp: HeapGrasp = solution.data["grasp"]
         bottom = self.floor + 0.002
         T_tcp_box = SE3.from_xyz(0.0, 0.0, _below_tcp(grasp, (grasp.top + bottom) / 2))
@@ -110,7 +110,7 @@ class ChooseReleasePoint:
     name: str = "spot"
     provides = DESCENT
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         gripper = self.gripper
         now = solution.scene.frame_pose(gripper.tcp_link).rotation
         for x, y, under in self.spots:
@@ -123,12 +123,12 @@ class ChooseReleasePoint:
 
     def _up(self, T_world_tcp: SE3, at_spot: PlanningScene) -> PlanResult:
         above = T_world_tcp.shifted(z=self.distance)
-        return straight(at_spot, self.gripper.arm_group, self.gripper.tcp_link, above, self.speed)
+        return plan_straight(at_spot, self.gripper.arm_group, self.gripper.tcp_link, above, self.speed)
 
 
 @stage_types.register("open_above")
 @dataclass(frozen=True, eq=False)
-class OpenAbove:
+class ReleaseAboveTray:
     """Stage of bin clearing that opens the hand above the tray and so releases the held object."""
 
     gripper: Gripper
@@ -136,14 +136,14 @@ class OpenAbove:
     settle: float
     thinnest: float
     name: str = "open"
-    requires = (holding(HELD),)
-    consumes = (holding(HELD),)
+    requires = (holding_condition(HELD),)
+    consumes = (holding_condition(HELD),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         width = min(self.gripper.width_in(solution.scene.state) + self.margin, self.gripper.max_width)
         scene = solution.scene.with_detached(HELD).without_object(HELD)
         yield solution.then(
-            StillThere(self.gripper, self.thinnest),
+            CheckObjectInFingers(self.gripper, self.thinnest),
             Drop(self.gripper, width, self.settle),
             scene=with_contacts(
                 scene.with_state(finger_state(self.gripper, width)), ((HEAP, self.gripper.hand_links),)
@@ -197,7 +197,7 @@ class GripUntilForce:
 
 
 @dataclass(frozen=True, eq=False)
-class StillThere:
+class CheckObjectInFingers:
     """Step of bin clearing that checks whether an object is still between the fingers."""
 
     gripper: Gripper
@@ -221,7 +221,9 @@ class Drop:
     settle: float
 
     def perform(self, ctx: TaskContext) -> Outcome:
-        outcome = Grip("open", self.gripper, self.width, self.gripper.max_force, self.settle).perform(ctx)
+        outcome = CommandGripper(
+            "open", self.gripper, self.width, self.gripper.max_force, self.settle
+        ).perform(ctx)
         detach_held(ctx)
         return outcome
 

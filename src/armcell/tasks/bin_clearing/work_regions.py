@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from armcell.core import Box, CameraImage, ErrorCode, HeightMap, InputError, Outcome, PointCloud
 from armcell.grasping import support_surface
-from armcell.perception import height_map, pieces, unusable
+from armcell.perception import check_image, height_map, label_pieces
 from armcell.scene import CollisionObject, PlanningScene
-from armcell.tasks.bin_clearing.settings import ClearSettings
+from armcell.tasks.bin_clearing.settings import BinClearingSettings
 from armcell.tasks.bin_clearing.stages import HEAP
 from armcell.tasks.context import StageReport, TaskContext
 
@@ -49,7 +49,7 @@ class RegionView:
         return int(self.labels.max()) + 1
 
 
-def floor_of(scene: PlanningScene, name: str, settings: ClearSettings) -> WorkRegion:
+def floor_of(scene: PlanningScene, name: str, settings: BinClearingSettings) -> WorkRegion:
     """Return the floor of a bin or tray, without the walls, as a work region.
 
     Raises:
@@ -70,7 +70,7 @@ def floor_of(scene: PlanningScene, name: str, settings: ClearSettings) -> WorkRe
 
 
 def table_around(
-    scene: PlanningScene, name: str, table: str, others: tuple[str, ...], s: ClearSettings
+    scene: PlanningScene, name: str, table: str, others: tuple[str, ...], s: BinClearingSettings
 ) -> WorkRegion:
     """Return the table surface around a bin or tray as a work region,
     without the areas of the other objects on the table.
@@ -99,7 +99,7 @@ def _outline(item: CollisionObject, room: float) -> Rectangle:
 
 
 def first_not_empty(
-    ctx: TaskContext, regions: Sequence[tuple[Look, WorkRegion]], s: ClearSettings
+    ctx: TaskContext, regions: Sequence[tuple[Look, WorkRegion]], s: BinClearingSettings
 ) -> RegionView | Outcome:
     """Look at the work regions one after the other, and return the view of the first region that contains
     visible objects.
@@ -108,18 +108,20 @@ def first_not_empty(
     the failure.
     """
     for look, region in regions:
-        seen = look_at(ctx, look, region, s)
+        seen = view_region(ctx, look, region, s)
         if isinstance(seen, Outcome) or seen.count:
             return seen
     return Outcome(ErrorCode.SUCCESS)
 
 
-def look_at(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) -> RegionView | Outcome:
+def view_region(
+    ctx: TaskContext, look: Look, region: WorkRegion, s: BinClearingSettings
+) -> RegionView | Outcome:
     """Take a new image of a work region and return the view, or an outcome if the image is unusable."""
     report = StageReport(f"look {region.name}", started_s=ctx.driver.now)
     ctx.emit("stage", report.name, phase="begin")
     image = look()
-    trouble = unusable(image, s.max_age, ctx.driver.now)
+    trouble = check_image(image, s.max_age, ctx.driver.now)
     report.ok, report.error = trouble is None, "" if trouble is None else trouble.message
     ctx.reports.append(report)
     ctx.emit("stage", report.name, phase="end", ok=report.ok)
@@ -132,7 +134,7 @@ def look_at(ctx: TaskContext, look: Look, region: WorkRegion, s: ClearSettings) 
     inside = seen.cells_within(*region.rectangle)
     for other in region.without:
         inside &= ~seen.cells_within(*other)
-    return RegionView(region, seen, pieces(seen, inside, region.floor + s.above_floor))
+    return RegionView(region, seen, label_pieces(seen, inside, region.floor + s.above_floor))
 
 
 def add_heap(ctx: TaskContext, seen: RegionView) -> None:
@@ -147,7 +149,9 @@ def add_heap(ctx: TaskContext, seen: RegionView) -> None:
     ctx.change_scene(remembered)
 
 
-def lowest_points(tray: RegionView, s: ClearSettings, count: int = 12) -> list[tuple[float, float, float]]:
+def lowest_points(
+    tray: RegionView, s: BinClearingSettings, count: int = 12
+) -> list[tuple[float, float, float]]:
     """Return points (x, y, highest z nearby) over the tray at which
     bin clearing may release an object, lowest first.
 

@@ -11,8 +11,8 @@ from armcell.tasks.stages.explicit_grasps import (
 )
 from armcell.tasks.stages.fingers import MoveGripper
 from armcell.tasks.stages.grasp import AppendPlannedMotion, ChooseGrasp, Close
-from armcell.tasks.stages.moves import Connect, RunSteps, Straight, Upright
-from armcell.tasks.stages.place import ChoosePlacement, ExpectSupport, Open
+from armcell.tasks.stages.moves import Connect, MoveStraight, RunSteps, UprightConstraint
+from armcell.tasks.stages.place import ChoosePlacement, ExpectSupport, OpenHand
 
 __all__ = [
     "AppendPlannedMotion",
@@ -26,11 +26,11 @@ __all__ = [
     "GripperTranslation",
     "Lift",
     "MoveGripper",
-    "Open",
+    "MoveStraight",
+    "OpenHand",
     "Retreat",
     "RunSteps",
-    "Straight",
-    "Upright",
+    "UprightConstraint",
     "UseGrasps",
     "UsePlacements",
 ]

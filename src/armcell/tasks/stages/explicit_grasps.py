@@ -13,13 +13,13 @@ from armcell.core import SE3, ErrorCode, PlanResult
 from armcell.grasping import RELEASE_GAP, Grasp
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
-from armcell.tasks.interfaces import holding
-from armcell.tasks.search import PartialSolution, Planning, stage_types
+from armcell.tasks.interfaces import holding_condition
+from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import APPROACH, approaches
-from armcell.tasks.stages.moves import moved, straight, with_contacts
+from armcell.tasks.stages.moves import plan_straight, with_contacts, with_motion
 from armcell.tasks.stages.place import DESCENT, descents
-from armcell.tasks.steps import Expect, StillHeld
+from armcell.tasks.steps import CheckStillHeld, ExpectContact
 
 UNDER = 0.006  # [m] bodies this close to a placement are its supports
 
@@ -67,7 +67,7 @@ class UseGrasps:
     name: str = "grasp"
     provides = APPROACH
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         for grasp in self.grasps:
             back = partial(self._backward, grasp.pre_grasp_approach)
             yield from approaches(solution, planning, self.name, self.object, self.gripper, grasp, back)
@@ -77,7 +77,7 @@ class UseGrasps:
     ) -> PlanResult:
         back = _moved_by(T_world_tcp, approach.desired, -1.0)
         return approach.accepted(
-            straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, back, self.speed)
+            plan_straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, back, self.speed)
         )
 
 
@@ -93,15 +93,15 @@ class Lift:
     name: str = "lift"
     requires = ("grasp",)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         grasp: ExplicitGrasp = solution.data["grasp"]
         gripper = self.gripper
         scene = with_contacts(solution.scene, ((self.object, self.supports),))
         target = _moved_by(scene.frame_pose(gripper.tcp_link), grasp.post_grasp_retreat.desired)
         result = grasp.post_grasp_retreat.accepted(
-            straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed)
+            plan_straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed)
         )
-        yield from moved(solution, planning, self.name, result, planned_in=scene)
+        yield from with_motion(solution, planning, self.name, result, planned_in=scene)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,30 +134,30 @@ class UsePlacements:
 
     @property
     def requires(self) -> tuple[str, ...]:
-        return (holding(self.object),)
+        return (holding_condition(self.object),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         for place in self.places:
             yield from self._descents(solution, planning, place)
 
     def _descents(
-        self, solution: PartialSolution, planning: Planning, place: ExplicitPlacement
+        self, solution: PartialSolution, planning: SearchState, place: ExplicitPlacement
     ) -> Iterator[PartialSolution]:
         gripper = self.gripper
-        supports = standing_on(solution.scene, self.object, place.T_world_object)
-        T_tcp_object = solution.scene.frame_pose(gripper.tcp_link).inv() @ solution.scene.frame_pose(
+        supports = resting_contacts(solution.scene, self.object, place.T_world_object)
+        T_tcp_object = solution.scene.frame_pose(gripper.tcp_link).inverse() @ solution.scene.frame_pose(
             self.object
         )
-        T_world_tcp = place.T_world_object.shifted(z=RELEASE_GAP) @ T_tcp_object.inv()
+        T_world_tcp = place.T_world_object.shifted(z=RELEASE_GAP) @ T_tcp_object.inverse()
         scene = with_contacts(solution.scene, ((self.object, supports),))
 
         def up(at_place: PlanningScene) -> PlanResult:
             above = _moved_by(T_world_tcp, place.down.desired, -1.0)
             return place.down.accepted(
-                straight(at_place, gripper.arm_group, gripper.tcp_link, above, self.speed)
+                plan_straight(at_place, gripper.arm_group, gripper.tcp_link, above, self.speed)
             )
 
-        steps = StillHeld(self.object, gripper), Expect(self.object, supports)
+        steps = CheckStillHeld(self.object, gripper), ExpectContact(self.object, supports)
         yield from descents(
             solution, planning, scene, gripper, T_world_tcp, self.name, place.name, up, *steps, place=place
         )
@@ -178,7 +178,7 @@ class Retreat:
     name: str = "retreat"
     requires = ("place",)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         place: ExplicitPlacement = solution.data["place"]
         gripper = self.gripper
         scene = with_contacts(solution.scene, ((self.object, gripper.hand_links),))
@@ -188,11 +188,11 @@ class Retreat:
             (float(back[0]), float(back[1]), float(back[2])), self.distance / 2
         )
         target = _moved_by(tcp, away.desired)
-        result = away.accepted(straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed))
-        yield from moved(solution, planning, self.name, result, planned_in=scene)
+        result = away.accepted(plan_straight(scene, gripper.arm_group, gripper.tcp_link, target, self.speed))
+        yield from with_motion(solution, planning, self.name, result, planned_in=scene)
 
 
-def standing_on(scene: PlanningScene, item: str, T_world_object: SE3) -> tuple[str, ...]:
+def resting_contacts(scene: PlanningScene, item: str, T_world_object: SE3) -> tuple[str, ...]:
     """Return the bodies that a held object will touch at the target pose of an explicit placement."""
     put = scene.with_detached(item).with_object_pose(item, T_world_object)
     return tuple(neighbors(put, item, UNDER))

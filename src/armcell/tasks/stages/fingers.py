@@ -12,9 +12,9 @@ from armcell.core import InputError, JointTrajectory
 from armcell.core.checks import checked
 from armcell.model import Gripper
 from armcell.scene import PlanningScene
-from armcell.tasks.search import PartialSolution, Planning, stage_types
+from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.stages.grasp import finger_state
-from armcell.tasks.steps import Grip
+from armcell.tasks.steps import CommandGripper
 from armcell.timing.chords import chords
 
 
@@ -37,8 +37,8 @@ class MoveGripper:
             text = f"width is {self.width * 1000:.1f} mm, it must be above 0 and at most {most:.1f} mm"
             raise InputError(text, element=self.name)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
-        grip = Grip(self.name, self.gripper, self.width, self.gripper.max_force)
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
+        grip = CommandGripper(self.name, self.gripper, self.width, self.gripper.max_force)
         if reason := finger_collision(solution.scene, [grip]):
             planning.reject(self.name, "", reason)
             return
@@ -46,7 +46,7 @@ class MoveGripper:
 
 
 def finger_collision(
-    scene: PlanningScene, grips: Sequence[Grip], trajectory: JointTrajectory | None = None
+    scene: PlanningScene, grips: Sequence[CommandGripper], trajectory: JointTrajectory | None = None
 ) -> str:
     """Describe a contact that gripper fingers may cause while they move to the given widths.
     The text is empty if there is none.

@@ -9,18 +9,18 @@ import numpy as np
 
 from armcell.collision import ExactChecker
 from armcell.core import SE3, JointState, PlanResult
-from armcell.grasping import Grasp, grasp_candidates, hand_of, how_near
+from armcell.grasping import Grasp, grasp_candidates, hand_of, rejection_sort_key
 from armcell.kinematics import ik_solver
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
-from armcell.tasks.interfaces import holding
-from armcell.tasks.proof import Proof, prove, varied
-from armcell.tasks.search import PartialSolution, Planning, stage_types
+from armcell.tasks.grasp_proof import GraspProof, distinct_grasps, prove_grasps
+from armcell.tasks.interfaces import holding_condition
+from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
-from armcell.tasks.stages.moves import shifted, straight
+from armcell.tasks.stages.moves import plan_straight, shifted
 from armcell.tasks.stages.reach import ReachEstimator
-from armcell.tasks.steps import Expect, Grip, Hold, Motion, Watch
-from armcell.timing import reversed_in_time
+from armcell.tasks.steps import CommandGripper, ConfirmGrasp, ExpectContact, Motion, WatchObject
+from armcell.timing import reverse_trajectory
 
 SOLUTIONS_PER_POSE = 3  # IK solutions tried per pose
 APPROACH = ("grasp", "candidate", "pre_grasp", "approach", "after_approach")
@@ -48,7 +48,7 @@ class ChooseGrasp:
     name: str = "grasp"
     provides = (*APPROACH, "proof")
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         item, s = solution.scene.object(self.object), planning.settings
         grasps, rejected = grasp_candidates(item, hand_of(solution.scene.model, self.gripper))
         grasps = [g for g in grasps if g.name not in self.excluded]
@@ -57,7 +57,7 @@ class ChooseGrasp:
         why_not = self.grasp_filter(solution.scene) if self.grasp_filter is not None else None
         if why_not is not None:  # before the proofs, which take longest
             grasps = self._sifted(planning, grasps, why_not)
-        proofs: dict[str, Proof] = {}
+        proofs: dict[str, GraspProof] = {}
         if s.prove_grasps and grasps:
             grasps, proofs = self._proven(solution, planning, item, grasps)
         else:
@@ -69,11 +69,13 @@ class ChooseGrasp:
             grasps.sort(key=lambda g: any(why_not(turned) for turned in _turned(proofs[g.name])))
         for grasp in grasps[: s.max_candidates * self.wider]:
             yield from self._approaches(solution, planning, grasp, proofs.get(grasp.name))
-        for rejection in sorted(rejected, key=how_near):  # after the candidates that passed more tests
+        for rejection in sorted(
+            rejected, key=rejection_sort_key
+        ):  # after the candidates that passed more tests
             planning.reject(self.name, rejection.name, rejection.reason)
 
     def _sifted(
-        self, planning: Planning, grasps: list[Grasp], why_not: Callable[[Grasp], str]
+        self, planning: SearchState, grasps: list[Grasp], why_not: Callable[[Grasp], str]
     ) -> list[Grasp]:
         kept = []
         for grasp in grasps:
@@ -84,8 +86,8 @@ class ChooseGrasp:
         return kept
 
     def _proven(
-        self, solution: PartialSolution, planning: Planning, item: CollisionObject, grasps: list[Grasp]
-    ) -> tuple[list[Grasp], dict[str, Proof]]:
+        self, solution: PartialSolution, planning: SearchState, item: CollisionObject, grasps: list[Grasp]
+    ) -> tuple[list[Grasp], dict[str, GraspProof]]:
         """Return the reachable grasps for a pick, each with its proof of
         success in the physics simulation, best first.
 
@@ -94,7 +96,7 @@ class ChooseGrasp:
         s, model, gripper = planning.settings, solution.scene.model, self.gripper
         worth: dict[str, float] = {}
         reached = []
-        for grasp in varied(grasps, 3 * s.prove_grasps):
+        for grasp in distinct_grasps(grasps, 3 * s.prove_grasps):
             opened = solution.scene.with_state(finger_state(gripper, grasp.opening))
             scene = opened.with_allowed(self.object, gripper.hand_links)
             T_world_tcp = item.T_world_object @ grasp.T_object_tcp
@@ -105,12 +107,12 @@ class ChooseGrasp:
                 reached.append(grasp)
             if len(reached) == s.prove_grasps:
                 break
-        proofs = {p.grasp.name: p for p in prove(model, gripper, item, reached, s.proof_trials)}
+        proofs = {p.grasp.name: p for p in prove_grasps(model, gripper, item, reached, s.proof_trials)}
         reached.sort(key=lambda g: -proofs[g.name].probability * worth[g.name])
         return reached, proofs
 
     def _approaches(
-        self, solution: PartialSolution, planning: Planning, grasp: Grasp, proof: Proof | None
+        self, solution: PartialSolution, planning: SearchState, grasp: Grasp, proof: GraspProof | None
     ) -> Iterator[PartialSolution]:
         def back(at_grasp: PlanningScene, T_world_tcp: SE3) -> PlanResult:
             result = self._backward(at_grasp, T_world_tcp, self.distance)
@@ -124,11 +126,11 @@ class ChooseGrasp:
 
     def _backward(self, at_grasp: PlanningScene, T_world_tcp: SE3, distance: float) -> PlanResult:
         back = shifted(T_world_tcp, (0.0, 0.0, -distance), in_own_frame=True)
-        return straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, back, self.speed)
+        return plan_straight(at_grasp, self.gripper.arm_group, self.gripper.tcp_link, back, self.speed)
 
 
 def approaches(
-    solution: PartialSolution, planning: Planning, stage: str, item: str, gripper: Gripper, grasp: Grasp,
+    solution: PartialSolution, planning: SearchState, stage: str, item: str, gripper: Gripper, grasp: Grasp,
     back: Callable[[PlanningScene, SE3], PlanResult],
 ) -> Iterator[PartialSolution]:  # fmt: skip
     """Yield solutions of a pick with a straight approach to a grasp, one for each arm state that reaches it.
@@ -142,7 +144,7 @@ def approaches(
     scene = opened.with_allowed(item, gripper.hand_links)
     T_world_tcp = scene.object(item).T_world_object @ grasp.T_object_tcp
     expected = (
-        () if scene.object(item).has_cloud else (Expect(item, gripper.contact_links),)
+        () if scene.object(item).has_cloud else (ExpectContact(item, gripper.contact_links),)
     )  # clouds have no body
     found = False
     for arm in reachable(scene, gripper, T_world_tcp, planning, stage, grasp.name):
@@ -152,9 +154,9 @@ def approaches(
             planning.reject("approach", grasp.name, result.message)
             continue
         found = True
-        approach = reversed_in_time(result.trajectory)
+        approach = reverse_trajectory(result.trajectory)
         yield solution.then(
-            Grip("open", gripper, grasp.opening, gripper.max_force),
+            CommandGripper("open", gripper, grasp.opening, gripper.max_force),
             *expected,
             scene=opened,
             grasp=grasp,
@@ -191,7 +193,7 @@ class AppendPlannedMotion:
     def requires(self) -> tuple[str, ...]:
         return self.motion, self.scene
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         yield solution.then(solution.data[self.motion], scene=solution.data[self.scene])
 
 
@@ -212,21 +214,21 @@ class Close:
 
     @property
     def provides(self) -> tuple[str, ...]:
-        return (holding(self.object),)
+        return (holding_condition(self.object),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         grasp: Grasp = solution.data["grasp"]
         scene = solution.scene.with_state(finger_state(self.gripper, grasp.width))
         scene = scene.with_attached(self.object, self.gripper.tcp_link, self.gripper.hand_links)
         yield solution.then(
-            Grip("close", self.gripper, 0.0, grasp.force, self.settle),
-            Hold(self.object, self.gripper),
-            Watch(self.object, self.supports),
+            CommandGripper("close", self.gripper, 0.0, grasp.force, self.settle),
+            ConfirmGrasp(self.object, self.gripper),
+            WatchObject(self.object, self.supports),
             scene=scene,
         )
 
 
-def _turned(proof: Proof) -> Iterator[Grasp]:
+def _turned(proof: GraspProof) -> Iterator[Grasp]:
     """Yield the grasp that results if the object rotates between the finger pads, once for each direction of
     rotation.
 
@@ -252,7 +254,12 @@ def finger_state(gripper: Gripper, width: float) -> JointState:
 
 
 def reachable(
-    scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3, planning: Planning, stage: str, candidate: str
+    scene: PlanningScene,
+    gripper: Gripper,
+    T_world_tcp: SE3,
+    planning: SearchState,
+    stage: str,
+    candidate: str,
 ) -> Iterator[JointState]:
     """Yield collision-free arm states that put the TCP at a grasp pose.
     States in collision are rejected with a reason.

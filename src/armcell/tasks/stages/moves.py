@@ -1,4 +1,4 @@
-"""Stages that move the arm: collision-free (`Connect`), or in a straight line (`Straight`)."""
+"""Stages that move the arm: collision-free (`Connect`), or in a straight line (`MoveStraight`)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from armcell.core import (
 from armcell.core.checks import checked, require
 from armcell.planning import plan, plan_cartesian
 from armcell.scene import PlanningScene
-from armcell.tasks.search import PartialSolution, Planning, stage_types
+from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.steps import Motion, Step
 
@@ -39,7 +39,7 @@ SEED_STEP = 1_000_003
 
 
 @dataclass(frozen=True)
-class Upright:
+class UprightConstraint:
     """Limit on how far [rad] a held object may tilt from its initial orientation during a move."""
 
     object: str
@@ -72,13 +72,13 @@ class Connect:
     speed: Speed
     target: str | None = None
     goal: Goal | None = None
-    upright: Upright | None = None  # limits the tilt of a carried object
+    upright: UprightConstraint | None = None  # limits the tilt of a carried object
 
     @property
     def requires(self) -> tuple[str, ...]:
         return () if self.goal is not None else (self.target or "a goal",)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         names = solution.scene.model.group(self.group).joint_names
         goal = self.goal or JointGoal(JointState(names, solution.data[self.target or ""]))
         seconds = min(planning.settings.planning_time, planning.time_left)
@@ -89,7 +89,7 @@ class Connect:
             path_constraints=self.upright.constraints(solution.scene) if self.upright else Constraints(),
         )  # fmt: skip
         result, last = _planned(solution.scene, request, planning)
-        yield from moved(solution, planning, self.name, result, result, asked=_asked(last, goal))
+        yield from with_motion(solution, planning, self.name, result, result, asked=_asked(last, goal))
 
 
 def _asked(request: PlanRequest, goal: Goal) -> dict[str, Any]:
@@ -114,7 +114,7 @@ def goal_data(goal: Goal) -> Any:
 
 
 def _planned(
-    scene: PlanningScene, request: PlanRequest, planning: Planning
+    scene: PlanningScene, request: PlanRequest, planning: SearchState
 ) -> tuple[PlanResult, PlanRequest]:
     """Plan the move of a stage within the CPU time of the request.
     Return the result and the request of the last attempt.
@@ -137,7 +137,7 @@ def _planned(
 @stage_types.register("straight")
 @dataclass(frozen=True, eq=False)
 @checked()
-class Straight:
+class MoveStraight:
     """Stage that moves the tip along a straight line from its present pose."""
 
     name: str
@@ -148,11 +148,11 @@ class Straight:
     in_tip_frame: bool = False
     allow: tuple[tuple[str, tuple[str, ...]], ...] = ()  # contacts allowed during this motion only
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         scene = with_contacts(solution.scene, self.allow)
         target = shifted(scene.frame_pose(self.link), self.offset, self.in_tip_frame)
-        result = straight(scene, self.group, self.link, target, self.speed)
-        yield from moved(solution, planning, self.name, result, planned_in=scene)
+        result = plan_straight(scene, self.group, self.link, target, self.speed)
+        yield from with_motion(solution, planning, self.name, result, planned_in=scene)
 
 
 @stage_types.register("run_steps")
@@ -163,11 +163,11 @@ class RunSteps:
     name: str
     steps: tuple[Step, ...]
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         yield solution.then(*self.steps)
 
 
-def straight(scene: PlanningScene, group: str, link: str, target: SE3, speed: Speed) -> PlanResult:
+def plan_straight(scene: PlanningScene, group: str, link: str, target: SE3, speed: Speed) -> PlanResult:
     request = CartesianRequest(
         group, (target,), link, velocity_scaling=speed.velocity, acceleration_scaling=speed.acceleration
     )
@@ -189,8 +189,8 @@ def with_contacts(scene: PlanningScene, allow: tuple[tuple[str, tuple[str, ...]]
     return scene
 
 
-def moved(
-    solution: PartialSolution, planning: Planning, name: str, result: PlanResult,
+def with_motion(
+    solution: PartialSolution, planning: SearchState, name: str, result: PlanResult,
     outcome: Outcome | None = None, planned_in: PlanningScene | None = None,
     asked: Mapping[str, Any] = MappingProxyType({}),
 ) -> Iterator[PartialSolution]:  # fmt: skip
@@ -217,12 +217,12 @@ def moved(
 
 __all__ = [
     "Connect",
+    "MoveStraight",
     "NamedGoal",
     "RunSteps",
-    "Straight",
-    "Upright",
-    "moved",
+    "UprightConstraint",
+    "plan_straight",
     "shifted",
-    "straight",
     "with_contacts",
+    "with_motion",
 ]

@@ -17,19 +17,27 @@ from armcell.grasping import (
     hand_of,
     place_candidates,
     placement_axis,
+    rotated_placement,
     support_surface,
-    turned,
 )
-from armcell.kinematics import POSE_JOINTS, spin_angles
+from armcell.kinematics import POSE_JOINTS, free_axis_angles
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
-from armcell.tasks.interfaces import holding
-from armcell.tasks.search import PartialSolution, Planning, stage_types
+from armcell.tasks.interfaces import holding_condition
+from armcell.tasks.search import PartialSolution, SearchState, stage_types
 from armcell.tasks.settings import Speed
 from armcell.tasks.stages.grasp import finger_state, reachable
-from armcell.tasks.stages.moves import straight
-from armcell.tasks.steps import Expect, Grip, Motion, Release, Step, StillHeld, Watch
-from armcell.timing import reversed_in_time
+from armcell.tasks.stages.moves import plan_straight
+from armcell.tasks.steps import (
+    CheckStillHeld,
+    CommandGripper,
+    ExpectContact,
+    Motion,
+    Release,
+    Step,
+    WatchObject,
+)
+from armcell.timing import reverse_trajectory
 
 UP = (0.0, 0.0, 1.0)
 IK_OFF = 1e-4  # [m] tolerance of the IK solution
@@ -63,9 +71,9 @@ class ChoosePlacement:
 
     @property
     def requires(self) -> tuple[str, ...]:
-        return (holding(self.object),)
+        return (holding_condition(self.object),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         scene = solution.scene
         candidates = self._candidates(scene)
         if not candidates:
@@ -87,13 +95,13 @@ class ChoosePlacement:
         placement at few angles only.
         """
         item, support, tcp = scene.object(self.object), scene.object(self.support), self.gripper.tcp_link
-        T_tcp_object = scene.frame_pose(tcp).inv() @ scene.frame_pose(self.object)
+        T_tcp_object = scene.frame_pose(tcp).inverse() @ scene.frame_pose(self.object)
         T_world_axis = placement_axis(item, placement)
-        T_tcp_axis = T_tcp_object @ placement.T_world_object.inv() @ T_world_axis
+        T_tcp_axis = T_tcp_object @ placement.T_world_object.inverse() @ T_world_axis
         up = SE3(T_world_axis.rotation, T_world_axis.translation + RELEASE_GAP * np.array(placement.normal))
-        angles = spin_angles(scene.model, self.gripper.arm_group, tcp, T_tcp_axis, up, scene.positions)
+        angles = free_axis_angles(scene.model, self.gripper.arm_group, tcp, T_tcp_axis, up, scene.positions)
         for angle in angles:
-            if (other := turned(item, support, placement, angle)) is not None:
+            if (other := rotated_placement(item, support, placement, angle)) is not None:
                 yield other
 
     def _candidates(self, scene: PlanningScene) -> Sequence[Placement]:
@@ -123,13 +131,13 @@ class ChoosePlacement:
         return ask
 
     def _descents(
-        self, solution: PartialSolution, planning: Planning, placement: Placement
+        self, solution: PartialSolution, planning: SearchState, placement: Placement
     ) -> Iterator[PartialSolution]:
         gripper = self.gripper
-        T_tcp_object = solution.scene.frame_pose(gripper.tcp_link).inv() @ solution.scene.frame_pose(
+        T_tcp_object = solution.scene.frame_pose(gripper.tcp_link).inverse() @ solution.scene.frame_pose(
             self.object
         )
-        T_world_tcp = placement.above(RELEASE_GAP) @ T_tcp_object.inv()
+        T_world_tcp = placement.above(RELEASE_GAP) @ T_tcp_object.inverse()
         surface = surface_of_place(solution.scene.object(self.support), placement)
         deep = hand_in_support(hand_of(solution.scene.model, gripper), T_world_tcp, surface)
         if deep > 0:  # tested before IK
@@ -145,7 +153,7 @@ class ChoosePlacement:
         def off(at_place: PlanningScene, direction: Vector) -> PlanResult:
             x, y, z = (self.distance * w for w in direction)
             above = T_world_tcp.shifted(x, y, z)
-            return straight(at_place, gripper.arm_group, gripper.tcp_link, above, self.speed)
+            return plan_straight(at_place, gripper.arm_group, gripper.tcp_link, above, self.speed)
 
         yield from descents(
             solution,
@@ -176,15 +184,23 @@ def hand_in_support(hand: Hand, T_world_tcp: SE3, surface: Surface) -> float:
     low, high = hand.boxes[:, :3], hand.boxes[:, 3:]
     corners = np.concatenate([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])
     frame, size_x, size_y = surface
-    at = frame.inv().apply(T_world_tcp.apply(corners))
+    at = frame.inverse().apply(T_world_tcp.apply(corners))
     above = np.all(np.abs(at[:, :2]) < np.array([size_x, size_y]) / 2, axis=1)
     return float(-at[above, 2].min()) if above.any() else 0.0
 
 
 def descents(
-    solution: PartialSolution, planning: Planning, scene: PlanningScene, gripper: Gripper, T_world_tcp: SE3,
-    stage: str, candidate: str, up: Callable[[PlanningScene], PlanResult], *steps: Step, **data: Any,
-) -> Iterator[PartialSolution]:  # fmt: skip
+    solution: PartialSolution,
+    planning: SearchState,
+    scene: PlanningScene,
+    gripper: Gripper,
+    T_world_tcp: SE3,
+    stage: str,
+    candidate: str,
+    up: Callable[[PlanningScene], PlanResult],
+    *steps: Step,
+    **data: Any,
+) -> Iterator[PartialSolution]:
     """Yield solutions for placing an object by a straight descent,
     one for each arm state that reaches the placement.
 
@@ -200,7 +216,7 @@ def descents(
         if not result.ok or result.trajectory is None:
             planning.reject("lower", candidate, result.message)
             continue
-        lower = reversed_in_time(result.trajectory)
+        lower = reverse_trajectory(result.trajectory)
         yield solution.then(
             *steps,
             candidate=candidate,
@@ -221,7 +237,7 @@ def descents(
 
 @stage_types.register("open")
 @dataclass(frozen=True, eq=False)
-class Open:
+class OpenHand:
     """Stage that opens the hand after placing an object, wide enough to retreat, and detaches the object."""
 
     object: str
@@ -233,22 +249,22 @@ class Open:
 
     @property
     def requires(self) -> tuple[str, ...]:
-        return (holding(self.object),)
+        return (holding_condition(self.object),)
 
     @property
     def consumes(self) -> tuple[str, ...]:
-        return (holding(self.object),)
+        return (holding_condition(self.object),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         now = self.gripper.width_in(solution.scene.state)
         detached = solution.scene.with_detached(self.object)
         widths = [min(now + share * self.margin, self.gripper.max_width) for share in (1.0, 0.5, 0.25)]
         for width in dict.fromkeys(widths):  # less if a finger would collide
             yield solution.then(
-                StillHeld(self.object, self.gripper),
-                Grip("open", self.gripper, width, self.gripper.max_force, self.settle),
+                CheckStillHeld(self.object, self.gripper),
+                CommandGripper("open", self.gripper, width, self.gripper.max_force, self.settle),
                 Release(self.object),
-                Watch(self.object, on=False),
+                WatchObject(self.object, on=False),
                 scene=detached.with_state(finger_state(self.gripper, width)),
             )
 
@@ -267,7 +283,9 @@ class ExpectSupport:
 
     @property
     def requires(self) -> tuple[str, ...]:
-        return (holding(self.object),)
+        return (holding_condition(self.object),)
 
-    def propose(self, solution: PartialSolution, planning: Planning) -> Iterator[PartialSolution]:
-        yield solution.then(StillHeld(self.object, self.gripper), Expect(self.object, (self.support,)))
+    def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
+        yield solution.then(
+            CheckStillHeld(self.object, self.gripper), ExpectContact(self.object, (self.support,))
+        )

@@ -22,7 +22,7 @@ ALIKE = 0.02  # score difference below which grasps count as equally good
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
+class ReachEstimate:
     """Estimate of how an arm reaches a grasp: its joint positions (n,) before the approach,
     and the travel time to them.
 
@@ -49,7 +49,7 @@ class ReachEstimator:
 
     def nearest_first(
         self, T_world_object: SE3, grasps: Sequence[Grasp], q: Array, speed: Speed
-    ) -> list[Reach]:
+    ) -> list[ReachEstimate]:
         """Sort grasps of about equal quality by the time that the arm needs to reach them, nearest first.
 
         On a cube, for example, the grasps on its four sides are equally good.
@@ -62,11 +62,13 @@ class ReachEstimator:
             if grasp.score <= grasps[0].score - ALIKE:
                 break
             back = SE3.from_xyz(0.0, 0.0, -self.distance)
-            at = self.to(T_world_object @ grasp.T_object_tcp @ back, q)
-            found.append(Reach(grasp, at, np.inf if at is None else round(self.seconds(q, at, speed), 3)))
+            at = self.ik_near(T_world_object @ grasp.T_object_tcp @ back, q)
+            found.append(
+                ReachEstimate(grasp, at, np.inf if at is None else round(self.seconds(q, at, speed), 3))
+            )
         return sorted(found, key=lambda reach: reach.seconds)
 
-    def to(self, T_world_tcp: SE3, q: Array) -> Array | None:
+    def ik_near(self, T_world_tcp: SE3, q: Array) -> Array | None:
         """Return joint positions (n,) near q (n,) with which the arm
         reaches the TCP pose of a grasp, or None.
 

@@ -12,7 +12,7 @@ except ImportError:
 
 from armcell.tasks.trees.nodes import Act, Check, as_dot, drawn, reasons, run
 from armcell.tasks.trees.recipes import (
-    held,
+    held_node,
     looking,
     moving_to,
     performing,
@@ -27,7 +27,7 @@ __all__ = [
     "Check",
     "as_dot",
     "drawn",
-    "held",
+    "held_node",
     "looking",
     "moving_to",
     "performing",

@@ -39,7 +39,7 @@ class Act(Behaviour):
         self.ctx = ctx
         self.outcome: Outcome | None = None
         self._recipe, self._tick = recipe, tick
-        self._turn: _Turn | None = None
+        self._turn: _RecipeThread | None = None
 
     def initialise(self) -> None:
         other = _at_work.get(self.ctx)
@@ -50,7 +50,7 @@ class Act(Behaviour):
             )
         _at_work[self.ctx] = self
         self.feedback_message = ""
-        self._turn = _Turn(self.ctx, self._recipe)
+        self._turn = _RecipeThread(self.ctx, self._recipe)
 
     def update(self) -> Status:
         assert self._turn is not None
@@ -92,7 +92,7 @@ class Check(Behaviour):
         return Status.SUCCESS if self.outcome.ok else Status.FAILURE
 
 
-class _Turn:
+class _RecipeThread:
     """Recipe of a behavior tree node, which is executed in a thread that runs only during calls of `step`.
 
     It observes its cell to follow the driver's clock.

@@ -64,7 +64,7 @@ def looking(name: str, look: Look) -> Check:
     return Check(name, look)
 
 
-def held(ctx: TaskContext, item: str) -> Check:
+def held_node(ctx: TaskContext, item: str) -> Check:
     """Return a behavior tree node that checks, between recipes,
     that both the task and the gripper's sensors report an object as held.
     """
@@ -93,7 +93,7 @@ def rests_on(
             return Outcome(ErrorCode.FAILURE, f"{item} does not stand on {on}")
         if at is not None:
             frame = surface_for(scene.object(item), scene.object(on))[0]
-            where = frame.inv().apply(scene.object(item).T_world_object.translation)[:2]
+            where = frame.inverse().apply(scene.object(item).T_world_object.translation)[:2]
             away = float(np.linalg.norm(where - np.asarray(at)))
             if away > tolerance:
                 return Outcome(ErrorCode.FAILURE, f"{item} is {away * 1000:.0f} mm from its place on {on}")
@@ -115,7 +115,7 @@ def transferring(
     fetch: Behaviour = picking(ctx, item, gripper)
     if look is not None:
         fetch = InTurn(f"find and pick {item}", memory=True, children=[looking("look", look), fetch])
-    in_hand = Selector(f"get {item}", memory=True, children=[held(ctx, item), fetch])
+    in_hand = Selector(f"get {item}", memory=True, children=[held_node(ctx, item), fetch])
     there = rests_on(ctx, item, on, at, settings.tolerance)
     way = InTurn(
         f"bring {item}", memory=True,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armcell.core import SE3, ErrorCode, Outcome
-from armcell.tasks import checked, shifted
+from armcell.tasks import checked, moved_object_pose
 
 TARGET = SE3.from_xyz_rpy((0.0, -0.08, 0.946), (0.0, 0.0, 0.2))  # 0.5 mm above the rests
 HEIGHT = 0.2  # [m]
@@ -14,7 +14,7 @@ HEIGHT = 0.2  # [m]
 def task(cell):
     rod = cell.carry("rod", left_arm="front_end", right_arm="back_end")
     start = cell.scene().object("rod").T_world_object
-    up, over = shifted(start, z=HEIGHT), shifted(TARGET, z=HEIGHT)
+    up, over = moved_object_pose(start, z=HEIGHT), moved_object_pose(TARGET, z=HEIGHT)
     checked(rod.grasp(route=[up, over, TARGET]))
     checked(rod.move(up, name="lift"))
     checked(rod.move(over, name="move and turn"))

@@ -45,7 +45,7 @@ class _Scope:
         self.local = names  # None: the program's body, whose variables are global
 
 
-def compiled(
+def compile_script(
     statements: list[Node], blocking: Iterable[str], instant: Mapping[str, Callable[..., Any]]
 ) -> CodeType:
     """Compile the syntax tree of a URScript text to Python code that
@@ -220,7 +220,8 @@ class _Compiler:
         if name in self._instant:
             return f"I[{name!r}]({given})"
         if name in NOT_EMULATED:
-            return f"M.unknown({name!r})"  # not emulated: reported only when the program calls it
+            # Not emulated: reported only when the program calls it.
+            return f"M.fail_unknown_function({name!r})"
         raise _not_found(name, place)
 
     def _arguments(self, arguments: list[tuple[str | None, Node]], scope: _Scope, prefix: str = "") -> str:

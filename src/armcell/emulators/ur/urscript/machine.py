@@ -8,9 +8,9 @@ from functools import partial
 from typing import Any
 
 from armcell.core import ArmcellError
-from armcell.emulators.ur.urscript.compiler import compiled
+from armcell.emulators.ur.urscript.compiler import compile_script
 from armcell.emulators.ur.urscript.parser import parse
-from armcell.emulators.ur.urscript.values import Pose, Vec, copied
+from armcell.emulators.ur.urscript.values import Pose, Vec, copy_value
 
 log = logging.getLogger(__name__)
 
@@ -63,9 +63,9 @@ class Machine:
             statements = statements[0][4]
         if self.secondary:
             blocking = {name: partial(_takes_time, name) for name in blocking}
-        code = compiled(statements, blocking, instant)
+        code = compile_script(statements, blocking, instant)
         space: dict[str, Any] = {
-            "Vec": Vec, "Pose": Pose, "copied": copied, "bool": bool, "__builtins__": {},
+            "Vec": Vec, "Pose": Pose, "copied": copy_value, "bool": bool, "__builtins__": {},
         }  # fmt: skip
         exec(code, space)  # safe: the code comes from compiler.py, and script names cannot reach Python names
         self.line = 0
@@ -130,5 +130,5 @@ class Machine:
     def halt(self) -> None:
         raise _Halt
 
-    def unknown(self, name: str) -> None:
+    def fail_unknown_function(self, name: str) -> None:
         raise ProgramError(f"this emulator does not have the function {name!r}", self.line)

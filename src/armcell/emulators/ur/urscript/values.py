@@ -46,16 +46,16 @@ class Pose(Vec):
     """
 
 
-def copied(value: Any) -> Any:
+def copy_value(value: Any) -> Any:
     """Return the value that is stored when URScript assigns a value: lists and poses are copied."""
     if isinstance(value, Vec):
-        return type(value)(copied(v) for v in value)
+        return type(value)(copy_value(v) for v in value)
     return value
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     if isinstance(value, Pose):
-        return "p[" + ", ".join(shown(v) for v in value) + "]"
+        return "p[" + ", ".join(format_value(v) for v in value) + "]"
     if isinstance(value, list):
-        return "[" + ", ".join(shown(v) for v in value) + "]"
+        return "[" + ", ".join(format_value(v) for v in value) + "]"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -8,17 +8,17 @@ from armcell.moveit.message_classes import classes
 from armcell.moveit.session import current_session
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.transformations import quaternion_from_euler
-from armcell.ros.codec import ros1
+from armcell.ros.codec import ros1_codec
 
 
 def msg_to_string(msg: Any) -> bytes:
     """Convert a message to bytes in the ROS 1 format, like moveit_commander.conversions."""
-    return bytes(ros1().encode(msg))
+    return bytes(ros1_codec().encode(msg))
 
 
 def msg_from_string(msg: Any, data: bytes) -> None:
     """Convert bytes in the ROS 1 format to a message, like moveit_commander.conversions."""
-    found = classes().local(ros1().decode(msg._type, data))
+    found = classes().local(ros1_codec().decode(msg._type, data))
     for name in msg._fields:
         setattr(msg, name, getattr(found, name))
 

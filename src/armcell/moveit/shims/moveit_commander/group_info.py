@@ -8,7 +8,7 @@ import numpy as np
 
 from armcell.core import JointState
 from armcell.kinematics import kinematic_tree
-from armcell.moveit.calls import measured_scene
+from armcell.moveit.commander_calls import measured_scene
 from armcell.moveit.session import current_session
 from armcell.moveit.shims.moveit_commander.conversions import list_to_pose_stamped
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException

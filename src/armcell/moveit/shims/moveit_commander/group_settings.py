@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armcell.moveit.calls import joint_constraints, pose_constraints
+from armcell.moveit.commander_calls import joint_constraints, pose_constraints
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.moveit_commander.group_info import JOINT, ORIENTATION, POSITION, kind_of
 from armcell.moveit.shims.moveit_commander.group_targets import GroupTargets

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from armcell.core import ArmcellError, InputError
-from armcell.moveit.calls import measured_scene
+from armcell.moveit.commander_calls import measured_scene
 from armcell.moveit.shims.moveit_commander.conversions import list_to_pose, pose_to_list
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.moveit_commander.group_info import (

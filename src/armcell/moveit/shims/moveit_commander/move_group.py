@@ -9,17 +9,17 @@ import numpy as np
 from armcell.core import ArmcellError, ErrorCode, JointState
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper
-from armcell.moveit.calls import (
+from armcell.moveit.commander_calls import (
     SUCCESS,
-    finished,
     measured_scene,
     send,
+    wait_for_result,
 )
+from armcell.moveit.missing_imports import METHODS
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException
 from armcell.moveit.shims.moveit_commander.group_info import POSE, TIMING, kind_of
 from armcell.moveit.shims.moveit_commander.group_settings import GroupSettings
 from armcell.moveit.target_hints import closed_on_nothing, unreached_pose
-from armcell.moveit.tutorial_names import METHODS
 from armcell.ros.moveit_convert import robot_state_from_message, robot_trajectory_message
 from armcell.ros.moveit_convert.objects import REMOVE
 from armcell.scene import WORLD
@@ -89,7 +89,7 @@ class MoveGroupCommander(GroupSettings):
         sent = self._send("move_group", self._goal(plan_only=False))
         if not wait:
             return True
-        result = finished(self._session, sent)
+        result = wait_for_result(self._session, sent)
         self._keep_plan(result)
         code = result.error_code.val
         self._hint_at_target(code)
@@ -119,7 +119,7 @@ class MoveGroupCommander(GroupSettings):
         """
         scene, cell = measured_scene(), self._session.served.cell
         closed = gripper.width_in(scene.state) < 0.5 * gripper.max_width
-        if closed and cell.held(gripper) is None and (why := closed_on_nothing(scene, gripper)):
+        if closed and cell.held_object(gripper) is None and (why := closed_on_nothing(scene, gripper)):
             self._session.hint(f"nothing in {gripper.name}", why)
 
     def plan(self, joints: Any = None) -> tuple[bool, Any, float, Any]:
@@ -129,7 +129,7 @@ class MoveGroupCommander(GroupSettings):
             (success, RobotTrajectory, planning time [s], MoveItErrorCodes).
         """
         self._take_target(joints)
-        result = finished(self._session, self._send("move_group", self._goal(plan_only=True)))
+        result = wait_for_result(self._session, self._send("move_group", self._goal(plan_only=True)))
         self._keep_plan(result)
         code = result.error_code
         self._hint_at_target(code.val)
@@ -242,7 +242,7 @@ class MoveGroupCommander(GroupSettings):
         sent = self._send("execute_trajectory", self._new("ExecuteTrajectoryGoal", plan_msg))
         if not wait:
             return True
-        return bool(finished(self._session, sent).error_code.val == SUCCESS)
+        return bool(wait_for_result(self._session, sent).error_code.val == SUCCESS)
 
     def _incomplete(self, plan: Any) -> str:
         """Return why a plan of the MoveGroupCommander is incomplete, or an empty text if it is complete."""
@@ -367,7 +367,7 @@ class MoveGroupCommander(GroupSettings):
         options.planning_scene_diff.is_diff = options.planning_scene_diff.robot_state.is_diff = True
         if self._path_constraints is not None:
             goal.path_constraints = self._session.messages.local(self._path_constraints)
-        result = finished(self._session, self._send(action, goal))
+        result = wait_for_result(self._session, self._send(action, goal))
         return int(result.error_code.val)
 
     def set_support_surface_name(self, value: str) -> None:

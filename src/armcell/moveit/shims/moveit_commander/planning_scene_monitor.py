@@ -11,8 +11,8 @@ from functools import partial
 from typing import Any
 
 from armcell.core import InputError
+from armcell.moveit.missing_imports import CLASSES
 from armcell.moveit.session import CHECK, current_session
-from armcell.moveit.tutorial_names import CLASSES
 from armcell.ros.nodes import ServedPlanner
 
 NAME = "PlanningSceneMonitor"
@@ -47,7 +47,9 @@ class PlanningSceneMonitor:
             self._session.say("WARN", f"startWorldGeometryMonitor: the cell has no camera; {HINT}")
         for camera in cameras if not self._watches else ():
             try:
-                self._watches.append(self._session.own(served.call(partial(served.live.watch, camera))))
+                self._watches.append(
+                    self._session.close_on_shutdown(served.call(partial(served.live.watch, camera)))
+                )
             except InputError as error:
                 self._session.say("WARN", f"startWorldGeometryMonitor: no octomap of {camera}: {error}")
         give_up = time.monotonic() + FIRST_IMAGE

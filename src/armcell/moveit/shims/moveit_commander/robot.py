@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from armcell.core import UnknownNameError
-from armcell.moveit.calls import measured_scene
+from armcell.moveit.commander_calls import measured_scene
 from armcell.moveit.session import current_session
 from armcell.moveit.shims.moveit_commander.conversions import list_to_pose_stamped
 from armcell.moveit.shims.moveit_commander.exception import MoveItCommanderException

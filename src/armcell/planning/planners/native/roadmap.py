@@ -17,9 +17,9 @@ from numba import njit
 
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import EXACT, PADDED, PROVE, check_block, ints, lanes_of
-from armcell.collision.kernel.frames import half_at, rate_at
+from armcell.collision.kernel.frames import interval_half_width_at, rate_at
 from armcell.collision.kernel.layout import DOF
-from armcell.collision.kernel.motion import edge_free, loosen
+from armcell.collision.kernel.motion import deviation_margins, edge_free
 from armcell.collision.kernel.simd import L, fma, load, mask_lt, pointer, splat, store, trailing_zeros
 from armcell.planning.planners.native.rrt_connect import next_sample
 from armcell.planning.planners.native.tree import FAR, get, put
@@ -151,7 +151,7 @@ def _not_free(k, lanes):
     I, w = ints(k), lanes_of(k)
     for j in range(I[DOF]):
         store(w, rate_at(I, j), splat(np.float32(0.0)))
-    store(w, half_at(I), splat(np.float32(0.0)))
+    store(w, interval_half_width_at(I), splat(np.float32(0.0)))
     return check_block(k, lanes, np.int64(EXACT | PADDED | PROVE))
 
 
@@ -163,7 +163,7 @@ def recheck(handle, no_room, g, stamp, stop):
     no_room: zeros (dof,).
     """
     dof, n, W, x = len(no_room), g.counts[VERTICES], lanes_of(pointer(handle)), pointer(g.nodes)
-    loosen(pointer(handle), pointer(no_room))
+    deviation_margins(pointer(handle), pointer(no_room))
     for first in range(0, n, L):
         if stop[0] != 0:
             return
@@ -191,7 +191,7 @@ def grow(handle, no_room, g, stamp, samples, block, blocks, stop):
         samples: see rrt_connect.Samples. block: scratch (16 dof,).
     """
     dof, W, q = len(no_room), lanes_of(pointer(handle)), pointer(block)
-    loosen(pointer(handle), pointer(no_room))
+    deviation_margins(pointer(handle), pointer(no_room))
     for _ in range(blocks):
         if stop[0] != 0:
             return

@@ -14,7 +14,7 @@ from numba import njit
 from armcell._inner_njit import inner_njit
 from armcell.collision.kernel.block import FIRST, ints
 from armcell.collision.kernel.layout import DOF
-from armcell.collision.kernel.motion import FINEST, PROVEN, loosen, prove
+from armcell.collision.kernel.motion import FINEST, PROVEN, deviation_margins, prove
 from armcell.collision.kernel.simd import pointer
 
 COARSE = 1e-3
@@ -144,7 +144,7 @@ def simplify_path(handle, path, count, space, index, room, mode, stop):
         for j in range(dof):
             p[i * width + j] = path[i, j]
         p[i * width + dof] = 0.0
-    loosen(k, pointer(room))
+    deviation_margins(k, pointer(room))
     length = 1e300
     for _ in range(ROUNDS):
         count = _shortcut(k, p, count, f, t, a, mode, pointer(stop))

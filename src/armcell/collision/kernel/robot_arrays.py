@@ -1,0 +1,448 @@
+"""Kernel data of the robot: frames, bodies with sphere covers, pairs, and motion bounds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision.kernel import near_groups
+from armcell.collision.kernel.bodies import (
+    FINE_OVERSHOOT,
+    LINK_OVERSHOOT,
+    UP,
+    Body,
+    PlacedBody,
+    held_body,
+    link_body,
+)
+from armcell.collision.kernel.convex_pieces import ConvexPieces, concatenate
+from armcell.collision.kernel.lru_cache import LruCache
+from armcell.collision.kernel.narrow_gaps import narrow_gaps
+from armcell.core import SO3
+from armcell.kinematics import kinematic_tree
+from armcell.kinematics.tree import REVOLUTE
+from armcell.model import RobotModel
+from armcell.scene import PlanningScene
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+REVOLUTE_KIND = 1  # as in frames
+
+
+@dataclass(frozen=True, eq=False)
+class RobotPart:
+    """The kernel's arrays for the robot, which do not depend on the world,
+    with body names and convex pieces.
+    """
+
+    bodies: tuple[str, ...]
+    arrays: dict[str, Any]
+    pieces: ConvexPieces
+
+
+@dataclass(frozen=True, eq=False)
+class _Chain:
+    """Kinematic chain of a planning group in the kernel.
+    It contains the frames that the group's joints move; all others are fixed.
+
+    Attributes:
+        above: for each frame, the frames from the world's child down to it.
+        arm: distance [m] from the origin of each frame's parent to its own origin.
+        arrays: the frames in the format of a `Pack`.
+    """
+
+    above: list[list[int]]
+    arm: list[float]
+    arrays: dict[str, Any]
+
+
+_parts: LruCache[RobotPart] = LruCache(8)
+_chains: LruCache[_Chain] = LruCache(32)
+_held: LruCache[Body] = LruCache(512)
+_placed: LruCache[PlacedBody] = LruCache(512)
+_pieces_joined: LruCache[ConvexPieces] = LruCache(32)
+_pairs_found: LruCache[I32] = LruCache(256)
+_near_found: LruCache[tuple[I32, dict[str, I32]]] = LruCache(64)
+_meetings: LruCache[_Meeting] = LruCache(4096)
+_reaches: LruCache[F64] = LruCache(1024)
+_moving: LruCache[NDArray[np.bool_]] = LruCache(32)
+
+
+def robot_part(scene: PlanningScene, joint_names: tuple[str, ...]) -> RobotPart:
+    """Return the kernel data of the robot, cached by robot and by the positions of all other joints.
+
+    Positions of the group's joints do not matter.
+    """
+    model = scene.model
+    rest = np.delete(scene.positions, model.columns(joint_names))
+    key = (
+        model,
+        joint_names,
+        rest.tobytes(),
+        tuple((h.object.shapes, h.link, h.T_link_object.matrix.tobytes(), h.touch_links, name)
+              for name, h in scene.attached.items()),
+        tuple(sorted(scene.link_scale.items())),
+        tuple(sorted(scene.link_padding.items())),
+        scene.padding,
+        frozenset((k, v) for k, v in scene.allowed.items() if not any(n in scene.objects for n in k)),
+    )  # fmt: skip
+    return _parts.get(key, lambda: _Builder(scene, joint_names).build())
+
+
+class _Builder:
+    def __init__(self, scene: PlanningScene, joint_names: tuple[str, ...]):
+        self.scene, self.model = scene, scene.model
+        self.tree = kinematic_tree(scene.model)
+        self.columns = {int(c): i for i, c in enumerate(scene.model.columns(joint_names))}
+        self.dof, self.joint_names = len(joint_names), joint_names
+
+    def build(self) -> RobotPart:
+        self._frames()
+        bodies, arrays, pieces = self._bodies()
+        pairs, near_tables = self._near_pairs(bodies, arrays)
+        reach = self._reach(bodies)
+        pair_reach = self._pair_reach(bodies, pairs, reach)
+        arrays |= {
+            "dof": self.dof,
+            **self.chain.arrays,
+            "pairs": pairs,
+            "pair_margin": np.zeros(len(pairs), np.float32),
+            **near_tables,
+            "reach": reach,
+            "pair_reach": pair_reach,
+            "rate": reach.astype(np.float32) * UP,
+            "pair_rate": pair_reach.astype(np.float32) * UP,
+        }
+        return RobotPart(tuple(b for b, _ in bodies), arrays, pieces)
+
+    # --- kinematics: only the group's joints remain, all others are merged ---
+    def _frames(self) -> None:
+        tree = self.tree
+        self.parent, self.fixed, self.kind, self.column = [0], [np.eye(4)[:3].ravel()], [0], [0]
+        self.multiplier, self.offset = [1.0], [0.0]
+        self.of_link = {0: (0, np.eye(4))}  # link -> frame, T_frame_link
+        self.adjustable: set[int] = set()  # links that a joint outside the group moves within their frame
+        # (the frame may be the world)
+        relative = tree.joint_transforms(self.scene.positions)
+        for j in range(len(tree.parent)):
+            frame, T = self.of_link[int(tree.parent[j])]
+            column = self.columns.get(int(tree.column[j])) if tree.kind[j] else None
+            if column is None:  # the group does not move this joint, so it keeps its current position
+                self.of_link[j + 1] = (frame, T @ relative[j])
+                if tree.kind[j] or int(tree.parent[j]) in self.adjustable:
+                    self.adjustable.add(j + 1)
+                continue
+            A = _turned_to_z(*tree.axis[j].tolist())
+            self.parent.append(frame)
+            self.fixed.append((T @ tree.T_parent_joint[j] @ A)[:3].ravel())
+            self.kind.append(REVOLUTE_KIND if tree.kind[j] == REVOLUTE else 2)
+            self.column.append(column)
+            self.multiplier.append(float(tree.multiplier[j]))
+            self.offset.append(float(tree.offset[j]))
+            self.of_link[j + 1] = (len(self.parent) - 1, A.T)
+        fixed = np.array(self.fixed)
+        key = (self.model, self.joint_names, fixed.tobytes())
+        self.chain = _chains.get(key, lambda: self._chain(fixed))
+
+    def _chain(self, fixed: F64) -> _Chain:
+        above: list[list[int]] = [[]]
+        for f in range(1, len(self.parent)):
+            above.append([*above[self.parent[f]], f])
+        arrays = {
+            "parent": np.array(self.parent, np.int32),
+            "fixed": fixed.astype(np.float32).reshape(-1, 12),
+            "kind": np.array(self.kind, np.int32),
+            "column": np.array(self.column, np.int32),
+            "multiplier": np.array(self.multiplier, np.float32),
+            "offset": np.array(self.offset, np.float32),
+        }
+        return _Chain(above, [math.hypot(*T[[3, 7, 11]]) for T in self.fixed], arrays)
+
+    # --- bodies ---
+    def _bodies(self) -> tuple[list[tuple[str, int]], dict[str, Any], ConvexPieces]:
+        scene, tree = self.scene, self.tree
+        bodies: list[tuple[str, int]] = []  # name, frame
+        placed: list[tuple[Body, F64]] = []  # and T_frame_body
+        # False for bodies whose pose in their frame depends on other joints (a gripper, a resting arm) or on
+        # a grasp: computing for each new pose which bodies they can meet takes longer than it saves.
+        self.placed_for_good: list[bool] = []
+        padding: list[float] = []
+        for name, link, body in _links_of(self.model, tuple(sorted(scene.link_scale.items()))):
+            frame, T = self.of_link[link]
+            bodies.append((name, frame))
+            placed.append((body, T))
+            padding.append(scene.link_padding.get(name, scene.padding))
+            self.placed_for_good.append(link not in self.adjustable)
+        for held in scene.attached.values():
+            frame, T = self.of_link[tree.link_index[held.link]]
+            body = _held.get(held.object.shapes, partial(held_body, held.object.shapes))
+            bodies.append((held.object.name, frame))
+            placed.append((body, T @ held.T_link_object.matrix))
+            padding.append(scene.link_padding.get(held.link, scene.padding))
+            self.placed_for_good.append(False)
+        self.owns = tuple(own for own, _ in placed)
+        self.placed = [_placed.get((own, T.tobytes()), partial(own.placed, T)) for own, T in placed]
+        sizes = [size for own in self.owns for size in own.sizes]
+        joined = _pieces_joined.get(self.owns, lambda: concatenate(own.pieces for own in self.owns))
+        poses = [np.zeros((0, 12)), *(body.piece_pose for body in self.placed)]
+        return (
+            bodies,
+            {
+                "frame": np.array([f for _, f in bodies], np.int32),
+                "body_sphere": np.array([body.around for body in self.placed], np.float32).reshape(-1, 4),
+                "body_groups": _ends(len(own.groups) for own in self.owns),
+                "padding": np.array(padding, np.float32),
+                "group_sphere": np.vstack([np.zeros((0, 4), np.float32), *(b.group for b in self.placed)]),
+                "group_spheres": _ends(sizes),
+                "sphere": np.vstack([np.zeros((0, 5), np.float32), *(b.sphere for b in self.placed)]),
+                "body_pieces": _ends(len(own.pieces.kind) for own in self.owns),
+            },
+            replace(joined, pose=np.concatenate(poses)),
+        )
+
+    def _pairs(self, bodies: list[tuple[str, int]]) -> I32:
+        def look() -> I32:
+            pairs = [
+                (i, j)
+                for i, (a, fa) in enumerate(bodies)
+                for j, (b, fb) in enumerate(bodies[:i])
+                if fa != fb and not self.scene.is_allowed(a, b)
+            ]
+            return np.array(pairs, np.int32).reshape(-1, 2)
+
+        touch = tuple((name, held.touch_links) for name, held in self.scene.attached.items())
+        names = {name for name, _ in bodies}
+        said = frozenset((pair, yes) for pair, yes in self.scene.allowed.items() if pair <= names)
+        return _pairs_found.get((self.model, tuple(bodies), touch, said), look)
+
+    def _near_pairs(
+        self, bodies: list[tuple[str, int]], arrays: dict[str, Any]
+    ) -> tuple[I32, dict[str, I32]]:
+        """Return the pairs of robot bodies that can touch, and the kernel's tables of their sphere groups.
+
+        The result is cached for all poses of bodies that are not placed for good.
+        """
+        pairs = self._pairs(bodies)
+        key = (
+            self.chain,
+            pairs.tobytes(),
+            arrays["frame"].tobytes(),
+            self.owns,
+            tuple(b if good else None for b, good in zip(self.placed, self.placed_for_good, strict=True)),
+        )
+
+        def look() -> tuple[I32, dict[str, I32]]:
+            meeting = [self._near(bodies, arrays, int(i), int(j)) for i, j in pairs]
+            # Leave out pairs that cannot meet, and groups of the first body that meet no group of the second.
+            some = [p for p, groups in enumerate(meeting) if len(groups.first)]
+            return pairs[some], _near_tables(arrays["body_groups"], pairs[some], [meeting[p] for p in some])
+
+        return _near_found.get(key, look)
+
+    def _near(self, bodies: list[tuple[str, int]], arrays: dict[str, Any], i: int, j: int) -> _Meeting:
+        """Return the sphere groups of two robot bodies in the kernel that can touch each other."""
+        f, e = bodies[i][1], bodies[j][1]
+        if not (self.placed_for_good[i] and self.placed_for_good[j]):
+            return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
+
+        def look() -> _Meeting:
+            branches = self._branches(f, e)
+            columns = sorted({self.column[frame] for branch in branches for frame in branch})
+            if len(columns) > near_groups.MAX_JOINTS:
+                return _all_meet(len(self.owns[i].groups), len(self.owns[j].groups))
+            return _Meeting.of(self._meeting(*branches, columns, arrays, i, j))
+
+        return _meetings.get((self.chain, f, e, self.placed[i], self.placed[j]), look)
+
+    def _branches(self, f: int, e: int) -> tuple[list[int], list[int]]:
+        """Return the kernel's frames from the last common ancestor of two
+        robot bodies down to each of the two bodies.
+
+        The common frame itself is not included.
+        """
+        a, b = self.chain.above[f], self.chain.above[e]
+        common = 0
+        while common < min(len(a), len(b)) and a[common] == b[common]:
+            common += 1
+        return a[common:], b[common:]
+
+    def _meeting(self, branch_i, branch_j, columns, arrays, i, j) -> NDArray[np.bool_]:
+        lower, upper = [], []
+        for c in columns:
+            joint = self.model.joints[self.joint_names[c]]
+            low, high = joint.limits.lower, joint.limits.upper
+            turns = not np.isfinite(high - low) or (high - low > 2 * np.pi and joint.type != "prismatic")
+            lower.append(-np.pi if turns else low)
+            upper.append(np.pi if turns else high)
+        place = {c: k for k, c in enumerate(columns)}
+        spheres, groups, starts = [], [], []
+        for k in (i, j):
+            first, end = arrays["body_groups"][k : k + 2]
+            ends = arrays["group_spheres"][first : end + 1]
+            groups.append(arrays["group_sphere"][first:end].astype(float))
+            spheres.append(arrays["sphere"][ends[0] : ends[-1]].astype(float))
+            starts.append(ends - ends[0])
+        arguments = (
+            np.array(branch_i, np.int64), np.array(branch_j, np.int64), np.array(self.fixed),
+            np.array(self.kind), np.array(self.multiplier), np.array(self.offset),
+            np.array([place.get(c, 0) for c in self.column]), np.array(lower) - near_groups.BEYOND,
+            np.array(upper) + near_groups.BEYOND, self._group_reach(branch_i, columns, groups[0]),
+            self._group_reach(branch_j, columns, groups[1]),
+            groups[0], starts[0], spheres[0], groups[1], starts[1], spheres[1],
+        )  # fmt: skip
+        return near_groups.cached_near_groups(*arguments)
+
+    def _group_reach(self, branch: list[int], columns: list[int], groups: F64) -> F64:
+        """Return upper bounds (groups, columns) on how far each sphere group
+        in the kernel moves when a joint moves by one unit.
+
+        The bounds are like those of `_reach`.
+
+        Args:
+            branch: frames from the common frame down to the body's frame.
+            columns: joint columns of the result.
+            groups: (g, 4) spheres in the body's frame.
+        """
+        radius = np.linalg.norm(groups[:, :3], axis=1) + groups[:, 3]
+        reach = np.zeros((len(groups), len(columns)))
+        for frame in reversed(branch):
+            m, c = abs(self.multiplier[frame]), columns.index(self.column[frame])
+            if self.kind[frame] == REVOLUTE_KIND:
+                reach[:, c] += m * radius
+            else:
+                reach[:, c] += m
+                radius = radius + m * self._span(frame) + abs(self.offset[frame])
+            radius = radius + self.chain.arm[frame]
+        return reach
+
+    # --- motion bounds ---
+    def _reach(self, bodies: list[tuple[str, int]]) -> F64:
+        """Return upper bounds (bodies, dof) on how far each robot body in
+        the kernel moves when a joint moves by one unit.
+        """
+        reach = np.zeros((len(bodies), self.dof))
+        for k, ((_, frame), body) in enumerate(zip(bodies, self.placed, strict=True)):
+            if frame > 0:
+                reach[k] = _reaches.get(
+                    (self.chain, frame, body), partial(self._reach_of, frame, body.around)
+                )
+        return reach
+
+    def _reach_of(self, frame: int, around: F32) -> F64:
+        reach = np.zeros(self.dof)
+        radius = float(np.linalg.norm(around[:3]) + around[3])
+        while frame > 0:
+            m, c = abs(self.multiplier[frame]), self.column[frame]
+            if self.kind[frame] == REVOLUTE_KIND:
+                reach[c] += m * radius
+            else:
+                reach[c] += m
+                radius += m * self._span(frame) + abs(self.offset[frame])
+            radius += self.chain.arm[frame]
+            frame = self.parent[frame]
+        return reach * (1 + 1e-6)
+
+    def _span(self, frame: int) -> float:
+        """Return the largest absolute position within the limits of the joint that moves a kernel frame."""
+        limits = self.model.joints[self.joint_names[self.column[frame]]].limits
+        return max(abs(limits.lower), abs(limits.upper))
+
+    def _pair_reach(self, bodies: list[tuple[str, int]], pairs: I32, reach: F64) -> F64:
+        """Return upper bounds (pairs, dof) on how far the bodies of a pair move
+        relative to each other when a joint moves by one unit.
+
+        Only joints above exactly one of the two bodies move them relative to each other.
+        """
+        key = (self.chain, tuple(frame for _, frame in bodies), pairs.tobytes())
+        i, j = pairs.T
+        moves = _moving.get(key, lambda: self._moves([frame for _, frame in bodies], i, j))
+        return np.where(moves, reach[i] + reach[j], 0.0)
+
+    def _moves(self, frames: list[int], i: I32, j: I32) -> NDArray[np.bool_]:
+        """Return a mask (pairs, dof) of the joints that move the two
+        robot bodies of a pair relative to each other.
+        """
+        above = np.zeros((len(frames), len(self.parent)), bool)
+        for k, frame in enumerate(frames):
+            above[k, self.chain.above[frame]] = True
+        column = np.zeros((len(self.parent), self.dof))
+        column[np.arange(1, len(self.parent)), self.column[1:]] = 1.0
+        return (above[i] ^ above[j]) @ column > 0
+
+
+def _ends(sizes: Iterable[int]) -> I32:
+    return np.cumsum([0, *sizes]).astype(np.int32)
+
+
+@lru_cache
+def _turned_to_z(x: float, y: float, z: float) -> F64:
+    """Return the transform (4, 4) that rotates the z axis to the axis of a robot joint.
+    In the kernel all joints act about or along z.
+    """
+    A = np.eye(4)
+    A[:3, :3] = SO3.between((0.0, 0.0, 1.0), (x, y, z)).matrix
+    return A
+
+
+@dataclass(frozen=True, eq=False)
+class _Meeting:
+    """Sphere groups of two robot bodies in the kernel that can touch each other.
+
+    Attributes:
+        first: (n,) groups of the first body that can touch a group of the second body.
+        counts: (n,) how many groups of the second body each of them can touch.
+        second: the groups of the second body, one run per entry of `first`.
+    """
+
+    first: I32
+    counts: I32
+    second: I32
+
+    @staticmethod
+    def of(meets: NDArray[np.bool_]) -> _Meeting:
+        """Convert a mask (g, h) of the groups that can touch each other."""
+        counts = meets.sum(axis=1)
+        first = counts.nonzero()[0]
+        return _Meeting(*(a.astype(np.int32) for a in (first, counts[first], meets.nonzero()[1])))
+
+
+@lru_cache(maxsize=1024)
+def _all_meet(g: int, h: int) -> _Meeting:
+    return _Meeting.of(np.ones((g, h), np.bool_))
+
+
+@lru_cache(maxsize=32)
+def _links_of(model: RobotModel, scales: tuple[tuple[str, float], ...]) -> tuple[tuple[str, int, Body], ...]:
+    """Return the name, index and kernel body of each link with a collision shape."""
+    scale_of, tree = dict(scales), kinematic_tree(model)
+    fine = {f for g in model.grippers.values() for f in g.contact_links} | narrow_gaps(model)
+    found = []
+    for link in model.links.values():
+        if link.collisions:
+            overshoot = FINE_OVERSHOOT if link.name in fine else LINK_OVERSHOOT
+            body = link_body(link, scale_of.get(link.name, 1.0), overshoot)
+            found.append((link.name, tree.link_index[link.name], body))
+    return tuple(found)
+
+
+def _near_tables(body_groups: I32, pairs: I32, meeting: list[_Meeting]) -> dict[str, I32]:
+    """Return the kernel's tables of those sphere groups of the robot that can touch each other."""
+    lengths = [len(m.first) for m in meeting]
+    more = [len(m.second) for m in meeting]
+    i, j = body_groups[pairs.T] if len(pairs) else (body_groups[:0],) * 2
+    none = np.zeros(0, np.int32)
+    counts = np.concatenate([none, *(m.counts for m in meeting)])
+    return {
+        "near": _ends(lengths),
+        "near_groups": np.concatenate([none, *(m.first for m in meeting)]) + np.repeat(i, lengths),
+        "meet": _ends(counts),
+        "meet_groups": np.concatenate([none, *(m.second for m in meeting)]) + np.repeat(j, more),
+    }

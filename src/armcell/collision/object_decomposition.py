@@ -1,0 +1,65 @@
+"""Convex pieces of objects for physics; closed meshes keep their cavities and openings.
+
+Robot links always use `convex_pieces`, which divides a link into at most 12 pieces.
+"""
+
+from __future__ import annotations
+
+import logging
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armcell._array_store import key_of
+from armcell.collision import concave_decomposition
+from armcell.collision.convex_decomposition import convex_hull_mesh, convex_pieces, stored_pieces
+from armcell.core import Mesh
+
+if TYPE_CHECKING:
+    import trimesh
+
+log = logging.getLogger(__name__)
+
+CONVEX = 0.98  # a mesh that fills more than this fraction of its hull's volume counts as convex
+SMALLEST = 1e-11  # [m^3] smaller pieces are left out; MuJoCo rejects meshes without volume
+VERSION = 2  # increase when the same mesh yields different pieces, to invalidate the disk cache
+
+
+@lru_cache(maxsize=256)
+def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
+    """Decompose an object's mesh into convex meshes whose union contains it; the result is cached on disk.
+
+    The pieces of a closed mesh do not overlap. Their total volume exceeds the mesh's volume by at most
+    `concave.EXCESS`, unless the budget of `concave.cut` ends first. An open mesh has no volume:
+    `convex_pieces` divides it. The same mesh always yields the same pieces.
+
+    Raises:
+        InputError: the mesh is flat.
+    """
+    import trimesh  # slow to import
+
+    merged = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)  # STL files repeat their vertices
+    if not merged.is_watertight or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
+        return convex_pieces(mesh)
+    key = key_of(f"concave{VERSION}", mesh.vertices.astype(float), mesh.faces.astype(np.int32))
+    return stored_pieces(key, lambda: _cut(mesh, merged))
+
+
+def _cut(mesh: Mesh, merged: trimesh.Trimesh) -> tuple[Mesh, ...]:
+    merged.fix_normals(multibody=True)
+    found = concave_decomposition.cut(np.array(merged.vertices, float), np.array(merged.faces, np.int32))
+    pieces = [piece for piece in map(convex_hull_mesh, found) if _volume(piece) > SMALLEST]
+    total = sum(map(_volume, pieces))
+    if total > (1 + 2 * concave_decomposition.EXCESS) * merged.volume:
+        log.warning(
+            "%s: %d convex pieces fill %.1f cm3, the mesh %.1f cm3: its openings are smaller in physics",
+            mesh.file or "mesh", len(pieces), total * 1e6, merged.volume * 1e6,
+        )  # fmt: skip
+    return tuple(pieces)
+
+
+def _volume(piece: Mesh) -> float:
+    """Return the volume [m^3] of a closed mesh with outward normals, before its convex decomposition."""
+    a, b, c = (piece.vertices[piece.faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a - piece.vertices[0], np.cross(b - a, c - a))) / 6

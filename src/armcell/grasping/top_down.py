@@ -1,0 +1,171 @@
+"""Top-down grasps of pieces in a heap, from a height map, without knowledge of their shapes.
+
+The fingers descend where the map is lower than their tips and close on the piece between them. Hidden cells
+count as filled, so fingers never enter space that no camera has seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3, HeightMap, InputError
+from armcell.core.checks import checked, require
+from armcell.grasping import top_down_kernel
+from armcell.grasping.grasp import Grasp
+from armcell.grasping.hand import Hand
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+@checked()
+class TopDownGraspSettings:
+    """Settings for grasping pieces out of a heap from above; lengths in meters."""
+
+    turns: int = 16  # hand orientations over half a circle
+    depths: tuple[float, ...] = (0.054, 0.040, 0.028, 0.018, 0.010)  # fingertip depths below the top
+    room: float = 0.009  # free space on each side of the piece, for errors of the map and the arm
+    clearance: float = 0.003  # of the fingers above the cells below them
+    least_hold: float = 0.006  # minimum height of the piece above the fingertips
+    steepest: float = 0.45  # maximum tangent of a side's slant that friction holds
+    least_touch: float = 0.3  # minimum fraction of the finger width in contact; less is a corner
+    kept: int = 80  # maximum number of candidates
+    apart: float = 0.008  # minimum distance of two candidates with the same orientation
+
+    def __post_init__(self) -> None:
+        require(self.turns >= 1, f"turns is {self.turns}, it must be at least 1")
+        for name in ("room", "least_hold", "steepest", "apart"):
+            require(getattr(self, name) > 0, f"{name} is {getattr(self, name):g}, it must be positive")
+
+
+@dataclass(frozen=True, eq=False)
+class HeapGrasp(Grasp):
+    """Grasp of one piece of a heap from above, with the tcp pose in the world frame."""
+
+    piece: int = -1
+    tip: float = 0.0  # [m, world z] height of the fingertips
+    top: float = 0.0  # [m, world z] top of the piece between the fingers
+    reach: float = 0.05  # [m] extent of the piece from the hand's center, seen from above
+
+
+def top_down_grasps(
+    seen: HeightMap,
+    labels: NDArray[np.int64],
+    floor: float,
+    hand: Hand,
+    force: float,
+    settings: TopDownGraspSettings = TopDownGraspSettings(),
+    avoid: Sequence[tuple[float, float, float]] = (),
+) -> list[HeapGrasp]:
+    """Return grasp candidates for the pieces of a heap, from above and best first.
+
+    Args:
+        labels: (nx, ny) piece number of each cell, -1 for none.
+        floor: [m, world z] height of the surface below the heap.
+        force: [N] per finger, because the weight is unknown.
+        avoid: x, y [m], angle [rad] of failed grasps; candidates near them come last.
+    Raises:
+        InputError: the sizes of map and labels differ.
+    """
+    if labels.shape != seen.heights.shape:
+        raise InputError(f"labels of {labels.shape} cells for a map of {seen.heights.shape}")
+    s, gripper = settings, hand.gripper
+    cells = np.argwhere(labels >= 0)
+    cells = cells[(cells.sum(1) % 2) == 0]  # checkerboard subset: neighboring cells give similar grasps
+    if not len(cells):
+        return []
+    fingers = np.concatenate([hand.left, hand.right])
+    tip_z = float(fingers[:, 5].max())
+    half = float(np.abs(fingers[:, [0, 3]]).max())
+    thick = float(np.abs(fingers[:, [1, 4]]).max())
+    length = tip_z - float(hand.palm[:, 5].max())
+    palm = np.array([np.abs(hand.palm[:, [1, 4]]).max(), np.abs(hand.palm[:, [0, 3]]).max()])
+    turns = np.pi * np.arange(s.turns) / s.turns
+    depths = np.array([min(d, length - s.clearance) for d in s.depths])
+    rows = top_down_kernel.search(
+        seen.heights, *seen.origin, seen.resolution, cells, turns, depths, floor + s.clearance,
+        np.array([half, thick, length]), palm, gripper.max_width,
+        np.array([s.room, s.clearance, s.least_hold]),
+    )  # fmt: skip
+    rows = rows[(rows[:, 7] <= s.steepest) & (rows[:, 6] >= s.least_touch)]
+    if not len(rows):
+        return []
+    middles, radii = _pieces(seen, labels)
+    cell = cells[rows[:, 0].astype(int)]
+    piece = labels[cell[:, 0], cell[:, 1]]
+    turn = turns[rows[:, 1].astype(int)]
+    along = np.column_stack([np.cos(turn), np.sin(turn)])
+    at = seen.at(cell)[:, :2] + rows[:, 3, None] * along
+    lever = np.linalg.norm(at - middles[piece], axis=1)
+    score = (
+        (0.3 + 0.7 * rows[:, 6])
+        * (1 - (rows[:, 7] / s.steepest) ** 2)
+        * (0.3 + 0.7 * np.minimum(rows[:, 8], 0.03) / 0.03)
+        / (1 + (lever / 0.03) ** 2)
+        + 2.0 * (rows[:, 9] - floor)  # topmost pieces first
+    )
+    for x, y, failed in avoid:
+        near = np.linalg.norm(at - (x, y), axis=1) < 0.015
+        score -= 0.5 * (near & (np.abs(np.sin(turn - failed)) < 0.35))
+    found: list[HeapGrasp] = []
+    taken = np.zeros((0, 4))
+    for i in np.argsort(-score, kind="stable"):
+        here = np.array([*at[i], rows[i, 2], 0.05 * rows[i, 1]])
+        if len(taken) and np.any(np.linalg.norm(taken - here, axis=1) < s.apart):
+            continue
+        taken = np.vstack([taken, here])
+        T = _down(at[i], float(rows[i, 2]) + tip_z, float(turn[i]))
+        if not _only_pieces(seen, labels, T, float(rows[i, 4]), half, float(rows[i, 2])):
+            continue
+        k = int(piece[i])
+        name = f"piece {k} at {np.rad2deg(turn[i]):.0f} deg, tips {1000 * (rows[i, 2] - floor):.0f} mm up"
+        found.append(
+            HeapGrasp(
+                f"{name} ({len(found)})", T, float(rows[i, 4]), float(rows[i, 5]), force, float(score[i]),
+                piece=k, tip=float(rows[i, 2]), top=float(rows[i, 9]), reach=float(lever[i] + radii[k]),
+            )
+        )  # fmt: skip
+        if len(found) == s.kept:
+            break
+    return found
+
+
+def _only_pieces(
+    seen: HeightMap, labels: NDArray[np.int64], T: SE3, width: float, half: float, tip: float
+) -> bool:
+    """Return whether a grasp from above has only pieces of the heap
+    between the fingers, and no wall of the bin.
+    """
+    r = seen.resolution
+    x, y = np.meshgrid(np.arange(-half, half + r, r), np.arange(r - width / 2, width / 2, r))
+    at = T.apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]
+    i, j = np.round((at - seen.origin) / r).astype(int).T
+    inside = (i >= 0) & (j >= 0) & (i < labels.shape[0]) & (j < labels.shape[1])
+    i, j = i[inside], j[inside]
+    standing = seen.seen[i, j] & (seen.heights[i, j] > tip)
+    return float(np.mean(labels[i, j][standing] >= 0)) > 0.9 if standing.any() else False
+
+
+def _pieces(seen: HeightMap, labels: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return the centers (k, 2) [m, world] and radii (k,) [m] of the pieces in a heap, seen from above."""
+    index = np.argwhere(labels >= 0)
+    number = labels[index[:, 0], index[:, 1]]
+    xy, count = seen.at(index)[:, :2], int(number.max()) + 1
+    size = np.maximum(np.bincount(number, minlength=count), 1)
+    middles = np.column_stack([np.bincount(number, xy[:, k], count) / size for k in range(2)])
+    radii = np.zeros(count)
+    np.maximum.at(radii, number, np.linalg.norm(xy - middles[number], axis=1))
+    return middles, radii
+
+
+def _down(at: Array, z: float, turn: float) -> SE3:
+    """Return the pose T_world_tcp of a grasp from above:
+    the hand points down and is turned about z by an angle.
+    """
+    y = np.array([np.cos(turn), np.sin(turn), 0.0])
+    approach = np.array([0.0, 0.0, -1.0])
+    return SE3(SO3(np.column_stack([np.cross(y, approach), y, approach])), np.array([at[0], at[1], z]))

@@ -1,0 +1,204 @@
+"""Recognition of grippers with two jaws: derives robot.yaml's gripper parameters from joints and meshes.
+
+The jaws may slide, move on a coupled linkage (Robotiq, xArm), or be one moving and one fixed jaw. The closing
+direction follows from the jaws' motion, the pads from the surfaces that face each other when the gripper is
+closed, and the opening from the pads' distance at every position of the driven joint.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armcell.core import InputError, UnknownNameError
+from armcell.model.robot import EndEffector, RobotModel
+from armcell.model.setup.frames import with_tip
+from armcell.model.setup.hand_geometry import GripperNotRecognizedError, HandGeometry, driver_of
+from armcell.model.setup.jaws import find_jaws
+from armcell.model.setup.pads import with_measured_gripper
+
+logger = logging.getLogger(__name__)
+
+KEYS = ("end", "drive", "fingers", "tcp", "closes")
+FORMAT = "drive=JOINT fingers=LINK,LINK tcp=LINK closes=lower|upper"
+
+
+@dataclass(frozen=True)
+class GripperSpec:
+    """Facts about a gripper that the user states; setup recognizes the rest.
+
+    Attributes:
+        end: end effector; empty: the only one without a gripper.
+        drive: driven joint; empty: the only driven joint of the end effector.
+        fingers: links of the jaws on both sides; empty: recognized.
+        tcp: link of the tool center, y in the closing direction, z out of the hand; empty: recognized.
+        closes: limit of the driven joint at which the jaws are closed, "lower" or "upper"; empty: recognized.
+    """
+
+    end: str = ""
+    drive: str = ""
+    fingers: tuple[tuple[str, ...], ...] = ()
+    tcp: str = ""
+    closes: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> GripperSpec:
+        """Return the facts of a text such as "drive=JOINT fingers=LINK,LINK closes=upper".
+
+        Raises:
+            InputError: the text does not have this format.
+        """
+        values: dict[str, str] = {}
+        for word in text.split():
+            key, equals, value = word.partition("=")
+            if key not in KEYS:
+                raise UnknownNameError("key of --gripper", key, KEYS)
+            if not equals or not value or key in values:
+                raise InputError(f"--gripper {text!r}: {word!r} is not KEY=VALUE, once per key", hint=FORMAT)
+            values[key] = value
+        fingers = tuple(tuple(side.split("+")) for side in values.pop("fingers", "").split(",") if side)
+        if fingers and len(fingers) != 2:
+            raise InputError(f"--gripper {text!r}: fingers needs two sides, as fingers=LEFT,RIGHT or A,B+C")
+        if values.get("closes", "lower") not in ("lower", "upper"):
+            raise InputError(
+                f"--gripper {text!r}: closes is 'lower' or 'upper', the limit of the driven joint"
+            )
+        return cls(fingers=fingers, **values)
+
+
+def find_grippers(model: RobotModel, tips: bool = False, stated: Sequence[GripperSpec] = ()) -> RobotModel:
+    """Return the robot with a `Gripper` for each end effector with two jaws and one driven joint.
+
+    If no frame of the robot is at the pads' center, the robot gets a link `<end effector>_tcp` there. Log
+    messages state why an end effector has no gripper.
+
+    Args:
+        tips: whether the tool center becomes the tip of the arm's group.
+        stated: facts about grippers; a gripper that the model already has is recognized again.
+    Raises:
+        InputError: a stated gripper does not exist, or the meshes contradict it.
+    """
+    facts = _by_end(model, stated)
+    for end in model.end_effectors.values():
+        if (end.name in model.grippers and end.name not in facts) or end.parent_group is None:
+            continue
+        try:
+            model = _with_gripper(model, end, facts.get(end.name, GripperSpec()))
+            gripper = model.grippers[end.name]
+            if tips and model.groups[gripper.arm_group].tip_link != gripper.tcp_link:
+                model = with_tip(model, gripper.arm_group, gripper.tcp_link)
+        except GripperNotRecognizedError as reason:
+            if end.name in facts:
+                raise InputError(f"end effector {end.name}: {reason}", hint=reason.hint) from None
+            logger.warning("end effector %s: no gripper found: %s", end.name, reason)
+    return model
+
+
+def reasons(model: RobotModel) -> dict[str, str]:
+    """Return why robot setup did not recognize a gripper, with a hint, for each end effector by name."""
+    found = {}
+    for end in model.end_effectors.values():
+        if end.name not in model.grippers:
+            try:
+                _with_gripper(model, end, GripperSpec())
+            except GripperNotRecognizedError as reason:
+                found[end.name] = f"{reason}; {reason.hint}" if reason.hint else str(reason)
+    return found
+
+
+def _by_end(model: RobotModel, stated: Sequence[GripperSpec]) -> dict[str, GripperSpec]:
+    """Return the stated facts by end effector.
+
+    Raises:
+        InputError: an end effector does not exist, is stated twice, or is missing although there are several.
+    """
+    facts: dict[str, GripperSpec] = {}
+    for fact in stated:
+        name = fact.end or _only_end(model)
+        if name not in model.end_effectors:
+            raise UnknownNameError("end effector", name, model.end_effectors)
+        if name in facts:
+            raise InputError(
+                f"end effector {name!r} is stated twice", hint="give --gripper once per end effector"
+            )
+        facts[name] = fact
+        for link in (fact.tcp, *(link for side in fact.fingers for link in side)):
+            if link:
+                model.link(link)
+    return facts
+
+
+def _only_end(model: RobotModel) -> str:
+    if len(model.end_effectors) == 1:
+        return next(iter(model.end_effectors))
+    if not model.end_effectors:
+        raise InputError(
+            "the robot has no end effector: no joints branch off behind the arm",
+            hint="--gripper drive=JOINT makes the link behind JOINT a jaw",
+        )
+    names = ", ".join(model.end_effectors)
+    raise InputError(
+        f"the robot has {len(model.end_effectors)} end effectors", hint=f"add end=NAME with one of {names}"
+    )
+
+
+def _with_gripper(model: RobotModel, end: EndEffector, fact: GripperSpec) -> RobotModel:
+    driven = model.groups[end.group].joint_names
+    if fact.drive and fact.drive not in driven:
+        raise GripperNotRecognizedError(
+            f"drive: {fact.drive} is not a driven joint of it; those are {', '.join(driven)}"
+        )
+    if fact.drive or len(driven) == 1:
+        return _with_driven(model, end, fact.drive or driven[0], fact)
+    found = [with_it for name in driven if (with_it := _moves_both_jaws(model, end, name, fact))]
+    if len(found) == 1:
+        return found[0]
+    names = ", ".join(driven) or "fixed jaws"
+    hint = 'add <mimic joint="..."/> in the URDF to the joints that follow another joint'
+    if found:
+        names, hint = ", ".join(m.grippers[end.name].joint_name for m in found), "pass --gripper drive=JOINT"
+    raise GripperNotRecognizedError(
+        f"{len(driven)} driven joints ({names}), but one must move the jaws and the others mimic it",
+        hint if driven else "",
+    )
+
+
+def _moves_both_jaws(model: RobotModel, end: EndEffector, name: str, fact: GripperSpec) -> RobotModel | None:
+    """Return the robot with the gripper whose jaws one of several driven joints moves, if it moves both."""
+    if sum(j.movable and driver_of(model, j) == name for j in model.joints.values()) < 2:
+        return None
+    try:
+        return _with_driven(model, end, name, fact)
+    except GripperNotRecognizedError:
+        return None
+
+
+def _with_driven(model: RobotModel, end: EndEffector, name: str, fact: GripperSpec) -> RobotModel:
+    driver = model.joints[name]
+    if not (np.isfinite(driver.limits.lower) and np.isfinite(driver.limits.upper)):
+        raise GripperNotRecognizedError(f"joint {name} has no position limits")
+    if driver.limits.upper - driver.limits.lower < 1e-6:
+        raise GripperNotRecognizedError(f"joint {name} cannot move: lower and upper limit are equal")
+    hand = HandGeometry(model, driver)
+    for link in (link for side in fact.fingers for link in side):
+        _check_finger(hand, link)
+    return with_measured_gripper(hand, end, find_jaws(hand, fact.fingers, fact.closes), fact.tcp)
+
+
+def _check_finger(hand: HandGeometry, link: str) -> None:
+    """Check that the driven joint moves a stated finger, or that the finger is fixed to the palm.
+
+    Raises:
+        GripperNotRecognizedError: the finger is elsewhere, or another driven joint moves it.
+    """
+    if link not in hand.rigid or link not in hand.points:
+        raise GripperNotRecognizedError(f"finger {link} is not a link below the palm {hand.palm}")
+    others = {driver_of(hand.model, j) for j in hand.model.chain(hand.palm, link) if j.movable}
+    if others - {hand.driver.name}:
+        raise GripperNotRecognizedError(
+            f"joint {', '.join(sorted(others - {hand.driver.name}))} moves finger {link} by itself, but one "
+            f'joint must move both jaws: add <mimic joint="{hand.driver.name}"/> to it in the URDF'
+        )

@@ -1,0 +1,173 @@
+"""Pose estimation of known objects: fits of the shape to the points from all orientations.
+
+A variant of iterated closest point (Besl and McKay, IEEE PAMI 14(2), 1992): closest points come from the
+object's distance field, and rays that pass beside the object count, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3, Box, Cylinder, Shape, Sphere
+from armcell.perception import solid_fit as F
+from armcell.perception.primitives import POINTS, RAYS, footprint
+from armcell.perception.solid_fit import CameraEvidence, cost_at, fit_solid
+from armcell.perception.solids import Solid, solid_of, surface_mesh
+
+F64 = NDArray[np.float64]
+
+_STARTS_POINTS, _STARTS_RAYS = 100, 60
+_TRIED = 5  # number of refined start poses
+_QUARTER = 4  # yaw steps per quarter turn for objects that are not primitives
+_GOOD = 0.08  # cost below which no tilted pose is tried
+_TILTED = 0.7  # maximum cost of a tilted fit, relative to the resting fit
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """Estimated pose of a known object in the frame of its support, with the errors of the match."""
+
+    T: SE3
+    cost: float
+    rms: float  # [m]
+
+
+@lru_cache(maxsize=1)
+def cube_turns() -> tuple[SO3, ...]:
+    """Return the 24 rotations that map the coordinate axes onto each other. They are start rotations for the
+    pose search of a known object.
+    """
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            R = np.zeros((3, 3))
+            for i, (k, sign) in enumerate(zip(order, signs, strict=True)):
+                R[i, k] = sign
+            if np.linalg.det(R) > 0:
+                found.append(SO3(R))
+    return tuple(found)
+
+
+def rough_match(
+    evidence: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], stands: bool = True
+) -> Match | None:
+    """Estimate a rough pose of a known object from a subset of the camera evidence.
+
+    The result is None if the object's size does not match.
+
+    Args:
+        stands: whether the object rests on z = 0.
+    """
+    solid = solid_of(shapes)
+    around = footprint(evidence.points)
+    seen = np.linalg.norm([around.a, around.b, around.height])
+    if float(seen) > float(np.linalg.norm(solid.high - solid.low)) + 4 * evidence.scale:
+        return None
+    rough = evidence.thinned(_STARTS_POINTS, _STARTS_RAYS)
+    starts = [
+        (cost_at(rough, solid, T), i, T) for i, T in enumerate(_starts(evidence, shapes, solid, stands))
+    ]
+    starts.sort(key=lambda start: start[:2])
+    tried = (fit_solid(rough, solid, F.SLIDING, np.zeros(3), T, 12) for _, _, T in starts[:_TRIED])
+    best = min(tried, key=lambda found: found.cost)
+    return Match(best.T, best.cost, best.rms)
+
+
+def match_known(
+    evidence: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], start: Match, stands: bool = True
+) -> Match:
+    """Refine the pose of a known object from a rough match.
+
+    Tilted poses are tried, too, and accepted if their cost is much lower.
+    """
+    solid, fine = solid_of(shapes), evidence.thinned(POINTS, RAYS)
+    best = fit_solid(fine, solid, F.SLIDING, np.zeros(3), start.T, 20)
+    if stands and best.cost < _GOOD:
+        return Match(best.T, best.cost, best.rms)
+    free = fit_solid(fine, solid, F.FREE, np.zeros(6), best.T, 25)
+    chosen = free if not stands or free.cost < _TILTED * best.cost else best
+    return Match(chosen.T, chosen.cost, chosen.rms)
+
+
+def _starts(
+    evidence: CameraEvidence, shapes: tuple[tuple[Shape, SE3], ...], solid: Solid, stands: bool
+) -> list[SE3]:
+    """Return start poses for matching a known object, with each side of the object down in turn.
+
+    Each pose is centered on the footprint of the camera's points and takes its yaw angle from the footprint.
+    If `stands` is set, the object rests on z = 0. Otherwise its center is at the mean height of the points.
+    """
+    points = _outline(shapes)
+    around = footprint(evidence.points)
+    primitive = len(shapes) == 1 and isinstance(shapes[0][0], Box | Cylinder | Sphere)
+    angles = np.arange(1 if primitive else _QUARTER) * (np.pi / 2 / _QUARTER)
+    middle = evidence.points.mean(axis=0)
+    found = []
+    for turn in cube_turns():
+        for angle in angles:
+            R = SO3.exp([0, 0, around.yaw + angle]) @ turn
+            turned = points @ R.matrix.T
+            low, high = turned.min(axis=0), turned.max(axis=0)
+            z = -low[2] if stands else middle[2] - (low[2] + high[2]) / 2
+            xy = np.array([around.x, around.y]) - (low[:2] + high[:2]) / 2
+            found.append(SE3(R, np.array([xy[0], xy[1], z])))
+    return found
+
+
+@lru_cache(maxsize=64)
+def _outline(shapes: tuple[tuple[Shape, SE3], ...]) -> F64:
+    """Return the corners (n, 3) of the convex hull of a known object."""
+    from scipy.spatial import ConvexHull
+
+    vertices = surface_mesh(shapes).vertices
+    return vertices[ConvexHull(vertices).vertices]
+
+
+# --- symmetry ---
+def closest_equivalent(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, prior: SE3) -> SE3:
+    """Return the pose that is equivalent to an object's pose T and nearest to a prior pose.
+
+    Two poses are equivalent if the object looks the same in both of them because it is symmetric.
+
+    Considers single spheres, cylinders and boxes; other objects are treated as asymmetric.
+    """
+    if len(shapes) != 1:
+        return T
+    shape, T_object_shape = shapes[0]
+    wanted, here = prior @ T_object_shape, T @ T_object_shape
+    match shape:
+        case Sphere():
+            R = wanted.rotation
+        case Cylinder():
+            R = _spun(here.rotation, wanted.rotation)
+        case Box():
+            half = shape.half_extents
+            same = (t for t in cube_turns() if np.allclose(np.abs(t.matrix) @ half, half, atol=1e-6))
+            R = min((here.rotation @ t for t in same), key=lambda r: _angle(r, wanted.rotation))
+        case _:
+            return T
+    return SE3(R, here.translation) @ T_object_shape.inverse()
+
+
+def _angle(a: SO3, b: SO3) -> float:
+    return float(np.linalg.norm((a.inverse() @ b).log()))
+
+
+def _spun(here: SO3, wanted: SO3) -> SO3:
+    """Return a rotation near `wanted` whose z axis is parallel or antiparallel to the z axis of `here`."""
+    axis = here.matrix[:, 2]
+    if axis @ wanted.matrix[:, 2] < 0:
+        axis = -axis
+    return SO3.between(wanted.matrix[:, 2], axis) @ wanted
+
+
+def pose_error(shapes: tuple[tuple[Shape, SE3], ...], T: SE3, T_true: SE3) -> tuple[float, float]:
+    """Return the position error [m] and rotation error [rad] of a known object's pose. Symmetric poses count
+    as equal.
+    """
+    return closest_equivalent(shapes, T, T_true).distance_to(T_true)

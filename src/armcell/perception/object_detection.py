@@ -1,0 +1,414 @@
+"""Object detection in a depth image: objects with poses and fit quality, or with reasons.
+
+Steps: compute points; remove the robot and known fixed objects; find the support plane; cluster the points
+above it; match each cluster to a known object of the scene, or fit a box, cylinder or sphere.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.collision import object_mask, robot_mask
+from armcell.core import (
+    SE3,
+    CameraImage,
+    ErrorCode,
+    InputError,
+    Outcome,
+    Plane,
+    PointCloud,
+    Shape,
+    UnknownNameError,
+)
+from armcell.core.checks import checked
+from armcell.core.geometry import local_bounds
+from armcell.perception.cloud import organized_cloud
+from armcell.perception.colors import color_distance
+from armcell.perception.image_checks import check_image
+from armcell.perception.known_object_pose import Match, closest_equivalent, match_known, rough_match
+from armcell.perception.plane import SupportPlane, find_plane
+from armcell.perception.primitives import fit_primitives
+from armcell.perception.segment import clusters
+from armcell.perception.solid_fit import CameraEvidence
+from armcell.perception.solids import solid_of
+from armcell.scene import CollisionObject, PlanningScene
+
+F64 = NDArray[np.float64]
+_HOPELESS = 0.6  # maximum cost of a rough match that is refined
+_OTHER_COLOR = 0.1  # extra cost of a known object with another color, for equal shapes
+_JOINED = 0.5  # cost factor for ranking a match of two clusters, because it explains more points
+_MOST_JOINED = 12  # maximum number of clusters for which pairs are evaluated
+_RIVAL = 3.0  # maximum cost ratio to the best match of the same cluster or object
+
+
+@dataclass(frozen=True)
+@checked()
+class LookSettings:
+    """Settings of object detection by `look`; lengths in meters."""
+
+    surface: str | None = None  # fixed support object; None: the largest level plane
+    max_tilt_deg: float = 15.0  # of the plane
+    thickness: float = 0.006  # of the noisy plane
+    least_height: float = 0.008  # lower points belong to the plane
+    most_height: float = 0.5  # higher points are ignored
+    gap: float = 0.015  # maximum distance between points of one object
+    smallest: int = 40  # [px] smaller clusters are noise
+    robot_padding: float = 0.02  # margin around the robot
+    fixed_padding: float = 0.006  # margin around removed fixed objects of the scene
+    most_cost: float = 0.35  # maximum cost of a valid fit (0 perfect, 1 worst)
+    ring: int = 5  # [px] width of the ring around a cluster whose free rays count
+    max_age: float = 0.5  # [s] older images are stale
+    seed: int = 0  # random seed of the plane fit
+
+    def __post_init__(self) -> None:
+        for name in ("thickness", "least_height", "most_height", "gap", "max_age"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} is {getattr(self, name):g}, it must be positive")
+        if self.smallest < 10:
+            raise InputError(f"smallest is {self.smallest} px", hint="10 or more: fewer cannot be fitted")
+
+
+@dataclass(frozen=True)
+class DetectedObject(Outcome):
+    """An object that `look` has detected, with its pose.
+    If the pose is unknown, the object has the reason instead.
+
+    Without a pose, `code` and `message` give the reason, and `points` remain.
+    """
+
+    name: str = ""  # name of the known object, or kind and number
+    known: bool = False  # True for an object of the scene
+    shapes: tuple[tuple[Shape, SE3], ...] = ()
+    T_world_object: SE3 | None = None
+    rms: float = np.inf  # [m] distance of the points from the surface
+    cost: float = 1.0  # 0: explains all points and rays
+    occluded: float = 0.0  # fraction of the outline cut off by a nearer object or the border
+    points: F64 = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3) [m, world]
+    color: tuple[float, float, float, float] = (0.6, 0.6, 0.6, 1.0)
+
+    @property
+    def kind(self) -> str:
+        return type(self.shapes[0][0]).__name__.lower() if len(self.shapes) == 1 else "compound"
+
+    def as_object(self, name: str | None = None, movable: bool = True) -> CollisionObject:
+        """Convert an object that `look` detected to a collision object for the planning scene.
+
+        Its shape is the fitted one, or the points without a fit.
+        """
+        if self.T_world_object is None or not self.shapes:
+            cloud = PointCloud(self.points, 0.006)
+            return CollisionObject.single(name or self.name, cloud, color=self.color)
+        return CollisionObject(name or self.name, self.shapes, self.T_world_object, self.color, movable)
+
+
+@dataclass(frozen=True)
+class DetectionResult(Outcome):
+    """Result of `look`: the detected objects sorted by size, including those without a pose.
+
+    The largest object comes first.
+    """
+
+    objects: tuple[DetectedObject, ...] = ()
+    missing: tuple[str, ...] = ()  # known objects that were not found
+    plane: SupportPlane | None = None  # world frame
+    time: float = 0.0  # [s] time of the image
+    cpu_time: float = 0.0  # [s] CPU time of the look
+
+    def __getitem__(self, name: str) -> DetectedObject:
+        for item in self.objects:
+            if item.name == name:
+                return item
+        raise UnknownNameError("seen object", name, [item.name for item in self.objects])
+
+
+def look(
+    image: CameraImage,
+    scene: PlanningScene | None = None,
+    known: Sequence[CollisionObject] = (),
+    settings: LookSettings = LookSettings(),
+    now: float | None = None,
+) -> DetectionResult:
+    """Look for objects in a camera image with depth, and detect each of them with its pose.
+
+    Args:
+        scene: removed from the cloud: the robot in its present state, held objects, fixed objects.
+        known: objects to recognize by shape; their poses only resolve symmetries.
+        now: [s] of the image's clock; an image older than `max_age` is rejected.
+    Returns:
+        A `DetectionResult`. Its code is SUCCESS if every known object was found and every cluster has a pose;
+        UNABLE_TO_AQUIRE_SENSOR_DATA without usable depth, SENSOR_INFO_STALE for an old image.
+    """
+    started = time.thread_time()
+
+    def ended(sight: DetectionResult) -> DetectionResult:
+        return replace(sight, time=image.time, cpu_time=time.thread_time() - started)
+
+    trouble = check_image(image, settings.max_age, now)
+    if trouble is not None:
+        return ended(DetectionResult(trouble.code, trouble.message, trouble.evidence, missing=_names(known)))
+    assert image.depth is not None
+    seen = organized_cloud(image.depth, image.pinhole)
+    T = image.T_world_camera
+    flat = seen.reshape(-1, 3) @ T.rotation.matrix.T + T.translation
+    points = flat.reshape(seen.shape)
+    valid = np.isfinite(flat[:, 0])
+    others, region = _without(flat, valid, scene, settings)
+    plane = _plane(flat[others & region], settings)
+    if plane is None:
+        reason = "no level plane is seen that things could stand on"
+        if settings.surface is not None:
+            reason = f"the top of {settings.surface!r} is not seen"
+        return ended(
+            DetectionResult(
+                ErrorCode.FAILURE, f"{reason} (turn the camera to it, or widen max_tilt_deg)",
+                missing=_names(known),
+            )
+        )  # fmt: skip
+    height = np.where(valid, plane.heights(np.where(valid[:, None], flat, 0.0)), 0.0)
+    least = max(settings.least_height, 3 * plane.rms)
+    wanted = others & region & (height > least) & (height < settings.most_height)
+    found = clusters(points, wanted.reshape(points.shape[:2]), settings.gap, settings.smallest)
+    scale = max(0.003, 2.5 * plane.rms)
+
+    def thing(pixels: NDArray[np.int64]) -> _ObjectCluster:
+        return _ObjectCluster.of(pixels, points, T.translation, plane, scale, settings, image)
+
+    parts = {frozenset({i}): thing(pixels) for i, pixels in enumerate(found)}
+    if known and len(found) <= _MOST_JOINED:
+        reach = max(solid_of(item.shapes).diameter for item in known)
+        for i, k in combinations(range(len(found)), 2):
+            if _span(points, np.concatenate([found[i], found[k]])) <= reach + 4 * scale:
+                parts[frozenset({i, k})] = thing(np.concatenate([found[i], found[k]]))
+    objects = _named(parts, known, settings, image.rgb is not None)
+    missing = tuple(n for n in _names(known) if n not in {o.name for o in objects})
+    return ended(_summary(objects, missing, plane))
+
+
+def _names(known: Sequence[CollisionObject]) -> tuple[str, ...]:
+    return tuple(item.name for item in known)
+
+
+def _without(
+    flat: F64, valid: NDArray[np.bool_], scene: PlanningScene | None, settings: LookSettings
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of the points that `look` uses: points off the robot and fixed objects,
+    and points above the surface.
+    """
+    others, region = valid.copy(), np.ones(len(flat), bool)
+    if scene is None:
+        if settings.surface is not None:
+            raise InputError(f"surface is {settings.surface!r}, but there is no scene to have it")
+        return others, region
+    index = np.flatnonzero(valid)
+    others[index] = ~robot_mask(scene, flat[index], settings.robot_padding)
+    surface = settings.surface
+    if surface is not None:
+        region = _above(scene.object(surface), flat, valid)
+    fixed = [
+        n for n, o in scene.objects.items() if not o.movable and n != surface and not o.has_cloud
+        and not (surface is None and _is_level(o))
+    ]  # fmt: skip
+    if fixed:
+        index = np.flatnonzero(others)
+        others[index] = ~object_mask(scene, flat[index], settings.fixed_padding, fixed)
+    return others, region
+
+
+def _above(item: CollisionObject, flat: F64, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask of the camera points at or above the top of a support,
+    where `look` searches for objects.
+    """
+    low, high = item.bounds()
+    corners = np.array(
+        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    top = float(item.T_world_object.apply(corners)[:, 2].max())
+    found = np.zeros(len(flat), bool)
+    index = np.flatnonzero(valid)
+    local = item.T_world_object.inverse().apply(np.column_stack([flat[index, :2], np.full(len(index), top)]))
+    margin = 0.003  # [m] outermost points mix edge and floor
+    inside = np.all((local[:, :2] > low[:2] + margin) & (local[:, :2] < high[:2] - margin), axis=1)
+    found[index] = inside & (flat[index, 2] > top - 0.03)
+    return found
+
+
+def _is_level(item: CollisionObject) -> bool:
+    """Return whether an object is so flat and wide that `look` detects other objects on top of it."""
+    if any(isinstance(shape, Plane) for shape, _ in item.shapes):
+        return True
+    sizes = [2 * local_bounds(shape)[1] for shape, _ in item.shapes]
+    return len(sizes) == 1 and sizes[0][2] < 0.3 * min(sizes[0][0], sizes[0][1])
+
+
+def _plane(points: F64, settings: LookSettings) -> SupportPlane | None:
+    plane = find_plane(
+        points,
+        np.array([0.0, 0.0, 1.0]),
+        np.deg2rad(settings.max_tilt_deg),
+        settings.thickness,
+        settings.seed,
+    )
+    return plane if plane is not None and plane.inliers >= 100 else None
+
+
+@dataclass(frozen=True, eq=False)
+class _ObjectCluster:
+    """Point cluster that `look` treats as one object, with camera evidence for fitting a solid to the points.
+
+    The evidence is in the frame of the object's support.
+    """
+
+    T_world_support: SE3
+    evidence: CameraEvidence
+    points: F64  # (n, 3) world
+    occluded: float
+    color: tuple[float, float, float, float]
+
+    @staticmethod
+    def of(
+        pixels: NDArray[np.int64], points: F64, eye: F64, plane: SupportPlane, scale: float,
+        settings: LookSettings, image: CameraImage,
+    ) -> _ObjectCluster:  # fmt: skip
+        h, w = points.shape[:2]
+        own = points.reshape(-1, 3)[pixels]
+        T = plane.frame(own.mean(axis=0))
+        inverse = T.inverse()
+        rays, free_to, cut = _beside(pixels, points, eye, settings.ring, 2 * scale, (h, w))
+        evidence = CameraEvidence(
+            inverse.apply(own), inverse.apply(eye), rays @ T.rotation.matrix, free_to, scale
+        )
+        color = (0.6, 0.6, 0.6, 1.0)
+        if image.rgb is not None:
+            r, g, b = np.median(image.rgb.reshape(-1, 3)[pixels], axis=0) / 255
+            color = (float(r), float(g), float(b), 1.0)
+        return _ObjectCluster(T, evidence, own, cut, color)
+
+
+def _beside(
+    pixels: NDArray[np.int64], points: F64, eye: F64, ring: int, margin: float, size: tuple[int, int]
+) -> tuple[F64, F64, float]:
+    """Return camera rays (m, 3) that pass beside a cluster of points, the free length (m,) [m] of each ray,
+    and the occluded fraction of the cluster's outline.
+
+    The outline is occluded where a nearer object or the image border cuts it off.
+    """
+    from scipy.ndimage import binary_dilation
+
+    h, w = size
+    v, u = np.divmod(pixels, w)
+    v0, v1 = max(v.min() - ring, 0), min(v.max() + ring + 1, h)
+    u0, u1 = max(u.min() - ring, 0), min(u.max() + ring + 1, w)
+    own = np.zeros((v1 - v0, u1 - u0), bool)
+    own[v - v0, u - u0] = True
+    away = points[v0:v1, u0:u1] - eye
+    far = np.linalg.norm(away, axis=-1)
+    seen = np.isfinite(far)
+    around = binary_dilation(own, iterations=ring) & ~own & seen
+    middle = float(np.median(far[own]))
+    next_to = binary_dilation(own, iterations=2) & ~own
+    nearer = next_to & seen & (far < middle - 0.03)
+    edge = ((v == 0) | (v == h - 1) | (u == 0) | (u == w - 1)).sum()
+    cut = float((nearer.sum() + 2 * edge) / max(next_to.sum() + 2 * edge, 1))
+    return away[around] / far[around][:, None], far[around] - margin, min(cut, 1.0)
+
+
+def _span(points: F64, pixels: NDArray[np.int64]) -> float:
+    """Return the largest distance [m] between any two points of a detected cluster,
+    estimated from a subset of the points.
+    """
+    some = points.reshape(-1, 3)[pixels[:: max(len(pixels) // 150, 1)]]
+    return float(np.linalg.norm(some[:, None] - some[None], axis=-1).max())
+
+
+def _named(
+    things: dict[frozenset[int], _ObjectCluster],
+    known: Sequence[CollisionObject],
+    settings: LookSettings,
+    image_has_color: bool,
+) -> tuple[DetectedObject, ...]:
+    """Assign the best-matching known object to each cluster that `look` found.
+    If none matches, assign a primitive shape.
+
+    Among equal shapes, the one with the matching color wins. A known object may consist of two clusters if
+    its middle is hidden; a match of two clusters is preferred to a similar match of one.
+    """
+    rough = {
+        (part, k): match
+        for part, thing in things.items()
+        for k, item in enumerate(known)
+        if (match := rough_match(thing.evidence, item.shapes)) is not None and match.cost <= _HOPELESS
+    }
+    offers = []
+    for (part, k), start in rough.items():
+        rivals = [match.cost for (other, which), match in rough.items() if other == part or which == k]
+        if start.cost <= _RIVAL * min(rivals) + 0.02:
+            match = match_known(things[part].evidence, known[k].shapes, start)
+            if match.cost <= settings.most_cost:
+                rank = match.cost if len(part) == 1 else match.cost * _JOINED
+                if image_has_color:
+                    rank += _OTHER_COLOR * color_distance(things[part].color, known[k].color)
+                offers.append((rank, sorted(part), k, match))
+    taken: dict[frozenset[int], tuple[int, Match]] = {}
+    used: set[int] = set()
+    for _, part, k, match in sorted(offers, key=lambda offer: offer[:3]):
+        if not used & set(part) and k not in {other for other, _ in taken.values()}:
+            taken[frozenset(part)] = (k, match)
+            used |= set(part)
+    found, counts = [], dict.fromkeys((item.name for item in known), 1)
+    for part, thing in things.items():
+        if part in taken:
+            k, match = taken[part]
+            found.append(_recognized(thing, known[k], match))
+        elif len(part) == 1 and not part & used:
+            found.append(_unknown(thing, settings, counts))
+    return tuple(sorted(found, key=lambda item: -len(item.points)))
+
+
+def _recognized(thing: _ObjectCluster, item: CollisionObject, match: Match) -> DetectedObject:
+    T = closest_equivalent(item.shapes, thing.T_world_support @ match.T, item.T_world_object)
+    return DetectedObject(
+        ErrorCode.SUCCESS, "", {}, name=item.name, known=True, shapes=item.shapes, T_world_object=T,
+        rms=match.rms, cost=match.cost, occluded=thing.occluded, points=thing.points, color=thing.color,
+    )  # fmt: skip
+
+
+def _unknown(thing: _ObjectCluster, settings: LookSettings, counts: dict[str, int]) -> DetectedObject:
+    guesses = fit_primitives(thing.evidence)
+    best = guesses[0]
+    fits = best.cost <= settings.most_cost
+    kind = best.kind if fits else "thing"
+    counts[kind] = counts.get(kind, 0) + 1
+    costs = ", ".join(f"{g.kind} {g.cost:.2f}" for g in guesses)
+    return DetectedObject(
+        ErrorCode.SUCCESS if fits else ErrorCode.FAILURE,
+        "" if fits else f"no box, cylinder or ball explains it (cost {costs}; at most "
+        f"{settings.most_cost:g}): name its mesh, or part it from what it touches",
+        {"costs": {g.kind: g.cost for g in guesses}},
+        name=f"{kind}_{counts[kind]}",
+        shapes=((best.shape, SE3.identity()),) if fits else (),
+        T_world_object=thing.T_world_support @ best.T if fits else None,
+        rms=best.rms, cost=best.cost, occluded=thing.occluded, points=thing.points, color=thing.color,
+    )  # fmt: skip
+
+
+def _summary(
+    objects: tuple[DetectedObject, ...], missing: tuple[str, ...], plane: SupportPlane
+) -> DetectionResult:
+    without = [item.name for item in objects if item.T_world_object is None]
+    reasons = []
+    if missing:
+        seen = ", ".join(f"{o.name} ({o.cost:.2f})" for o in objects) or "nothing"
+        reasons.append(
+            f"{', '.join(missing)} not found among what is seen: {seen} "
+            "(is it hidden, outside the picture, or of another size than its description?)"
+        )
+    if without:
+        reasons.append(f"{', '.join(without)} without a pose")
+    code = ErrorCode.FAILURE if reasons else ErrorCode.SUCCESS
+    return DetectionResult(code, "; ".join(reasons), {}, objects=objects, missing=missing, plane=plane)

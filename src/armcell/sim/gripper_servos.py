@@ -1,0 +1,329 @@
+"""Gripper servos, detection of held objects, and the weld-based grip modes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from armcell.core import SE3, SO3
+from armcell.model import SuctionGripper
+from armcell.sim.built_model import BuiltModel, GripperIndex
+from armcell.sim.robot import servo_gains
+from armcell.sim.settings import PhysicsSettings
+from armcell.sim.step_kernel import (
+    BLOCKED_LEAD,
+    CONTROL,
+    LAW_SIZE,
+    LEAD,
+    PUSH_STEP,
+    SET_POINT,
+    STEP,
+    TARGET,
+    add_finger_forces,
+    drive_fingers,
+    grip_between,
+)
+from armcell.sim.suction import LEVEL, SETTLED, Suction
+
+Array = NDArray[np.float64]
+
+_CHECK_EVERY = 5  # steps between two checks of the weld modes
+_SETTLING = 0.2  # [s] time both fingers press before "weld" fixes the object or "hybrid" measures its slip
+_WIDTH_TOLERANCE = 1e-4  # [m]
+
+
+@dataclass(frozen=True)
+class GripperState:
+    """State of a simulated gripper: its width [m], its finger force [N] and the object that it holds.
+
+    `force_per_finger` [N] acts along the closing axis. `held` is the object that both fingers touch, or None.
+    """
+
+    width: float  # [m]
+    force_per_finger: float  # [N] mean per cup for a suction gripper
+    held: str | None
+    sealed: tuple[int, int] | None = None  # cups that hold the object, and all cups; None for jaws
+    vacuum: float | None = None  # [kPa] below ambient, highest of the cups; None for jaws
+
+
+@dataclass(frozen=True)
+class WeldEvent:
+    """Record of a weld: the moment when the simulation fixed an object to a gripper.
+
+    A weld replaces friction, so every report must list it.
+    """
+
+    time: float  # [s]
+    object: str
+    gripper: str
+    mode: str  # "weld" or "hybrid"
+    reason: str
+    released_at: float | None = None  # [s]
+
+
+class GripperDrive:
+    """Position servo of one simulated gripper, with a limited finger speed and a limited force per finger.
+
+    The set point leads the fingers by at most the distance that yields the commanded force. Blocked fingers
+    therefore press with exactly this force, and free fingers move at `max_speed`.
+    """
+
+    def __init__(self, index: GripperIndex, settings: PhysicsSettings, law: Array):
+        """Write the gripper servo's constants into `law` (7,), which `stepping.drive_fingers` reads."""
+        self.index, self._law = index, law
+        self._kp, kv = servo_gains(index.gripper, settings)
+        scale = index.gripper.finger_travel_per_joint
+        self._ratio = abs(index.gripper.width_per_joint)
+        dt = settings.timestep
+        lag = (kv + 2 * settings.joint_damping * scale**2) * index.max_speed / self._kp
+        law[CONTROL] = index.ctrl
+        law[BLOCKED_LEAD] = 3 * lag + 0.001 / scale  # larger than the lag of free fingers
+        law[STEP] = index.max_speed * dt
+        law[PUSH_STEP] = max(law[STEP], settings.grip_force_rate * self._ratio / self._kp * dt)
+        law[LEAD] = self._force_lead(index.max_force)
+
+    def _force_lead(self, force: float) -> float:
+        return min(force, self.index.max_force) * self._ratio / self._kp
+
+    def hold(self, data: mujoco.MjData, joint_position: float) -> None:
+        """Hold the driven joint of a simulated gripper at a position [m] with the gripper's full force."""
+        self._law[[SET_POINT, TARGET]] = joint_position
+        data.ctrl[self.index.ctrl] = joint_position
+        self._law[LEAD] = self._force_lead(self.index.max_force)
+
+    def command(self, width: float, force_per_finger: float) -> None:
+        """Drive a simulated gripper to a width [m] with limited force per finger.
+
+        At the closed end, the fingers press on the object between them with `force_per_finger` [N].
+        """
+        gripper = self.index.gripper
+        lead = self._force_lead(force_per_finger)
+        ends = self.index.lower, self.index.upper
+        closed = min(ends, key=gripper.width)
+        target = float(np.clip(gripper.joint_position(width), *ends))
+        if gripper.width(target) <= gripper.width(closed) + _WIDTH_TOLERANCE:
+            target = closed - np.sign(gripper.width_per_joint) * lead
+        self._law[TARGET], self._law[LEAD] = target, lead
+
+    def closing(self, data: mujoco.MjData) -> bool:
+        """Return whether a simulated gripper is commanded to close:
+        its target width is smaller than its current width.
+        """
+        width = self.index.gripper.width
+        return width(self._law.item(TARGET)) < width(self.index.length(data.qpos)) - _WIDTH_TOLERANCE
+
+    def get_state(self) -> Array:
+        return self._law.copy()
+
+    def set_state(self, state: Array) -> None:
+        self._law[:] = state
+
+
+class Fingers:
+    """Servos of the fingers of all simulated grippers, with the arrays that the compiled stepper uses.
+
+    Attributes:
+        law: (g, 7) one row per gripper for `stepping.drive_fingers`.
+        joints: (g, k) indices of the finger joints in qpos.
+        weights: (g, k) weights of the finger joints in the tendon length.
+    """
+
+    def __init__(self, built: BuiltModel, settings: PhysicsSettings):
+        grippers = {name: index for name, index in built.grippers.items() if index.joints}
+        most = max((len(index.joints) for index in grippers.values()), default=0)
+        self.law = np.zeros((len(grippers), LAW_SIZE))
+        self.joints, self.weights = np.zeros((len(grippers), most), np.int64), np.zeros((len(grippers), most))
+        self.drives: dict[str, GripperDrive] = {}
+        for row, (name, index) in enumerate(grippers.items()):
+            self.drives[name] = GripperDrive(index, settings, self.law[row])
+            for k, (joint, weight) in enumerate(index.joints):
+                self.joints[row, k], self.weights[row, k] = joint, weight
+
+    def update(self, data: mujoco.MjData) -> None:
+        """Write the setpoints of all simulated gripper servos to `data.ctrl` for the next physics step."""
+        drive_fingers(self.law, self.joints, self.weights, data.qpos, data.ctrl)
+
+
+def finger_forces(built: BuiltModel, data: mujoco.MjData, index: GripperIndex) -> dict[int, list[float]]:
+    """Return the contact force [N] on each finger of a simulated gripper along its closing axis.
+
+    The closing axis is the tcp's y axis.
+
+    Returns:
+        Forces (fingers,) by the owner index of the body that the fingers touch.
+    """
+    if data.ncon == 0:
+        return {}
+    contact, fingers, y_axis = data.contact, index.finger_owners, data.xmat[index.tcp_body][1::3]
+    forces = np.zeros((len(built.owners), len(fingers)))
+    add_finger_forces(
+        built.mj._address,
+        data._address,
+        contact.geom,
+        contact.frame,
+        built.geom_owner,
+        fingers,
+        y_axis,
+        forces,
+    )
+    return {other: [*map(abs, row)] for other, row in enumerate(forces.tolist()) if any(row)}
+
+
+def gripper_state(built: BuiltModel, data: mujoco.MjData, suction: Suction, name: str) -> GripperState:
+    index = built.grippers[name]
+    if not index.joints:
+        return _suction_state(built, suction, name)
+    total, held = 0.0, -1
+    if data.ncon:
+        contact, fingers, y_axis = data.contact, index.finger_owners, data.xmat[index.tcp_body][1::3]
+        total, held = grip_between(
+            built.mj._address, data._address, contact.geom, contact.frame, built.geom_owner, fingers, y_axis,
+            len(built.owners), built.link_count,
+        )  # fmt: skip
+    position = data.qpos.item(built.joint_qpos[index.gripper.joint_name])
+    return GripperState(
+        width=index.gripper.width(position),
+        force_per_finger=total / len(index.finger_owners),
+        held=built.owners[held] if held >= 0 else None,
+    )
+
+
+def _suction_state(built: BuiltModel, suction: Suction, name: str) -> GripperState:
+    """Return the state of a suction gripper. It holds the object on which most of its cups hold."""
+    cups, gripper = suction.rows(name), built.grippers[name].gripper
+    assert isinstance(gripper, SuctionGripper)
+    firm = [k for k in cups if suction.sealed[k] >= 0 and suction.law[k, LEVEL] >= SETTLED]
+    owners = [int(suction.sealed[k]) for k in firm]
+    held = max(sorted(set(owners)), key=owners.count, default=-1)
+    return GripperState(
+        width=0.0 if suction.is_on(name) else gripper.max_width,
+        force_per_finger=sum(suction.pull(k) for k in cups) / len(cups),
+        held=built.owners[held] if held >= 0 else None,
+        sealed=(owners.count(held), len(cups)),
+        vacuum=gripper.vacuum * max((float(suction.law[k, LEVEL]) for k in cups), default=0.0),
+    )
+
+
+def relative_pose(data: mujoco.MjData, body_a: int, body_b: int) -> SE3:
+    """Return the pose T_a_b between two MuJoCo bodies after the last physics step.
+
+    Both poses come from the same instant.
+    """
+    return body_pose(data, body_a).inverse() @ body_pose(data, body_b)
+
+
+def body_pose(data: mujoco.MjData, body: int) -> SE3:
+    """Return the pose T_world_body of a MuJoCo body after the last physics step."""
+    return SE3(SO3(data.xmat[body].reshape(3, 3).copy()), data.xpos[body].copy())
+
+
+@dataclass(frozen=True)
+class _Grip:
+    """State of one gripper that can weld objects: the held object,
+    the reference pose for measuring slip, and the active weld.
+    """
+
+    item: str | None = None
+    since: float = 0.0  # [s] simulation time since which both fingers press the object
+    T_tcp_item: SE3 | None = None  # reference pose from which "hybrid" measures the slip
+    event: int | None = None  # index of the active weld
+
+
+class Welder:
+    """Implementation of the grip modes "weld" and "hybrid", which fix held objects to the gripper by weld
+    constraints.
+
+    `events` records every weld and its release.
+    """
+
+    def __init__(self, built: BuiltModel, settings: PhysicsSettings, drives: Mapping[str, GripperDrive]):
+        self._built = built
+        self._settings = settings
+        self._drives = drives
+        self._grips = {name: _Grip() for name in built.grippers}
+        self._steps = 0
+        self.events: list[WeldEvent] = []
+
+    def update(self, data: mujoco.MjData) -> None:
+        """Weld held objects to their grippers after a physics step if the grip mode is "weld" or "hybrid"."""
+        self._steps += 1
+        if self._steps % _CHECK_EVERY:
+            return
+        for name, grip in self._grips.items():
+            if name in self._drives and grip.event is None and self._drives[name].closing(data):
+                self._grips[name] = self._look(data, name, grip)
+
+    def fix(self, data: mujoco.MjData, gripper: str, item: str, reason: str) -> None:
+        """Weld an object to a simulated gripper at its current relative pose. This works in any grip mode."""
+        self._grips[gripper] = self._weld(data, gripper, _Grip(item, float(data.time)), reason)
+
+    def release(self, data: mujoco.MjData, gripper: str) -> None:
+        """Remove the weld constraint between a simulated gripper and its object when the gripper opens."""
+        grip = self._grips[gripper]
+        if grip.event is not None:
+            event = self.events[grip.event]
+            data.eq_active[self._built.welds[event.object, gripper]] = 0
+            self.events[grip.event] = replace(event, released_at=float(data.time))
+        self._grips[gripper] = _Grip()
+
+    def _look(self, data: mujoco.MjData, name: str, grip: _Grip) -> _Grip:
+        built, settings, now = self._built, self._settings, float(data.time)
+        index = built.grippers[name]
+        pressed = {
+            built.owners[owner]: min(row)
+            for owner, row in finger_forces(built, data, index).items()
+            if min(row) >= settings.weld_force and built.owners[owner] in built.object_qpos
+        }
+        if grip.item not in pressed:
+            if not pressed:
+                # a monitored object may lose finger contact because it slips: keep measuring its slip
+                return self._slipped(data, name, grip) if grip.T_tcp_item is not None else _Grip()
+            grip = _Grip(max(sorted(pressed), key=pressed.__getitem__), now)
+        if now - grip.since < _SETTLING:
+            return grip
+        if settings.grip_mode == "weld":
+            force = pressed[grip.item or ""]
+            return self._weld(data, name, grip, f"both fingers press with {force:.1f} N or more")
+        if grip.T_tcp_item is None:
+            return replace(grip, T_tcp_item=self._pose(data, index, grip))
+        return self._slipped(data, name, grip)
+
+    def _slipped(self, data: mujoco.MjData, name: str, grip: _Grip) -> _Grip:
+        assert grip.T_tcp_item is not None
+        meters, radians = grip.T_tcp_item.distance_to(self._pose(data, self._built.grippers[name], grip))
+        if meters <= self._settings.hybrid_slip and radians <= self._settings.hybrid_turn:
+            return grip
+        return self._weld(
+            data, name, grip, f"slipped {meters * 1000:.2f} mm and {np.rad2deg(radians):.2f} deg"
+        )
+
+    def _pose(self, data: mujoco.MjData, index: GripperIndex, grip: _Grip) -> SE3:
+        return relative_pose(data, index.tcp_body, self._built.body[grip.item or ""])
+
+    def _weld(self, data: mujoco.MjData, name: str, grip: _Grip, reason: str) -> _Grip:
+        built, settings = self._built, self._settings
+        assert grip.item is not None
+        T = self._pose(data, built.grippers[name], grip)
+        weld = built.welds[grip.item, name]
+        built.mj.eq_data[weld, :3] = 0.0  # anchor: the object's origin
+        built.mj.eq_data[weld, 3:6] = T.translation
+        built.mj.eq_data[weld, 6:10] = T.quat_wxyz
+        built.mj.eq_data[weld, 10] = 1.0  # torque scale
+        built.mj.eq_data[weld, 11] = 0.0  # use the pose above, not the pose of the model's reference state
+        built.mj.eq_solref[weld] = (
+            settings.weld_solref if settings.grip_mode == "weld" else settings.hybrid_solref
+        )
+        data.eq_active[weld] = 1
+        self.events.append(WeldEvent(float(data.time), grip.item, name, settings.grip_mode, reason))
+        return replace(grip, event=len(self.events) - 1)
+
+    def get_state(self) -> tuple:
+        return dict(self._grips), self._steps, tuple(self.events)
+
+    def set_state(self, state: tuple) -> None:
+        grips, self._steps, events = state
+        self._grips, self.events = dict(grips), list(events)
