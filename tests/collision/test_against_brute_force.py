@@ -89,7 +89,7 @@ def test_contacts_and_distances_agree(robot):
     assert touched > 10 and free > 5  # the sample says something about both
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_contacts_and_distances_agree_at_length(robot):
     touched, free = check_agreement(robot, scenes=20, poses=25, seed=1)

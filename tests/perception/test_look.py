@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from tests.perception.scenes import TABLE, RandomScene, random_scene
+from tests.sizes import sizes
 
 from armcell.core import SE3, SO3, Box, CameraImage, ErrorCode, InputError, Mesh, Pinhole
 from armcell.model import load_robot
@@ -66,9 +67,10 @@ def test_one_picture_without_noise():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True])
-def test_the_median_of_many_noisy_pictures(known):
+@pytest.mark.parametrize("count", sizes(3, 10))
+def test_the_median_of_many_noisy_pictures(known, count):
     """The bar is 3 mm and 2 degrees; what is measured is a tenth of that."""
-    rows, lost = errors([random_scene(s, 4, STEREO) for s in range(10)], known)
+    rows, lost = errors([random_scene(s, 4, STEREO) for s in range(count)], known)
     assert lost == 0
     assert np.median(rows[:, 0]) < 0.6 and np.median(rows[:, 1]) < 0.3 and np.median(rows[:, 2]) < 1.5
     assert np.percentile(rows[:, 0], 95) < 3.0 and np.percentile(rows[:, 1], 95) < 2.0
@@ -76,11 +78,12 @@ def test_the_median_of_many_noisy_pictures(known):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True])
-def test_where_things_hide_each_other(known):
+@pytest.mark.parametrize("count", sizes(2, 8))
+def test_where_things_hide_each_other(known, count):
     """Nine things close together: from the side some are half hidden."""
-    scenes = [random_scene(1000 + s, 9, STEREO, apart=-0.025) for s in range(8)]
+    scenes = [random_scene(1000 + s, 9, STEREO, apart=-0.025) for s in range(count)]
     rows, lost = errors(scenes, known)
-    assert lost <= 0.05 * 72
+    assert lost <= 0.05 * 9 * count
     assert np.median(rows[:, 0]) < 1.0 and np.median(rows[:, 1]) < 0.5
     assert np.mean((rows[:, 0] < 3.0) & (rows[:, 1] < 2.0)) > 0.95
 

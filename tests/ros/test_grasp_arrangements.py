@@ -13,6 +13,7 @@ from tests.programs import Program
 from tests.ros.helpers import remote_cell
 from tests.ros.unity_like import UnityLike
 from tests.ros.unity_sim import UnitySim
+from tests.sizes import seeds
 
 from armcell.cell import load
 from armcell.core import InputError
@@ -31,7 +32,7 @@ def height(poses):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", seeds(1, [0, 3]))
 def test_all_in_one_process(seed):
     bus = Bus()
     live = load(CELL).connect("sim", seed, time_scale=4.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.emulators.franka.rig import Rig
+from tests.sizes import seeds
 
 from armcell.core import JointTrajectory
 from armcell.core.errors import InputError
@@ -49,7 +50,7 @@ def drive(
     return np.array(path)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(2, range(4)))
 def test_lost_states_and_commands_never_make_the_arm_jump(seed):
     rig, rng = Rig(), np.random.default_rng(seed)
     amplitude = rng.uniform(-0.4, 0.4, 7)
@@ -86,7 +87,7 @@ def test_streamed_points_are_joined_and_end_at_rest():
     assert np.abs(path[-1] - start - 0.1 * (1 - np.cos(2 * 0.472)) - coasted).max() < 1e-5
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(2, range(6)))
 def test_streamed_points_with_jitter_delays_and_a_gap_never_make_the_arm_jump(seed):
     rig, rng = Rig(), np.random.default_rng(seed)
     start, points = rig.robot.reference.q, Points()
