@@ -110,6 +110,7 @@ def test_a_plan_reaches_a_pose(model):
         assert checker.is_free(end)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", robot_names())
 def test_a_new_cell_runs(name, tmp_path):
     """The cell of `armcell new`: a pick and place in physics if the arm has a gripper, else moves."""

@@ -75,6 +75,7 @@ def test_what_a_seed_drops_lies_in_the_bin_and_is_the_same_every_time():
     assert turned > 5  # most do not stand as they are described
 
 
+@pytest.mark.slow
 def test_what_was_dropped_is_at_rest():
     with whole().connect("sim", seed=3) as live:
         world = live.driver.world
@@ -105,6 +106,7 @@ def test_the_planner_knows_nothing_of_the_things():
         assert not {"box_1", "can_1"} & set(live.driver.object_poses())
 
 
+@pytest.mark.slow
 def test_things_whose_poses_are_known_are_refused():
     data = whole().spec.model_dump(exclude_unset=True)
     data["perception"]["objects"] = ["box_1"]
@@ -205,6 +207,7 @@ def test_a_full_tray_ends_it_and_what_was_held_is_laid_back():
         assert not live.driver.unwanted_contacts()
 
 
+@pytest.mark.slow
 def test_pictures_without_any_depth_end_it_before_anything_moves():
     with two_things().connect("sim", seed=0) as live:
         eye = live.cameras["above_bin"].image(rgb=False)
@@ -218,6 +221,7 @@ def test_pictures_without_any_depth_end_it_before_anything_moves():
             assert outcome.evidence["picks"] == 0 and set(names(live)) == {"look in bin"}
 
 
+@pytest.mark.slow
 def test_what_lies_where_no_camera_looks_is_told():
     """As physics knows; the task itself sees an empty bin."""
     with with_things(bolt_2=(0.27, 1.40, 0.002)).connect("sim", seed=0) as live:

@@ -118,6 +118,7 @@ def surface_points(model, spacing: float) -> dict[str, np.ndarray]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_no_sampled_point_is_nearer_than_the_nearest_distance(robot):
     """Formulas for points and primitives, no collision library: an upper bound that must be close."""

@@ -123,6 +123,7 @@ def test_a_thin_plate_between_far_ends_is_found(prover, thickness, turn):
     assert checker.certify(ways).free
 
 
+@pytest.mark.slow
 @each_prover
 def test_a_bead_is_found(prover):
     checker, ways = swing(prover, CollisionObject.single("bead", Sphere(1e-3), SE3.from_xyz(0.9, 0.01, 0.22)))

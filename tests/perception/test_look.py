@@ -60,6 +60,7 @@ def errors(scenes: list[RandomScene], known: bool) -> tuple[np.ndarray, int]:
     return np.array(rows), lost
 
 
+@pytest.mark.slow
 def test_one_picture_without_noise():
     rows, lost = errors([random_scene(4)], known=False)
     assert lost == 0 and rows[:, 0].max() < 1.0 and rows[:, 1].max() < 1.0 and rows[:, 2].max() < 2.0
@@ -117,6 +118,7 @@ def test_a_known_mesh_on_each_side(turn, z):
     assert position < 0.003 and np.rad2deg(angle) < 2.0, (position, np.rad2deg(angle))
 
 
+@pytest.mark.slow
 def test_what_no_primitive_explains_says_so():
     item, scene, image = seen_bracket(SO3.identity(), (0.6, 0.02, 0.0), (0.95, -0.3, 0.55))
     sight = look(image, scene)
@@ -127,6 +129,7 @@ def test_what_no_primitive_explains_says_so():
     assert np.abs(thing.points - item.T_world_object.translation).max() < 0.08
 
 
+@pytest.mark.slow
 def test_a_known_object_that_is_not_there():
     s = random_scene(4)
     absent = CollisionObject.single("plate", Box(0.2, 0.2, 0.01), movable=True)
@@ -137,6 +140,7 @@ def test_a_known_object_that_is_not_there():
 
 
 # --- what cannot be used ---
+@pytest.mark.slow
 def test_a_camera_without_depth_is_said():
     s = random_scene(4)
     sight = look(replace(s.image, depth=None), s.world.built.scene, tuple(s.objects.values()))
@@ -144,6 +148,7 @@ def test_a_camera_without_depth_is_said():
     assert "no depth" in sight.message and "depth: true" in sight.message and len(sight.missing) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [np.nan, 0.0, -1.0, np.inf])
 def test_depth_of_nothing_is_said(value):
     s = random_scene(4)
@@ -151,6 +156,7 @@ def test_depth_of_nothing_is_said(value):
     assert sight.code is ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA and "no pixel has a depth" in sight.message
 
 
+@pytest.mark.slow
 def test_a_frozen_camera_is_said():
     s = random_scene(4)
     assert look(s.image, s.world.built.scene, now=0.3).ok
@@ -173,6 +179,7 @@ def _on(surface: str) -> LookSettings:
     return LookSettings(surface=surface)
 
 
+@pytest.mark.slow
 def test_wrong_settings_and_sizes():
     s = random_scene(4)
     with pytest.raises(InputError, match="no scene"):
@@ -183,6 +190,7 @@ def test_wrong_settings_and_sizes():
         replace(s.image, depth=np.ones((3, 4), np.float32))
 
 
+@pytest.mark.slow
 def test_the_robot_and_fixed_things_are_not_objects():
     """A Panda over the table with a wall on it: only the cube is found, on the surface that is named."""
     robot = load_robot("panda")

@@ -122,6 +122,7 @@ def test_nothing_in_the_way():
     assert plan_among_moving(scene, request(goal), []).evidence["moving"] == "as planned"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begin", [-1.0, -2.0])
 def test_a_post_that_comes_by(begin):
     scene, goal = across()
@@ -138,6 +139,7 @@ def test_a_post_that_comes_by(begin):
         )
 
 
+@pytest.mark.slow
 def test_waiting_is_sooner_than_a_long_way_round():
     """A wall that comes down in front of the goal: nothing goes around it, a moment later it is gone."""
     scene, goal = across()

@@ -275,6 +275,7 @@ def test_the_adapter_leaves_what_is_deeper_by_the_same_departure():
     assert left.translation[2] - tip(scene).translation[2] == pytest.approx(0.012, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_an_object_between_the_fingers_cannot_be_left_and_that_is_said():
     scene = panda(**REACH)
     x, y, z = tip(scene).translation

@@ -156,6 +156,7 @@ def test_unity_simulates_and_the_planner_grasps_with_it(ros2):
             unity.close()
 
 
+@pytest.mark.slow
 def test_without_a_simulator_the_planner_says_what_to_look_at(monkeypatch):
     monkeypatch.setattr("armcell.ros.nodes.remote_driver.STATE_TIMEOUT", 0.2)
     cell = remote_cell(Bus(), load(CELL).scene())
@@ -171,6 +172,7 @@ def test_settings_of_the_grasp_server():
             GraspServerSettings(**bad)
 
 
+@pytest.mark.slow
 def test_grasps_are_aligned_with_the_edges_and_approach_as_they_say():
     cell, bus = load(CELL), Bus()
     scene = cell.scene(1)  # the cube turned

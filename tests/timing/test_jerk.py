@@ -63,6 +63,7 @@ def test_straight_lines_are_as_fast_as_ruckig():
         assert answer.duration - 1e-9 <= ours.duration <= answer.duration + 1e-3
 
 
+@pytest.mark.slow
 def test_between_the_motion_without_jerk_limits_and_one_that_stops_at_corners():
     for seed in range(6):
         corners = random_walk(seed, 12, 0.4)

@@ -129,6 +129,7 @@ def test_the_jerk_is_bounded():
         assert np.all(np.abs(jerk) <= 2 * PANDA_A / WINDOW * 1.01)
 
 
+@pytest.mark.slow
 def test_scaled_limits_take_longer():
     path = BlendedPath(random_waypoints(1), 0.05)
     base = parameterize(path, NAMES, PANDA_V, PANDA_A)

@@ -297,6 +297,7 @@ def test_it_improves_on_first_paths_that_are_not_the_shortest():
     assert length(answer.waypoints) < 0.99 * firsts[seed]
 
 
+@pytest.mark.slow
 def test_the_same_seed_and_iterations_give_the_same_path():
     checker, *ask = question(*ur10_over())
     settings = AnytimeSettings(max_iterations=20_000)
@@ -306,6 +307,7 @@ def test_the_same_seed_and_iterations_give_the_same_path():
     assert a.waypoints.shape != c.waypoints.shape or np.any(a.waypoints != c.waypoints)
 
 
+@pytest.mark.slow
 def test_the_pipeline_tells_the_cost_over_time():
     scene, goal = PROBLEMS["panda"]()
     began = time.monotonic()

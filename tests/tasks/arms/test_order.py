@@ -150,6 +150,7 @@ def test_an_arm_takes_as_long_as_estimated(cell, seed):
     assert np.corrcoef(took, thought)[0, 1] > 0.7
 
 
+@pytest.mark.slow
 def test_where_arms_meet(cell):
     """Against coal's distances between the two arms, along ways over the trays."""
     scene, rng = cell.scene(1), np.random.default_rng(0)
