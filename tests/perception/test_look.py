@@ -79,7 +79,7 @@ def test_the_median_of_many_noisy_pictures(known, count):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True])
-@pytest.mark.parametrize("count", sizes(2, 8))
+@pytest.mark.parametrize("count", sizes(5, 8))
 def test_where_things_hide_each_other(known, count):
     """Nine things close together: from the side some are half hidden."""
     scenes = [random_scene(1000 + s, 9, STEREO, apart=-0.025) for s in range(count)]
