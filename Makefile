@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check prepare fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual bench-grasp test-interop test-realtime lint format clean FORCE
+.PHONY: help demo test check prepare fuzz bench bench-campaign bench-planning bench-kernel bench-planners bench-constraints bench-wires bench-dual bench-grasp test-long test-interop test-realtime lint format clean FORCE
 
 VENV := .venv
 BIN  := $(VENV)/bin
@@ -12,7 +12,7 @@ PY   := $(BIN)/python
 JOBS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2))))
 # Workers take neighboring tests, which share fixtures, and steal from each other at the end.
 PYTEST := $(PY) -m pytest -n $(JOBS) --dist worksteal
-TESTS := not interop and not realtime
+TESTS := not interop and not realtime and not long
 # PYTHON= names the interpreter to use; without it the first usable one of these is taken.
 CANDIDATES := $(if $(PYTHON),$(PYTHON),python3.13 python3.12 python3.11 python3)
 
@@ -50,14 +50,14 @@ debian = { $($(2)_THERE); } >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && command 
 demo: $(VENV)/.stamp-run ## set up, then run the Panda pick and place
 	$(BIN)/armcell run panda_pick
 
-test: $(VENV)/.stamp ## set up, then lint and run all tests but the interop and real-time ones
+test: $(VENV)/.stamp ## set up, then lint and run all tests but the long, interop and real-time ones
 	@$(MAKE) --no-print-directory -j2 lint prepare
 	$(PYTEST) --durations=25 -m "$(TESTS)" || { \
 	  echo "Running the failed tests again, one at a time: on a busy machine, time limits can be missed."; \
 	  $(PY) -m pytest --last-failed --last-failed-no-failures none -m "$(TESTS)"; }
 
 check: prepare ## set up, then run the quick tests
-	$(PYTEST) -m "not slow and not interop and not realtime"
+	$(PYTEST) -m "not slow and $(TESTS)"
 
 prepare: $(VENV)/.stamp ## set up, then compile the kernels and fit the covers that tests use
 	$(PY) -m tests.prepare
@@ -76,6 +76,9 @@ test-interop: $(VENV)/.stamp ## set up, then test against ROS 1, Fast DDS, Mono,
 	@$(call debian,Chromium,CHROMIUM)
 	@$(PY) -m pip install -q -r requirements-interop.txt || echo "Franka's clients cannot be installed from here; their tests are skipped"
 	$(PY) -m pytest -m interop -rs
+
+test-long: prepare ## set up, then run the statistical tests with all their seeds and inputs (20 minutes)
+	$(PYTEST) -m "long and not interop and not realtime"
 
 test-realtime: $(VENV)/.stamp ## set up, then test emulated arms and wires that must run on time; nothing else should run meanwhile
 	$(PY) -m pytest -m realtime

@@ -58,6 +58,7 @@ def campaign(cell, root, good, bad=0, values=None, near=0, drawn=None) -> Path:
     return store.folder
 
 
+@pytest.mark.slow
 def test_enough_is_what_the_exact_interval_says(cell, tmp_path):
     for good, bad, near in ((71, 0, 0), (72, 0, 0), (109, 1, 0), (200, 3, 0), (200, 4, 0), (72, 0, 30)):
         low = stats.beta.ppf(0.025, good, bad + 1)  # Clopper and Pearson's lower end
@@ -89,6 +90,7 @@ def test_the_number_of_trials_is_fixed_beforehand(cell, tmp_path, asked, said):
         gate.issue(load(cell), folder, tmp_path / "gate.json")
 
 
+@pytest.mark.slow
 def test_changed_inputs_are_named(cell, tmp_path):
     gate.issue(load(cell), campaign(cell, tmp_path / "runs", 80), gate.gate_file(load(cell)))
     assert gate.gate_file(load(cell)) == tmp_path / "cell.gate.json"
@@ -156,6 +158,7 @@ def test_an_address_changes_nothing_a_payload_does(cell, tmp_path):
         gate.check(real("10.0.0.1", 1.5))
 
 
+@pytest.mark.slow
 def test_versions_and_forgery(cell, tmp_path, monkeypatch):
     file = gate.gate_file(load(cell))
     gate.issue(load(cell), campaign(cell, tmp_path / "runs", 80), file)

@@ -32,6 +32,7 @@ def ray():
     return pytest.importorskip("ray", reason="Ray is not installed: pip install 'armcell[ray]'")
 
 
+@pytest.mark.slow
 def test_wrong_addresses(ray, monkeypatch):
     for address in ("garbage", "ray://127.0.0.1:10001", "127.0.0.1:", ":6379", "a:b"):
         with pytest.raises(InputError, match="HOST:PORT as `ray start --head` prints it"):

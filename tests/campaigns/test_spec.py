@@ -14,6 +14,7 @@ from armcell.campaigns.spec import checked_cell, distributions
 from armcell.core import InputError
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("data", "reference"),
     [

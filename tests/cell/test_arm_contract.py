@@ -1,7 +1,7 @@
 """The contract of every arm that armcell knows by name: kinematics, inverse kinematics, a plan, a pick.
 
 Robots whose descriptions no Python package ships are tested with their makers' files in shared/data, if the
-files are on this machine. `pytest -m slow tests/cell/test_arm_contract.py` measures 1000 poses per arm.
+files are on this machine. `pytest -m long tests/cell/test_arm_contract.py` measures 1000 poses per arm.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def test_inverse_kinematics_reaches_every_pose(model):
         assert solved(model, group, POSES) == 1.0, group
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_inverse_kinematics_of_many_poses(model):
     for group in arms(model):
         assert solved(model, group, MANY) >= SOLVED, group
@@ -110,6 +110,7 @@ def test_a_plan_reaches_a_pose(model):
         assert checker.is_free(end)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", robot_names())
 def test_a_new_cell_runs(name, tmp_path):
     """The cell of `armcell new`: a pick and place in physics if the arm has a gripper, else moves."""

@@ -155,6 +155,7 @@ def yawed(angle, T):
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ T.rotation.matrix
 
 
+@pytest.mark.slow
 def test_what_is_moved_stands_elsewhere_in_physics_only():
     cell = load("panda_pick")
     moved = with_values(
@@ -194,6 +195,7 @@ def test_what_is_moved_stands_elsewhere_in_physics_only():
         assert (np.abs(one - next_one) > 0.005).sum() > 20
 
 
+@pytest.mark.slow
 def test_a_wall_moved_into_the_way_is_touched():
     def run(values):
         cell = with_values(load("panda_pick"), values)
@@ -213,6 +215,7 @@ def test_a_wall_moved_into_the_way_is_touched():
     assert again == plain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("by", "works"), [(0.004, True), (0.12, False)])
 def test_a_cube_that_is_not_where_it_is_believed(by, works):
     """A little aside, it is grasped; far away, the hand closes around nothing."""
@@ -224,6 +227,7 @@ def test_a_cube_that_is_not_where_it_is_believed(by, works):
         assert lifted == works
 
 
+@pytest.mark.slow
 def test_where_a_moved_cube_is_put_is_judged_by_physics():
     """The hand takes it where it is and lays it down as if it were where it is believed."""
     cell = with_values(load("panda_pick"), {"disturbances.moved.cube.by.y": 0.006})
@@ -236,6 +240,7 @@ def test_where_a_moved_cube_is_put_is_judged_by_physics():
         assert not result["success"] and "mm from its target pose" in result["message"]
 
 
+@pytest.mark.slow
 def test_others_than_the_moved_one_are_known_in_the_hand():
     aside = {"box": [0.04, 0.04, 0.04], "pose": [0.3, -0.5, 0.019], "movable": True, "mass": 0.1}
     cell = with_values(load("panda_pick"), {"objects.other": aside, "disturbances.moved.other.by.x": 0.02})
@@ -247,6 +252,7 @@ def test_others_than_the_moved_one_are_known_in_the_hand():
         assert there("other").translation[0] - told["other"].translation[0] == pytest.approx(0.02, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_what_is_moved_is_looked_for_and_found():
     """Beside a camera's objects nothing changes: the cube is picked where it was seen, not where it was."""
     cell = with_values(load("six_axis_camera"), {"disturbances.moved.cube.by.y": 0.05})

@@ -74,6 +74,7 @@ def test_no_sag_at_the_start(cell):
     assert not world.monitor.unwanted
 
 
+@pytest.mark.slow
 def test_one_arm_and_both_are_planned(capsys):
     assert call(capsys, "check", "dual_ur10").status == 0
     assert call(capsys, "plan", "dual_ur10", "--to", "up", "--group", "right_arm").status == 0

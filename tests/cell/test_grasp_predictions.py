@@ -79,6 +79,7 @@ def test_what_is_planned_with_is_what_is_believed(cube, monkeypatch):
     assert truth.T_world_object.distance_to(item.T_world_object)[0] > 1e-4
 
 
+@pytest.mark.slow
 def test_physics_has_the_true_friction_and_mass(cube):
     item, scene, grasps = cube
     for truth in (replace(item, material=Material(0.05)), replace(item, mass=5.0)):
@@ -102,6 +103,7 @@ def test_a_poor_grasp_gets_a_low_p_and_fails_where_a_good_one_holds(pebble):
     assert successes(poor.grasp) <= 1 and successes(good.grasp) == len(truths)
 
 
+@pytest.mark.slow
 def test_grasps_are_drawn_anew_with_another_seed_and_keep_their_proofs(cube):
     item, scene, grasps = cube
     ask = lambda *seed: predictions(scene, item, GRIPPER, grasps, SETTINGS, 2, 0.2, seed)  # noqa: E731

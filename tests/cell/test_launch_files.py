@@ -86,6 +86,7 @@ def _again(folder: Path, tmp_path: Path) -> Path:
     return tmp_path / "again"
 
 
+@pytest.mark.slow
 def test_setup_says_where_the_guide_is_and_its_last_command_runs(tmp_path, capsys):
     """The commands at the end of `setup --help`, on a fresh cell."""
     said = call(capsys, "setup", "--help")

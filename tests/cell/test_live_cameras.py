@@ -35,6 +35,7 @@ def without_post(live) -> None:
     live.change_scene(lambda scene: scene.without_object("post"))
 
 
+@pytest.mark.slow
 def test_pictures_come_at_the_rate_and_a_frozen_camera_gives_the_last(cell):
     with cell.connect() as live:
         camera = live.camera()
@@ -52,6 +53,7 @@ def test_pictures_come_at_the_rate_and_a_frozen_camera_gives_the_last(cell):
             live.camera("front")
 
 
+@pytest.mark.slow
 def test_the_fake_robot_has_cameras_too(cell):
     with cell.connect("fake") as live, cell.connect("sim") as real:
         a, b = (c.camera().image(rgb=False) for c in (live, real))
@@ -111,6 +113,7 @@ def test_a_picture_that_is_looked_at_twice_puts_no_robot_into_the_map(cell, tmp_
         assert sum(u.hits for u in watch.updates) == 0 and OCTOMAP not in live.scene().objects
 
 
+@pytest.mark.slow
 def test_a_look_that_failed_is_told_where_nothing_is_looked_for(tmp_path):
     (tmp_path / "cell.yaml").write_text(CELL.replace(", movable: true", ""))
     with load(tmp_path).connect() as live:
@@ -122,6 +125,7 @@ def test_a_look_that_failed_is_told_where_nothing_is_looked_for(tmp_path):
         assert not report.ok and "frozen" in report.error
 
 
+@pytest.mark.slow
 def test_a_frozen_camera_is_told_once(cell):
     with cell.connect() as live:
         without_post(live)

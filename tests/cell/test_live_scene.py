@@ -158,6 +158,7 @@ def test_a_plane_across_the_way_stops_it_too():
         assert cell.arm.move_to(RIGHT).evidence["object"] == "half"
 
 
+@pytest.mark.slow
 def test_what_is_removed_during_a_motion_is_not_in_the_next_plan():
     with live("sim") as cell:
         cell.change_scene(put(post(pose=SE3.from_xyz(0.5, -0.33, 0.5), size=0.12)))
@@ -167,6 +168,7 @@ def test_what_is_removed_during_a_motion_is_not_in_the_next_plan():
         assert cell.arm.move_to(LEFT) and cell.arm.move_to(RIGHT)
 
 
+@pytest.mark.slow
 def test_what_comes_between_planning_and_a_later_motion_of_the_plan_stops_that_motion():
     """The whole pick is planned; while the arm is on its way a lid comes over the cube."""
     with live("sim") as cell:
@@ -179,6 +181,7 @@ def test_what_comes_between_planning_and_a_later_motion_of_the_plan_stops_that_m
         assert not touched(cell, lid, seen.states[::10]) and cell.driver.unwanted_contacts() == []
 
 
+@pytest.mark.slow
 def test_no_change_of_many_threads_is_lost_and_no_scene_is_torn():
     threads, turns = 6, 30
     torn: list[float] = []
@@ -214,6 +217,7 @@ def test_no_change_of_many_threads_is_lost_and_no_scene_is_torn():
         assert len(changes) == threads * turns  # each told, once
 
 
+@pytest.mark.slow
 def test_what_is_held_stays_in_the_hand_whatever_is_changed():
     errors: list[str] = []
     off: list[float] = []

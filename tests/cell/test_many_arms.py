@@ -36,6 +36,7 @@ def test_its_arms_are_apart_at_home(name):
     assert nearest(cell, [cell.scene().state]) == 0.1
 
 
+@pytest.mark.slow
 def test_it_is_checked_and_planned(name, capsys):
     assert call(capsys, "check", name).status == 0
     for group in (f"{CELLS[name][-1]}_arm", "all_arms"):

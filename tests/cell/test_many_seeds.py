@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from tests.sizes import seeds
 
 import armcell
 from armcell.cell import run_task
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", seeds(3, range(10)))
 @pytest.mark.parametrize("name", ["panda_pick", "six_axis_pick"])
 def test_every_seed_succeeds(name, seed):
     cell = armcell.load(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.sizes import seeds
 
 from armcell.cell import load, run_task
 from armcell.core import SE3, ErrorCode, InputError
@@ -43,7 +44,7 @@ def test_a_cube_that_is_hidden_or_a_camera_that_fails_ends_the_task(cell):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", seeds(2, range(5)))
 def test_picked_and_placed_where_the_camera_says(cell, seed):
     with cell.connect(seed=seed) as live:
         result = run_task(cell, live, seed, "sim")

@@ -89,7 +89,7 @@ def test_contacts_and_distances_agree(robot):
     assert touched > 10 and free > 5  # the sample says something about both
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_contacts_and_distances_agree_at_length(robot):
     touched, free = check_agreement(robot, scenes=20, poses=25, seed=1)
@@ -118,6 +118,7 @@ def surface_points(model, spacing: float) -> dict[str, np.ndarray]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_no_sampled_point_is_nearer_than_the_nearest_distance(robot):
     """Formulas for points and primitives, no collision library: an upper bound that must be close."""

@@ -11,6 +11,7 @@ import pytest
 from tests.collision.test_against_brute_force import random_objects
 from tests.model.helpers import dual, random_positions
 from tests.scene.helpers import box, floating, panda, ur10
+from tests.sizes import sizes
 
 from armcell.collision import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
@@ -84,13 +85,14 @@ def test_random_motions_among_random_obstacles(prover, robot, reach):
 @each_prover
 @pytest.mark.parametrize("robot", ["panda", "ur10_gripper"])
 @pytest.mark.parametrize("reach", [0.1, 0.4, 1.5])
-def test_random_motions_at_length(prover, robot, reach):
+@pytest.mark.parametrize(("scenes", "paths"), sizes((1, 3), (8, 10)))
+def test_random_motions_with_a_held_box(prover, robot, reach, scenes, paths):
     rng, model = np.random.default_rng(1), load_robot(robot)
-    for _ in range(2 if prover is KernelChecker else 8):  # a held box takes the kernel seconds to prepare
+    for _ in range(min(scenes, 2) if prover is KernelChecker else scenes):  # the kernel prepares for seconds
         scene = PlanningScene.of(model, objects=random_objects(rng)).with_attached(
             "Box0", model.gripper().tcp_link
         )
-        check_soundness(prover, scene, rng, 10, reach, model.group("arm").joint_names)
+        check_soundness(prover, scene, rng, paths, reach, model.group("arm").joint_names)
 
 
 @pytest.mark.slow
@@ -121,6 +123,7 @@ def test_a_thin_plate_between_far_ends_is_found(prover, thickness, turn):
     assert checker.certify(ways).free
 
 
+@pytest.mark.slow
 @each_prover
 def test_a_bead_is_found(prover):
     checker, ways = swing(prover, CollisionObject.single("bead", Sphere(1e-3), SE3.from_xyz(0.9, 0.01, 0.22)))

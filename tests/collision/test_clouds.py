@@ -186,6 +186,7 @@ class BareMeshes:
         return best
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["points", "cells"])
 @pytest.mark.parametrize("robot", ["panda", "ur10_gripper"])
 def test_robots_among_parts(robot, kind):
@@ -340,6 +341,7 @@ def test_a_proof_up_to_the_last_millimeter():
 
 
 # --- size ---
+@pytest.mark.slow
 def test_two_hundred_thousand_points():
     rng = np.random.default_rng(0)
     cloud = PointCloud(surface_points(200_000, rng), 0.003)

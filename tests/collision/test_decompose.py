@@ -135,6 +135,7 @@ def test_the_pieces_come_from_the_disk_the_second_time(monkeypatch):
     assert [p.vertices.tolist() for p in again] == [p.vertices.tolist() for p in first]
 
 
+@pytest.mark.slow
 def test_the_budget_counts_work_and_its_end_is_reported(monkeypatch, caplog):
     solid = cup()
     vertices, faces = np.array(solid.vertices, float), np.array(solid.faces, np.int32)

@@ -71,6 +71,7 @@ def test_what_can_meet_is_not_looked_for_again_where_only_fingers_moved():
     assert again.arrays["near_groups"] is first.arrays["near_groups"]
 
 
+@pytest.mark.slow
 def test_what_can_meet_is_not_looked_for_beside_an_arm_that_rests_elsewhere(monkeypatch):
     """Planning and proofs for one arm: the search took 10 ms for each new place of the other."""
     scene = load("dual_ur10").scene()

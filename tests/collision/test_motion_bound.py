@@ -141,6 +141,7 @@ def test_it_is_never_below_the_measured_motion(name):
                 assert moved <= most + 1e-9, f"{bodies} move {moved:.4f} m, the bound is {most:.4f} m"
 
 
+@pytest.mark.slow
 def test_it_is_not_far_above_either():
     """A bound of meters for millimeters would prove nothing; 4 times the largest motion seen is fine."""
     scene, _ = scene_of("ur10_gripper")

@@ -143,6 +143,7 @@ def test_motions_beside_each_other_agree_with_coal(pair):
     assert seen == {True, False}
 
 
+@pytest.mark.slow
 def test_an_arm_that_rests_is_in_the_way(pair):
     """Random rests of the right arm: the left one's motion is free beside it as coal says."""
     scene, left, right = pair

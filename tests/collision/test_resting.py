@@ -7,6 +7,7 @@ import pytest
 from tests.collision.test_certify import densely
 from tests.model.helpers import collision, joint, link, model_of
 from tests.scene.helpers import box, panda
+from tests.sizes import seeds
 
 from armcell.collision import ExactChecker
 from armcell.collision.kernel.checker import KernelChecker
@@ -181,7 +182,8 @@ def test_clearance_counts_the_pair_from_where_it_no_longer_moves_apart():
 
 
 # --- properties ---
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", seeds(3, range(6)))
 def test_what_is_proven_keeps_the_rule_at_dense_samples(seed):
     """Random motions of a gantry among boxes, judged by coal; both verdicts have to occur."""
     rng = np.random.default_rng(seed)

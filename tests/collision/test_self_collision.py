@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.model.helpers import random_positions
+from tests.sizes import sizes
 
 from armcell.collision import ExactChecker, disabled_collision_pairs
 from armcell.model import installed_robots, load_robot
 from armcell.scene import PlanningScene
 
-SAMPLES = 5000
-
 
 @pytest.mark.slow
+@pytest.mark.parametrize("samples", sizes(500, 5000))
 @pytest.mark.parametrize("name", installed_robots())
-def test_pairs_that_never_touch_do_not(name):
+def test_pairs_that_never_touch_do_not(name, samples):
     model = load_robot(name)
     never = {pair for pair, reason in model.disabled_collisions.items() if reason == "Never"}
     bodies = [n for n, link in model.links.items() if link.collisions]
@@ -25,7 +25,7 @@ def test_pairs_that_never_touch_do_not(name):
     only_never = replace(model, disabled_collisions={p: r for p, r in others.items() if p not in never})
     checker, rng = ExactChecker(PlanningScene.of(only_never)), np.random.default_rng(0)
     assert bool(len(checker.pairs)) == bool(never)
-    for _ in range(SAMPLES if never else 1):
+    for _ in range(samples if never else 1):
         q = random_positions(model, rng)
         assert checker.is_free(q), checker.contacts(q)
 
@@ -47,11 +47,12 @@ def test_named_states_are_free(name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("samples", sizes(60, 300))
 @pytest.mark.parametrize("name", installed_robots())
-def test_sampling_anew_finds_the_srdf_s_pairs(name):
+def test_sampling_anew_finds_the_srdf_s_pairs(name, samples):
     """With few samples more pairs look like "Never" than are; those of the SRDF must be among them."""
     model = load_robot(name)
-    found = disabled_collision_pairs(model, samples=300, seed=1)
+    found = disabled_collision_pairs(model, samples=samples, seed=1)
     missing = set(model.disabled_collisions) - set(found)
     assert not missing
     for pair, reason in model.disabled_collisions.items():

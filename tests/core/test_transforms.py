@@ -23,6 +23,7 @@ def assert_same(a: SE3, b: SE3, tolerance: float = 1e-9) -> None:
     np.testing.assert_allclose(a.matrix, b.matrix, atol=tolerance)
 
 
+@pytest.mark.slow
 @given(poses, poses, poses)
 def test_group_axioms(a, b, c):
     assert_same((a @ b) @ c, a @ (b @ c), 1e-8)

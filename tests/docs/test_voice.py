@@ -44,6 +44,7 @@ def test_the_check_finds_words():
     assert not rejected("thousand, shallow, storytold, obtain")
 
 
+@pytest.mark.slow
 def test_no_rejected_word_is_used():
     found = [f"{file.relative_to(ROOT)}:{word}" for file in files() for word in rejected(file.read_text())]
     assert not found, "\n".join(found)

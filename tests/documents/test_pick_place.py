@@ -163,6 +163,7 @@ def test_the_path_constraint_as_printed_says_which_fields_are_open(tmp_path):
     assert "import Constraints instead" in ran.said
 
 
+@pytest.mark.slow
 def test_the_path_constraint_with_its_fields_keeps_the_tool_upright(tmp_path):
     filled = """
 def filled(message):
@@ -187,6 +188,7 @@ assert len(trajectory.points) > 10
     assert ran.status == 0, ran.said
 
 
+@pytest.mark.slow
 def test_the_speeds_of_both_blocks_are_kept(tmp_path):
     after = """
 request = arm.construct_motion_plan_request()
@@ -263,6 +265,7 @@ def test_the_scene_service_that_is_imported_from_msg(tmp_path):
     assert "from moveit_msgs.srv import GetPlanningScene" in ran.said
 
 
+@pytest.mark.slow
 def test_a_reachable_joint_solution_is_not_called_invalid(tmp_path):
     ran = run(tmp_path, HEAD + part(*CHECK_IK), CELL, "fake")
     assert ran.status == 0 and "IK solution invalid" not in ran.said
@@ -271,6 +274,7 @@ def test_a_reachable_joint_solution_is_not_called_invalid(tmp_path):
     assert refused.status == 1  # as in MoveIt, a target out of limits raises
 
 
+@pytest.mark.slow
 def test_the_last_planning_result_is_the_last_plan(tmp_path):
     ran = run(tmp_path, HEAD + part(*LAST_PLAN), CELL, "fake")
     assert ran.status == 1

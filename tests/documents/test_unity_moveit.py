@@ -91,6 +91,7 @@ assert abs(table.pose.position.z + 0.05) < 1e-9 and table.pose.orientation.w == 
     assert ran.status == 0, ran.said
 
 
+@pytest.mark.slow
 def test_the_services_and_topics_of_section_2_are_served():
     text = document(UNITY)
     services = ("/compute_ik", "/plan_kinematic_path")
@@ -121,6 +122,7 @@ def test_the_launch_file_names_what_armcell_takes_the_place_of():
     )
 
 
+@pytest.mark.slow
 def test_the_planners_of_section_6_plan_by_name(tmp_path):
     names = block(UNITY, "RRTConnect, PRM", "。").split("等")[0].rstrip(")").replace(",", " ").split()
     assert names[:2] == ["RRTConnect", "PRM"] and "EST" in names[2]

@@ -47,6 +47,7 @@ def python(site: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_a_package_s_driver_is_found_by_its_entry_point_and_only_when_asked_for(site):
     code = (
         "import sys\n"
@@ -60,6 +61,7 @@ def test_a_package_s_driver_is_found_by_its_entry_point_and_only_when_asked_for(
     assert done.stdout.strip() == "my_robot ['fake', 'my_robot', 'real', 'sim']"
 
 
+@pytest.mark.slow
 def test_a_package_that_fails_to_load_is_named_and_hides_no_other(site, tmp_path):
     (tmp_path / "broken_robot.py").write_text("import not_there_at_all\n")
     info = tmp_path / "broken_robot-0.1.dist-info"

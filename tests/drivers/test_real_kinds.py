@@ -54,6 +54,7 @@ def test_each_installed_kind_has_a_rig():
     assert set(robot_kinds) == set(RIGS), "add the kind's emulator to tests/drivers/rigs.py"
 
 
+@pytest.mark.slow
 @kinds
 def test_the_contract_of_a_real_arm(kind):
     with RIGS[kind]() as rig:

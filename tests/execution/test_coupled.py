@@ -60,6 +60,7 @@ def arrivals(cell, pair):
     return list(arrived.values())
 
 
+@pytest.mark.slow
 def test_both_arrive_within_5_ms(cell):
     apart = [ramp(cell, "left_arm", -0.4, 1.0), ramp(cell, "right_arm", -0.3, 0.8)]
     first, second = arrivals(cell, synchronize_trajectories(apart))

@@ -94,6 +94,7 @@ def test_a_motion_is_proven_again_when_one_beside_it_ends_early(driver, scene):
     assert second.evidence["pair"] and second.evidence["time_s"] > 0
 
 
+@pytest.mark.slow
 def test_only_the_executor_commands_drivers():
     """Every other place that calls a driver's commands would be a way around the gate."""
     found = []

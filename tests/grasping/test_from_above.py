@@ -54,6 +54,7 @@ def test_a_box_is_held_across_its_narrow_side(yaw_deg):
     np.testing.assert_allclose(best.T_object_tcp.rotation.matrix[:, 2], (0, 0, -1), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_no_open_finger_goes_into_anything():
     rng = np.random.default_rng(4)
     boxes = [

@@ -150,6 +150,7 @@ def test_an_object_beside_its_origin_stays_inside_the_edges():
         assert np.abs(points[:, :2]).max() < INNER / 2, placement.name
 
 
+@pytest.mark.slow
 def test_a_turned_placement_keeps_its_center_and_stays_inside_the_edges(item, on):
     support, height, inside = on
     surface_z = support.T_world_object.translation[2] + height

@@ -47,6 +47,7 @@ def pinch(tilt: float = 0.0, radius: float = 0.005, along: float = 0.01) -> tupl
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.0, 0.2, 0.35])
 def test_epsilon_is_the_least_wrench_by_linear_programs(tilt):
     wrenches = contact_wrenches(pinch(tilt), np.zeros(3), 0.04, Material(0.5))
@@ -71,6 +72,7 @@ def test_a_hull_known_in_closed_form():
     assert not hull_quality(corners + 2 * np.eye(6)[0]).force_closure
 
 
+@pytest.mark.slow
 def test_force_closure_ends_at_the_friction_cone():
     """Two opposite contacts whose normals lean the same way hold while the lean is within friction."""
     mu = 0.5

@@ -47,6 +47,7 @@ def test_it_is_the_default_generator_of_a_suction_gripper_only(hand):
     assert all(grasp.width for grasp in grasp_candidates(cube, hand_of(panda, panda.gripper()))[0])
 
 
+@pytest.mark.slow
 def test_every_cup_of_a_grasp_is_inside_a_face_and_the_hand_outside_the_object(hand, gripper):
     size = np.array([0.16, 0.12, 0.10])
     grasps, _ = grasp_candidates(item(Box(*size)), hand)
@@ -67,6 +68,7 @@ def test_every_cup_of_a_grasp_is_inside_a_face_and_the_hand_outside_the_object(h
         ).force_closure  # the vacuum holds, not opposed contacts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", (0.8, 1.25))
 def test_a_cylinder_s_side_seals_while_the_lip_closes_the_gap(hand, gripper, share):
     ring, limit = gripper.cups[0].radius + RIM, REACH * gripper.cups[0].stroke
@@ -123,6 +125,7 @@ def test_the_load_must_act_inside_the_hull_of_the_rings(hand, gripper):
     assert tilts and all(int(t.split(" mm")[0].split()[-1]) >= 1000 * limit - 1 for t in tilts)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_held_is_refused_with_the_nearest_miss(hand):
     assert "into the cup" in str([r.reason for r in grasp_candidates(item(Sphere(0.045)), hand)[1]])
     for shape, reason in ((Sphere(0.045), "leaks"), (Box(0.03, 0.03, 0.03), "every cup is over an edge")):
@@ -140,6 +143,7 @@ def test_a_hole_under_a_cup_leaks(hand):
             assert abs(grasp.T_object_tcp.apply(contact.point)[0]) > 0.005 + 0.018, grasp.name
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_earlier_calls(hand):
     box = item(Box(0.1, 0.09, 0.08))
     first = [(g.name, g.score) for g in grasp_candidates(box, hand)[0]]

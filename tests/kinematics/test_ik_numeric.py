@@ -240,6 +240,7 @@ def test_seeds_are_spread_and_quaternions_right():
         assert abs(out[3:] @ T.quat_wxyz) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_two_threads_get_the_answers_of_one():
     model = arm(dh_rows("UR10"), torso=True)
     rng = np.random.default_rng(7)

@@ -55,6 +55,7 @@ def test_a_fault_is_named_with_the_line_of_the_file_that_has_it(tmp_path, lines,
         load_urdf(robot(tmp_path, lines))
 
 
+@pytest.mark.slow
 def test_warnings_have_the_line_of_the_xacro_file_and_setup_gives_each_once(tmp_path, caplog):
     body = '<inertial><mass value="1"/><inertia ixx="1" iyy="-0.1" izz="0.1"/></inertial>'
     limit = '<limit lower="-170" upper="170" velocity="1" effort="1"/>'
@@ -84,6 +85,7 @@ def test_a_file_of_macros_names_the_files_that_call_them(tmp_path):
         load_urdf(tmp_path / "part.xacro")
 
 
+@pytest.mark.slow
 def test_a_package_without_the_file_is_named(tmp_path):
     (tmp_path / "package.xml").write_text("<package><name>arm_description</name></package>")
     mesh = collision('<mesh filename="package://arm_description/meshes/no.stl"/>')

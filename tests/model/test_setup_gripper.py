@@ -40,6 +40,7 @@ def only(model: RobotModel) -> Gripper:
     return model.gripper()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HANDS)
 def test_opening_and_closed_end_are_the_maker_s(name, monkeypatch):
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(SHARED))
@@ -278,6 +279,7 @@ def test_a_jaw_with_an_untypical_name_is_found_if_its_joint_is_stated():
     assert gripper.finger_links == ("l5", "palm")
 
 
+@pytest.mark.slow
 def test_a_curve_is_checked(tmp_path):
     from tests.cell.test_setup import small_arm
 

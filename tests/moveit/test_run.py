@@ -39,6 +39,7 @@ def run(tmp_path, text, *arguments, **kwargs):
     return run_script(file, live, arguments, quiet=True, **kwargs)
 
 
+@pytest.mark.slow
 def test_exit_status_and_arguments(tmp_path):
     (tmp_path / "beside.py").write_text("NUMBER = 5\n")
     text = "import sys, beside\nfrom rospy import myargv\nassert __name__ == '__main__'\n"
@@ -71,6 +72,7 @@ rospy.sleep(0.5)
 """
 
 
+@pytest.mark.slow
 def test_nothing_is_left_running(tmp_path):
     before = threading.active_count()
     status, session = run(tmp_path, TALKING)
@@ -85,12 +87,14 @@ def test_nothing_is_left_running(tmp_path):
         current_session()
 
 
+@pytest.mark.slow
 def test_motions_that_were_not_waited_for_are_finished(tmp_path):
     text = MOVING.format(wait="wait=False").replace("0.02", "1.0")
     _, session = run(tmp_path, text)
     assert session.served.live.driver.joint_state()["panda_joint1"] == pytest.approx(2.5, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_wait_ends_the_script_and_stops_the_arm(tmp_path):
     text = "import rospy\nrospy.on_shutdown(lambda: print('hook'))\n"
     status, session = run(tmp_path, text + CTRL_C + MOVING.format(wait=""))
@@ -114,6 +118,7 @@ def test_ctrl_c_is_rospys_interrupt_in_a_loop(tmp_path):
     assert status == 130 and any("cleaned up" in line for line in session.lines)
 
 
+@pytest.mark.slow
 def test_ctrl_c_that_a_script_catches_stops_what_it_did_not_wait_for(tmp_path):
     text = MOVING.format(wait="wait=False") + CTRL_C
     text += "try:\n    rospy.sleep(1000.0)\nexcept rospy.ROSInterruptException:\n    pass\n"
@@ -121,6 +126,7 @@ def test_ctrl_c_that_a_script_catches_stops_what_it_did_not_wait_for(tmp_path):
     assert status == 130 and session.served.live.driver.joint_state()["panda_joint1"] < 2.0
 
 
+@pytest.mark.slow
 def test_each_script_has_the_modules_beside_it(tmp_path):
     for name in ("first", "second"):
         package = tmp_path / name / "parts"
@@ -167,6 +173,7 @@ sys.exit(int(sys.argv[1]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("status", [0, 4])
 def test_the_run_of_a_script_is_kept(status, tmp_path, capsys):
     script, numbers = tmp_path / "nodding.py", tmp_path / "out.json"
@@ -196,6 +203,7 @@ def test_the_run_of_a_script_is_kept(status, tmp_path, capsys):
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 def test_of_a_cell_that_dies_the_cause_is_told_and_kept(tmp_path, capsys, monkeypatch):
     def lost(self, duration):
         if self.now > 0.5:
@@ -215,6 +223,7 @@ def test_of_a_cell_that_dies_the_cause_is_told_and_kept(tmp_path, capsys, monkey
     assert "--frames needs physics" in capsys.readouterr().err and not list((tmp_path / "no").iterdir())
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_the_last_motion_ends_keeps_the_run(tmp_path):
     """The script is over; its motion is not."""
     status, kept = None, []

@@ -20,6 +20,7 @@ def upward(pose):
     return pose
 
 
+@pytest.mark.slow
 def test_a_tool_that_points_up(arm, hints):
     arm.set_pose_target(upward(stamped(0.41, 0.05, 0.125)))
     assert not arm.go()

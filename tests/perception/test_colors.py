@@ -32,6 +32,7 @@ def test_distance_leaves_brightness_out():
     assert color_distance((0, 0, 0), (0, 0, 0)) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("swapped", [False, True])
 def test_alike_shapes_are_told_apart_by_color(swapped):
     red, blue = (0.85, 0.3, 0.22, 1.0), (0.22, 0.42, 0.8, 1.0)

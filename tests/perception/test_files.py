@@ -47,6 +47,7 @@ def found_as(scene, sight) -> None:
         assert min(off) < 0.002, name
 
 
+@pytest.mark.slow
 def test_png_and_yaml(seen, tmp_path):
     written = save_image(tmp_path / "shot", seen.image)
     assert [p.name for p in written] == ["shot.yaml", "shot_rgb.png", "shot_depth.png"]
@@ -64,6 +65,7 @@ def test_png_and_yaml(seen, tmp_path):
     assert np.array_equal(exact.depth, seen.image.depth)
 
 
+@pytest.mark.slow
 def test_a_cloud_without_rows_and_columns(seen):
     points = seen.image.T_world_camera.apply(
         organized_cloud(seen.image.depth, seen.image.pinhole).reshape(-1, 3)
@@ -168,6 +170,7 @@ def test_a_damaged_chunk_length_reserves_no_memory(tmp_path):
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 def test_what_is_seen_is_drawn_where_it_is(seen):
     """The outline is near the object's pixels, and only there."""
     sight = look(seen.image, seen.world.built.scene, tuple(seen.objects.values()))

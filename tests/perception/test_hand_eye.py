@@ -30,6 +30,7 @@ def views(count: int, mount: str, noise: tuple[float, float] = (0.0, 0.0), seed:
     return hands, markers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mount", ["in_hand", "to_hand"])
 def test_exact_and_noisy_views(mount):
     exact = calibrate_hand_eye(*views(6, mount), mount)
@@ -55,6 +56,7 @@ def test_one_wrong_view_is_named_and_hardly_counts():
     assert calibrate_hand_eye(hands, markers).ok
 
 
+@pytest.mark.slow
 def test_hands_turned_by_half_a_turn():
     """Their axis is known, but with noise not its direction."""
     turns = [

@@ -25,6 +25,7 @@ def box(name, x, y, size):
     return CollisionObject.single(name, Box(*size), SE3.from_xyz(x, y, size[2] / 2))
 
 
+@pytest.mark.slow
 def test_two_boxes_are_two_pieces_of_their_size_and_height():
     table = CollisionObject.single("table", Box(2, 2, 0.02), SE3.from_xyz(0.5, 0, -0.01))
     image, scene = seen_from_above(
@@ -41,6 +42,7 @@ def test_two_boxes_are_two_pieces_of_their_size_and_height():
     assert sorted(numbers) == [0, 1]  # the largest two
 
 
+@pytest.mark.slow
 def test_what_is_hidden_counts_as_filled():
     table = CollisionObject.single("table", Box(2, 2, 0.02), SE3.from_xyz(0.5, 0, -0.01))
     image, scene = seen_from_above(table, box("a", 0.9, 0.0, (0.05, 0.2, 0.1)), eye=(0.5, 0.0, 0.6))

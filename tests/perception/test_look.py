@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from tests.perception.scenes import TABLE, RandomScene, random_scene
+from tests.sizes import sizes
 
 from armcell.core import SE3, SO3, Box, CameraImage, ErrorCode, InputError, Mesh, Pinhole
 from armcell.model import load_robot
@@ -59,6 +60,7 @@ def errors(scenes: list[RandomScene], known: bool) -> tuple[np.ndarray, int]:
     return np.array(rows), lost
 
 
+@pytest.mark.slow
 def test_one_picture_without_noise():
     rows, lost = errors([random_scene(4)], known=False)
     assert lost == 0 and rows[:, 0].max() < 1.0 and rows[:, 1].max() < 1.0 and rows[:, 2].max() < 2.0
@@ -66,9 +68,10 @@ def test_one_picture_without_noise():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True])
-def test_the_median_of_many_noisy_pictures(known):
+@pytest.mark.parametrize("count", sizes(3, 10))
+def test_the_median_of_many_noisy_pictures(known, count):
     """The bar is 3 mm and 2 degrees; what is measured is a tenth of that."""
-    rows, lost = errors([random_scene(s, 4, STEREO) for s in range(10)], known)
+    rows, lost = errors([random_scene(s, 4, STEREO) for s in range(count)], known)
     assert lost == 0
     assert np.median(rows[:, 0]) < 0.6 and np.median(rows[:, 1]) < 0.3 and np.median(rows[:, 2]) < 1.5
     assert np.percentile(rows[:, 0], 95) < 3.0 and np.percentile(rows[:, 1], 95) < 2.0
@@ -76,11 +79,12 @@ def test_the_median_of_many_noisy_pictures(known):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [False, True])
-def test_where_things_hide_each_other(known):
+@pytest.mark.parametrize("count", sizes(5, 8))
+def test_where_things_hide_each_other(known, count):
     """Nine things close together: from the side some are half hidden."""
-    scenes = [random_scene(1000 + s, 9, STEREO, apart=-0.025) for s in range(8)]
+    scenes = [random_scene(1000 + s, 9, STEREO, apart=-0.025) for s in range(count)]
     rows, lost = errors(scenes, known)
-    assert lost <= 0.05 * 72
+    assert lost <= 0.05 * 9 * count
     assert np.median(rows[:, 0]) < 1.0 and np.median(rows[:, 1]) < 0.5
     assert np.mean((rows[:, 0] < 3.0) & (rows[:, 1] < 2.0)) > 0.95
 
@@ -114,6 +118,7 @@ def test_a_known_mesh_on_each_side(turn, z):
     assert position < 0.003 and np.rad2deg(angle) < 2.0, (position, np.rad2deg(angle))
 
 
+@pytest.mark.slow
 def test_what_no_primitive_explains_says_so():
     item, scene, image = seen_bracket(SO3.identity(), (0.6, 0.02, 0.0), (0.95, -0.3, 0.55))
     sight = look(image, scene)
@@ -124,6 +129,7 @@ def test_what_no_primitive_explains_says_so():
     assert np.abs(thing.points - item.T_world_object.translation).max() < 0.08
 
 
+@pytest.mark.slow
 def test_a_known_object_that_is_not_there():
     s = random_scene(4)
     absent = CollisionObject.single("plate", Box(0.2, 0.2, 0.01), movable=True)
@@ -134,6 +140,7 @@ def test_a_known_object_that_is_not_there():
 
 
 # --- what cannot be used ---
+@pytest.mark.slow
 def test_a_camera_without_depth_is_said():
     s = random_scene(4)
     sight = look(replace(s.image, depth=None), s.world.built.scene, tuple(s.objects.values()))
@@ -141,6 +148,7 @@ def test_a_camera_without_depth_is_said():
     assert "no depth" in sight.message and "depth: true" in sight.message and len(sight.missing) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [np.nan, 0.0, -1.0, np.inf])
 def test_depth_of_nothing_is_said(value):
     s = random_scene(4)
@@ -148,6 +156,7 @@ def test_depth_of_nothing_is_said(value):
     assert sight.code is ErrorCode.UNABLE_TO_AQUIRE_SENSOR_DATA and "no pixel has a depth" in sight.message
 
 
+@pytest.mark.slow
 def test_a_frozen_camera_is_said():
     s = random_scene(4)
     assert look(s.image, s.world.built.scene, now=0.3).ok
@@ -170,6 +179,7 @@ def _on(surface: str) -> LookSettings:
     return LookSettings(surface=surface)
 
 
+@pytest.mark.slow
 def test_wrong_settings_and_sizes():
     s = random_scene(4)
     with pytest.raises(InputError, match="no scene"):
@@ -180,6 +190,7 @@ def test_wrong_settings_and_sizes():
         replace(s.image, depth=np.ones((3, 4), np.float32))
 
 
+@pytest.mark.slow
 def test_the_robot_and_fixed_things_are_not_objects():
     """A Panda over the table with a wall on it: only the cube is found, on the surface that is named."""
     robot = load_robot("panda")

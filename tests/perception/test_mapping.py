@@ -29,6 +29,7 @@ def cell() -> tuple[SimWorld, PlanningScene]:
     return SimWorld(known.with_object(BLOCK)), known
 
 
+@pytest.mark.slow
 def test_the_unknown_block_is_in_the_map_and_nothing_else(cell):
     world, known = cell
     world.set_object_pose("block", BLOCK.T_world_object)
@@ -42,6 +43,7 @@ def test_the_unknown_block_is_in_the_map_and_nothing_else(cell):
     assert not checker.contacts(known.positions)  # the robot is not in its own map
 
 
+@pytest.mark.slow
 def test_it_goes_when_the_block_goes_and_comes_where_it_comes(cell):
     world, known = cell
     world.set_object_pose("block", BLOCK.T_world_object)
@@ -92,6 +94,7 @@ def test_wrong_settings():
         CameraMap(MapSettings(resolution=0))
 
 
+@pytest.mark.slow
 def test_noise_of_single_pixels_makes_no_obstacle(cell):
     """Over many pictures of a table far off some pixels leave its padding, each of them alone."""
     world, known = cell

@@ -41,6 +41,7 @@ def flat(x: float, y: float, yaw: float) -> SE3:
     return SE3(SO3.exp([0, 0, yaw]), np.array([x, y, 0.0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gl", [False, True] if has_gl() else [False])
 @pytest.mark.parametrize("family", ["apriltag_36h11", "aruco_4x4_50"])
 def test_poses_end_to_end(family, gl):
@@ -61,6 +62,7 @@ def test_poses_end_to_end(family, gl):
     assert np.rad2deg(np.median(angle)) < (0.1 if gl else 0.7)
 
 
+@pytest.mark.slow
 def test_a_pose_that_may_be_tilted_the_other_way_is_told():
     """Markers of 20 pixels with edges like stairs: for some the wrong one of two poses fits better."""
     rng, truth = np.random.default_rng(0), {}
@@ -92,6 +94,7 @@ def test_a_covered_edge_is_told():
     assert not seen["clean"].hidden and seen["covered"].hidden
 
 
+@pytest.mark.slow
 def test_a_marker_that_is_not_there():
     there = world("apriltag_36h11", {3: flat(0.6, 0, 0.4)})
     image = take_image(there, Camera("eye", look_at([0.3, -0.3, 0.5], [0.6, 0, 0]), 320, 240))
@@ -105,6 +108,7 @@ def test_a_marker_that_is_not_there():
     assert not other.ok and "no marker" in other.message and "check the family" in other.message
 
 
+@pytest.mark.slow
 def test_pictures_that_cannot_be_used():
     there = world("apriltag_36h11", {3: flat(0.6, 0, 0.4)})
     image = take_image(there, Camera("eye", look_at([0.3, -0.3, 0.5], [0.6, 0, 0]), 320, 240))

@@ -95,6 +95,7 @@ def seen(scene, *world, sensor=SENSOR, onto=None):
     return found
 
 
+@pytest.mark.slow
 def test_the_robot_and_known_objects_are_filtered_out(scene):
     hand = scene.frame_pose("panda_hand").translation
     cube = scene.object("cube").T_world_object.translation

@@ -158,6 +158,7 @@ def test_a_group_without_a_tip_needs_a_link():
         plan(panda_wall(), PlanRequest("arm_and_hand", (PoseGoal(down(0.5, 0.2, 0.3)),)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.3, 1.0])
 def test_a_problem_without_solution_ends_in_time(seconds):
     scene, goal = walled_in()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.planning.helpers import judge, request
 from tests.scene.helpers import box, floating, panda
+from tests.sizes import seeds
 
 from armcell.collision import ExactChecker, certify_timed
 from armcell.core import (
@@ -76,7 +77,7 @@ def test_staying_at_the_end():
     assert certify_timed(allowed, motion, [crossing(2.0, 3.0)], until=4.0).free
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(4, range(12)))
 def test_against_dense_sampling(seed):
     """A Panda on its timed way, and a plate that turns and comes by."""
     rng = np.random.default_rng(seed)
@@ -121,6 +122,7 @@ def test_nothing_in_the_way():
     assert plan_around_moving_obstacles(scene, request(goal), []).evidence["moving"] == "as planned"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begin", [-1.0, -2.0])
 def test_a_post_that_comes_by(begin):
     scene, goal = across()
@@ -137,6 +139,7 @@ def test_a_post_that_comes_by(begin):
         )
 
 
+@pytest.mark.slow
 def test_waiting_is_sooner_than_a_long_way_round():
     """A wall that comes down in front of the goal: nothing goes around it, a moment later it is gone."""
     scene, goal = across()

@@ -99,6 +99,7 @@ def test_another_robot_group_or_goal_is_another_problem(tmp_path):
     assert library.plan(scene, request(other)).evidence["library"] == "planned"
 
 
+@pytest.mark.slow
 def test_speed_is_the_requests(tmp_path):
     scene, library = panda_wall(), PlanLibrary(tmp_path)
     fast = library.plan(scene, request(ACROSS))

@@ -112,6 +112,7 @@ def test_impossible_workspaces(corners):
 # --- speed of a link ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.15, 0.3])
 def test_the_tip_s_speed_is_limited(speed):
     scene = panda_wall()
@@ -278,6 +279,7 @@ def test_a_way_out_may_not_lead_deeper_or_into_another_contact():
     assert not least_freeing_shift(KernelChecker(above, names), start, tip_at(0.08))
 
 
+@pytest.mark.slow
 def test_a_start_that_cannot_be_repaired_is_refused_in_time():
     tip = panda().frame_pose("panda_hand_tcp").translation
     scene = panda(box("block", (0.8, 0.8, 0.8), tip))

@@ -22,6 +22,7 @@ from tests.planning.resting import (
 )
 from tests.planning.test_plan import beyond_panda
 from tests.scene.helpers import box, panda, ur10
+from tests.sizes import seeds
 
 from armcell.collision.kernel.checker import KernelChecker
 from armcell.collision.resting_contact import resting_pairs
@@ -274,6 +275,7 @@ def test_the_adapter_leaves_what_is_deeper_by_the_same_departure():
     assert left.translation[2] - tip(scene).translation[2] == pytest.approx(0.012, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_an_object_between_the_fingers_cannot_be_left_and_that_is_said():
     scene = panda(**REACH)
     x, y, z = tip(scene).translation
@@ -312,7 +314,7 @@ def test_free_starts_are_not_looked_at(monkeypatch):
 
 # --- properties ---
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", seeds(6, range(24)))
 def test_random_resting_contacts_are_left(seed):
     """A held box of any size and orientation on a slab of any slope; a second slab for every other seed; a
     finger against a block of any orientation for every third."""
@@ -364,7 +366,7 @@ def random_rest(rng: np.random.Generator, kind: str):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(3, range(12)))
 def test_links_that_are_not_convex_are_led_out_too(seed):
     """A UR10 among whose links meshes are split into pieces that reach beyond them; a block leans on one."""
     rng = np.random.default_rng(seed)

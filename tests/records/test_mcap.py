@@ -61,6 +61,7 @@ def recorded(scene, tmp_path_factory):
     return recorder, *read(recorder.mcap_file)
 
 
+@pytest.mark.slow
 def test_schemas_name_every_nested_type(recorded):
     schemas, channels = recorded[3], recorded[4]
     assert all(channel.message_encoding == "cdr" for channel in channels.values())

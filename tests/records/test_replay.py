@@ -81,6 +81,7 @@ def run(scene, tmp_path_factory):
     return folder, recorded(scene, folder)
 
 
+@pytest.mark.slow
 def test_every_number_comes_back(run):
     folder, told = run
     record = read_record(folder)
@@ -106,6 +107,7 @@ def test_every_number_comes_back(run):
     assert compare(record, read_record(folder)).identical
 
 
+@pytest.mark.slow
 def test_cut_off_anywhere_the_whole_part_is_there(run, tmp_path):
     folder, told = run
     data = (folder / "run.mcap").read_bytes()
@@ -128,6 +130,7 @@ def test_cut_off_anywhere_the_whole_part_is_there(run, tmp_path):
     assert sum(n > 0 for n in found) > 15  # little is lost: a chunk is half a second or so
 
 
+@pytest.mark.slow
 def test_damage_is_said_and_never_a_traceback(run, tmp_path):
     folder, _ = run
     data = (folder / "run.mcap").read_bytes()
@@ -172,6 +175,7 @@ def test_a_full_disk_ends_the_record_and_not_the_run(scene, tmp_path, caplog):
     assert record.cut and 200 < len(record.states) <= 600
 
 
+@pytest.mark.slow
 def test_the_first_difference_is_found_where_it_was_made(run, scene, tmp_path):
     folder, told = run
     at = {"state": 700, "event": 9, "plan": 3}
@@ -253,6 +257,7 @@ def test_a_run_executed_again_is_the_same_to_the_bit(tmp_path, capsys):
     assert said.status == 1 and "first different" in said.out
 
 
+@pytest.mark.slow
 def test_a_failed_run_executed_again_is_the_same(tmp_path, capsys):
     file = cell_file(tmp_path, BOX.replace("[0.4, 0.4, 0.05]", "[0.25, 0, 1.09]"))  # where the hand shall be
     asked = ("--mode", "fake", "--seed", 8, "--runs", tmp_path / "runs")
@@ -267,6 +272,7 @@ def test_a_failed_run_executed_again_is_the_same(tmp_path, capsys):
     assert said.status == 0 and "events: the same" in said.out and "outcome: the same" in said.out
 
 
+@pytest.mark.slow
 def test_a_plan_says_what_was_asked_what_the_planner_tells_and_what_was_rejected(tmp_path, capsys):
     file = cell_file(tmp_path, BEHIND_A_WALL)
     asked = ("--mode", "fake", "--seed", 1, "--runs", tmp_path / "runs")
@@ -342,6 +348,7 @@ def test_a_killed_run_leaves_what_was_whole(tmp_path, capsys):
     assert record.result is None
 
 
+@pytest.mark.slow
 def test_the_view_shows_the_recorded_instant(run, scene):
     from armcell.viewer.replay import ReplayView
 

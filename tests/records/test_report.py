@@ -61,6 +61,7 @@ def empty(scene, tmp_path):
     return recorder
 
 
+@pytest.mark.slow
 def test_a_success_shows_everything_in_one_file(recorder):
     file = write_report(recorder.folder, panda_result(), recorder)
     html = file.read_text()
@@ -82,6 +83,7 @@ def test_a_success_shows_everything_in_one_file(recorder):
     assert [words for words in expected if words not in page.words] == []
 
 
+@pytest.mark.slow
 def test_a_failure_says_the_cause_in_words_and_marks_the_stage(recorder, tmp_path):
     result = panda_result()
     result |= {
@@ -150,6 +152,7 @@ def test_series_with_gaps_one_sample_and_odd_stage_names_are_drawn(scene, tmp_pa
     assert page.tags.count("img") == 2 and "could not be drawn" not in page.words
 
 
+@pytest.mark.slow
 def test_two_arms_get_a_figure_each(tmp_path):
     from armcell.core import SE3
     from armcell.model import MountedRobot, compose, load_robot

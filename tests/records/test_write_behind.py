@@ -54,6 +54,7 @@ def sample(scene, k: int) -> StateSample:
     return StateSample(0.01 * k, JointState(scene.model.joint_names, q))
 
 
+@pytest.mark.slow
 def test_a_disk_that_hangs_makes_no_step_wait_and_loses_nothing(scene, tmp_path):
     recorder = RunRecorder(tmp_path, scene)
     hung = Hung(recorder._mcap._stream.fileno())
@@ -79,6 +80,7 @@ def test_a_disk_that_hangs_makes_no_step_wait_and_loses_nothing(scene, tmp_path)
     assert len(record.states) == 1500 and not record.cut
 
 
+@pytest.mark.slow
 def test_a_disk_too_far_behind_ends_the_record_and_not_the_run(scene, tmp_path, monkeypatch, caplog):
     others = set(threading.enumerate())
     monkeypatch.setattr(write_behind, "MOST_WAITING", 1 << 20)

@@ -72,6 +72,7 @@ def test_pictures_clouds_and_info_at_their_rate(cell):
         assert not [t for t in bus.topics() if t.publishers]
 
 
+@pytest.mark.slow
 def test_a_slow_subscriber_gets_the_newest_and_nobody_waits(cell):
     bus = Bus()
     with cell.connect() as live:
@@ -82,6 +83,7 @@ def test_a_slow_subscriber_gets_the_newest_and_nobody_waits(cell):
         assert slow.get(0).header.stamp.to_sec() > 0.85 and slow.get(0) is None
 
 
+@pytest.mark.slow
 def test_frames_lead_to_the_camera(cell):
     """World to optical frame along /tf is where the picture says it was taken; also on the hand."""
     bus = Bus()

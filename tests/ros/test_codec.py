@@ -19,6 +19,7 @@ IDS = ["ros1", "cdr"]
 SHORT = schema().new("geometry_msgs/PoseWithCovariance", covariance=[1.0])  # needs 36
 
 
+@pytest.mark.slow
 def test_a_type_has_one_class_whichever_thread_asks_first():
     def classes():
         ready.wait()

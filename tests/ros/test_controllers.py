@@ -92,6 +92,7 @@ def arms():
     )
 
 
+@pytest.mark.slow
 def test_a_motion_of_both_arms_is_divided_between_their_controllers():
     with Robot(controllers=arms()) as robot:
         robot.serve("left/jtc"), robot.serve("right/jtc")
@@ -110,6 +111,7 @@ def test_a_motion_of_both_arms_is_divided_between_their_controllers():
         )
 
 
+@pytest.mark.slow
 def test_joints_that_a_motion_leaves_out_stay_where_they_are():
     """ros2_control's controllers refuse a goal that names a part of their joints."""
     with Robot(controllers=arms()) as robot:
@@ -122,6 +124,7 @@ def test_joints_that_a_motion_leaves_out_stay_where_they_are():
         assert all(list(p.positions[2:]) == pytest.approx(rest) for p in goal.points)
 
 
+@pytest.mark.slow
 def test_a_failure_says_the_controllers_reason_and_stops_the_other_one():
     with Robot(controllers=arms()) as robot:
         robot.serve("left/jtc"), robot.serve("right/jtc")
@@ -135,6 +138,7 @@ def test_a_failure_says_the_controllers_reason_and_stops_the_other_one():
         assert robot.q[robot.names.index(LEFT[0])] == robot.scene.state[LEFT[0]]  # never arrived
 
 
+@pytest.mark.slow
 def test_a_cancel_reaches_the_controllers():
     with Robot(controllers=arms()) as robot:
         robot.serve("left/jtc")
@@ -146,6 +150,7 @@ def test_a_cancel_reaches_the_controllers():
         assert "stopped by a test" in work.outcome().message
 
 
+@pytest.mark.slow
 def test_a_controller_that_is_not_there_and_one_that_leaves():
     with Robot(controllers=arms()) as robot:
         with pytest.raises(InputError, match="left/jtc: no action server /left/jtc/follow_joint_trajectory"):
@@ -162,6 +167,7 @@ def test_a_controller_that_is_not_there_and_one_that_leaves():
         robot.hang.clear()
 
 
+@pytest.mark.slow
 def test_a_controller_by_topic_is_followed_by_the_joints():
     topic = Controller("left", "JointTrajectory", "/left/joint_trajectory", LEFT)
     with Robot(controllers=(topic,)) as robot:
@@ -176,6 +182,7 @@ def test_a_controller_by_topic_is_followed_by_the_joints():
         assert "plan again" in work.outcome().message  # it is elsewhere by now
 
 
+@pytest.mark.slow
 def test_a_canceled_motion_by_topic_is_held_where_it_is():
     topic = Controller("left", "JointTrajectory", "/left/joint_trajectory", LEFT)
     with Robot(controllers=(topic,)) as robot:
@@ -195,6 +202,7 @@ def gripper_robot(**kind):
     return hand, Robot("panda_pick", (spec,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "position"), [({}, 0.01), ({"gives_width": True}, 0.02)])
 def test_a_gripper_is_driven_by_its_action(kind, position):
     hand, robot = gripper_robot(**kind)
@@ -212,6 +220,7 @@ def test_a_gripper_is_driven_by_its_action(kind, position):
         assert not work.outcome().evidence["stalled"]
 
 
+@pytest.mark.slow
 def test_a_gripper_that_fails_says_why():
     hand, robot = gripper_robot()
     refuse = lambda goal: ActionOutcome(GoalState.ABORTED, S.new(f"{GRIP}Result"), "no air pressure")  # noqa: E731
@@ -221,6 +230,7 @@ def test_a_gripper_that_fails_says_why():
         assert work.outcome().message == "hand: no air pressure"
 
 
+@pytest.mark.slow
 def test_fingers_of_a_trajectory_controller():
     hand = load("panda_pick").model.grippers["hand"]
     spec = Controller("hand", "FollowJointTrajectory", "/hand/follow_joint_trajectory", (hand.joint_name,))
@@ -231,6 +241,7 @@ def test_fingers_of_a_trajectory_controller():
         assert list(robot.goals[0][1].points[-1].positions) == [pytest.approx(0.01)]
 
 
+@pytest.mark.slow
 def test_clients_choose_controllers_by_name():
     """ExecuteTrajectory's `controller_names`, which only ROS 2 has."""
     with Robot(controllers=arms()) as robot, MoveGroupNode(robot.cell, robot.bus):

@@ -13,6 +13,7 @@ from tests.programs import Program
 from tests.ros.helpers import remote_cell
 from tests.ros.unity_like import UnityLike
 from tests.ros.unity_sim import UnitySim
+from tests.sizes import seeds
 
 from armcell.cell import load
 from armcell.core import InputError
@@ -31,7 +32,7 @@ def height(poses):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", seeds(1, [0, 3]))
 def test_all_in_one_process(seed):
     bus = Bus()
     live = load(CELL).connect("sim", seed, time_scale=4.0)
@@ -162,6 +163,7 @@ def test_unity_simulates_and_the_planner_grasps_with_it(ros2):
             unity.close()
 
 
+@pytest.mark.slow
 def test_without_a_simulator_the_planner_says_what_to_look_at(monkeypatch):
     monkeypatch.setattr("armcell.ros.nodes.remote_driver.STATE_TIMEOUT", 0.2)
     cell = remote_cell(Bus(), load(CELL).scene())
@@ -177,6 +179,7 @@ def test_settings_of_the_grasp_server():
             GraspServerSettings(**bad)
 
 
+@pytest.mark.slow
 def test_grasps_are_aligned_with_the_edges_and_approach_as_they_say():
     cell, bus = load(CELL), Bus()
     scene = cell.scene(1)  # the cube turned

@@ -26,6 +26,7 @@ def test_a_cancelled_gripper_stops_where_it_is(mode):
         assert ended.value.value.code is ErrorCode.PREEMPTED and 0.6 * opened < stopped < 0.85 * opened
 
 
+@pytest.mark.slow
 def test_a_command_turns_the_vacuum_on_and_off():
     """With an object under the cups it is held, and without one the command ends, too."""
     with load("suction_pick").connect("sim") as live:

@@ -288,6 +288,7 @@ def slow_plan(bus):
     ].planned_trajectory
 
 
+@pytest.mark.slow
 def test_execution_its_start_its_end_and_its_stops(bus):
     planned = move(bus, joint_goal({"panda_joint1": 0.5}), plan_only=True)[1].planned_trajectory
     assert execute(bus, planned) == (GoalState.SUCCEEDED, 1)
@@ -309,6 +310,7 @@ def test_a_cancelled_goal_is_preempted(bus):
     assert state is GoalState.PREEMPTED and result.error_code.val == -7
 
 
+@pytest.mark.slow
 def test_a_goal_that_a_newer_one_replaces_says_so(bus):
     """Running or still waiting: its result never reads as a success."""
     with ActionClient(bus, "/move_group", "moveit_msgs/MoveGroup") as client:

@@ -119,6 +119,7 @@ def test_unity_gets_latched_topics_late_and_by_their_names(bus, ros2):
         assert "/words" in listed and "/tf" not in [n for n in listed if n.startswith("/arm_left")]
 
 
+@pytest.mark.slow
 def test_ros1_gets_latched_topics_late_and_by_their_names(bus):
     there = Bus()
     settings = Ros1Settings("cell", namespace="/arm_left", master="http://127.0.0.1:0", own_master=True)

@@ -36,6 +36,7 @@ def asked(model, planner=""):
     return request
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrapped", [False, True], ids=["ROS 1", "ROS 2"])
 def test_clients_name_the_file_s_planners_and_get_its_default(tmp_path, wrapped):
     planners = {"/**": {"ros__parameters": {"ompl": FILE}}} if wrapped else FILE

@@ -57,6 +57,7 @@ class Simulator:
         return trajectory_message(S, self.bus.header(), way)
 
 
+@pytest.mark.slow
 def test_what_was_said_of_an_earlier_motion_ends_no_later_one():
     with Simulator("panda_table") as sim:
         first = sim.cell.queue_trajectory(sim.motion("panda_arm"))
@@ -77,6 +78,7 @@ def test_what_was_said_of_an_earlier_motion_ends_no_later_one():
         assert third.wait(5) and "unknown joint" in third.outcome().message
 
 
+@pytest.mark.slow
 def test_a_simulator_that_says_only_how_a_motion_ended():
     with Simulator("panda_table") as sim:
         work = sim.cell.queue_trajectory(sim.motion("panda_arm"))
@@ -85,6 +87,7 @@ def test_a_simulator_that_says_only_how_a_motion_ended():
         assert work.wait(2) and work.outcome().ok
 
 
+@pytest.mark.slow
 def test_the_second_arm_waits_for_the_first():
     """What is said does not tell which motion is meant, and nothing proves that two would not meet."""
     with Simulator("dual_ur10") as sim:
@@ -104,6 +107,7 @@ def test_the_second_arm_waits_for_the_first():
         assert begun[0].wait(5) and begun[0].outcome().code is ErrorCode.CONTROL_FAILED
 
 
+@pytest.mark.slow
 def test_a_motion_that_begins_elsewhere_is_refused_and_a_stop_stops_every_joint():
     with Simulator("panda_table") as sim:
         away = sim.motion("panda_arm")
@@ -116,6 +120,7 @@ def test_a_motion_that_begins_elsewhere_is_refused_and_a_stop_stops_every_joint(
         assert running.outcome().code is ErrorCode.PREEMPTED
 
 
+@pytest.mark.slow
 def test_things_are_where_the_simulator_says_even_if_it_says_so_a_little_late(caplog):
     with Simulator("panda_table") as sim:
         pose = sim.bus.advertise("/object_pose", "geometry_msgs/PoseStamped")
@@ -138,6 +143,7 @@ def test_things_are_where_the_simulator_says_even_if_it_says_so_a_little_late(ca
         assert caplog.text.count("no /object_pose of") == 1  # waited for but once
 
 
+@pytest.mark.slow
 def test_the_whole_scene_is_told_once_the_simulator_is_there(monkeypatch):
     monkeypatch.setattr("armcell.ros.nodes.remote_driver.STATE_TIMEOUT", 0.1)
     sim = Simulator("panda_table")
@@ -152,6 +158,7 @@ def test_the_whole_scene_is_told_once_the_simulator_is_there(monkeypatch):
         node.close()
 
 
+@pytest.mark.slow
 def test_without_a_simulator_every_action_ends_with_a_code_and_the_reason(monkeypatch, caplog):
     monkeypatch.setattr("armcell.ros.nodes.remote_driver.STATE_TIMEOUT", 0.05)
     sim = Simulator("panda_table")
@@ -178,6 +185,7 @@ def test_without_a_simulator_every_action_ends_with_a_code_and_the_reason(monkey
     assert not [r for r in caplog.records if r.exc_info]
 
 
+@pytest.mark.slow
 def test_a_trajectory_of_the_fingers_alone_is_a_gripper_command():
     """The simulator stops the fingers at the object, so the motion gate must not refuse their way there."""
     with Simulator("panda_table") as sim:

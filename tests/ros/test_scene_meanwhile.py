@@ -103,6 +103,7 @@ def by_service(bus, item):
 DOORS = {"/collision_object": by_topic, "/planning_scene": by_scene, "apply_planning_scene": by_service}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "door", [pytest.param(name, marks=[pytest.mark.slow] if i else []) for i, name in enumerate(DOORS)]
 )
@@ -126,6 +127,7 @@ def test_execute_trajectory_stops_before_what_comes_through_every_door(bus, serv
     assert "rod" not in served.cell.scene().objects
 
 
+@pytest.mark.slow
 def test_what_comes_beside_the_way_stops_nothing(bus):
     planned = move(bus, 1.0, plan_only=True, velocity=0.2)[2].planned_trajectory
     goal = new("ExecuteTrajectoryGoal", planned)

@@ -238,6 +238,7 @@ def test_a_frame_that_nothing_connects_is_reported(served, caplog):
     publisher.close()
 
 
+@pytest.mark.slow
 def test_a_cell_and_a_moveit_package_name_their_sensors(tmp_path):
     (tmp_path / "sensors_3d.yaml").write_text(FILE)
     (tmp_path / "cell.yaml").write_text("robot: panda\nros: {sensors: sensors_3d.yaml}\n")

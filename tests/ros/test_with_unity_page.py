@@ -14,6 +14,7 @@ from armcell.ros.schema import schema
 PAGE = Path(__file__).parents[2] / "docs" / "with_unity.md"
 
 
+@pytest.mark.slow
 def test_the_script_compiles(tmp_path):
     if not shutil.which("mcs"):
         pytest.skip("Mono is not installed (apt install mono-mcs)")

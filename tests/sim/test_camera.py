@@ -57,6 +57,7 @@ def test_left_is_left_and_up_is_up():
         assert u.min() > 80 and v.min() > 60, gl
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ("panda", "ur10_gripper"))
 def test_ray_cast_picture_shows_the_robot(robot):
     camera = Camera.looking_at("c", [1.7, -1.5, 1.2], [0.3, 0.0, 0.35], width=320, height=240)
@@ -73,6 +74,7 @@ def test_ray_cast_picture_shows_the_robot(robot):
     assert np.abs(render_rgb(world, camera, gl=False).astype(int) - picture).max() > 100  # it follows
 
 
+@pytest.mark.slow
 def test_without_gl_nothing_is_printed():
     script = (
         "from armcell.sim import Camera, SimWorld, has_gl, render_rgb\n"

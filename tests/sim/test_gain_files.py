@@ -251,6 +251,7 @@ def test_own_format_of_a_file(tmp_path, scene):
         gain_values(file, scene.model)
 
 
+@pytest.mark.slow
 def test_the_commands_take_a_controllers_file(capsys, tmp_path):
     strong, weak = {"p": 4000, "d": 200}, {"p": 2000, "d": 90}
     values = {joint: strong if k < 3 else weak for k, joint in enumerate(ARM)}

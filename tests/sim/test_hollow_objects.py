@@ -42,6 +42,7 @@ def test_a_ball_falls_into_a_cup():
     assert world.object_pose("hollow").translation[2] == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_physics_and_the_exact_checker_agree_which_regions_are_solid():
     """A small ball at random places around a cup: who sees a contact deeper, or a gap wider, than 1 mm?"""
     radius, solid = 0.004, cup()

@@ -55,6 +55,7 @@ def _bits(of: mujoco.MjModel | mujoco.MjData) -> dict[str, bytes]:
     return found
 
 
+@pytest.mark.slow
 def test_it_is_the_compiled_one_bit_for_bit():
     rng = np.random.default_rng(3)
     for _ in range(8):
@@ -153,6 +154,7 @@ def test_many_loose_objects():
     assert _bits(kept.mj) == _bits(fresh.mj)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ("color", "shape", "pose", "allowed", "settings", "fixed"))
 def test_what_else_changes_is_seen(change):
     scene, settings = _scene(np.random.default_rng(5)), SETTINGS

@@ -28,6 +28,7 @@ def backends() -> list[bool]:
     return [False, True] if has_gl() else [False]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not has_gl(), reason="no OpenGL here")
 def test_opengl_and_rays_agree(world):
     """Depth to 10 micrometers, but for pixels on an edge; colors on average."""

@@ -32,6 +32,7 @@ def test_asleep_things_rest_where_they_would_awake_and_wake_when_moved():
     assert asleep.object_pose("high").translation[2] == pytest.approx(0.02, abs=1e-3)  # its support is gone
 
 
+@pytest.mark.slow
 def test_pictures_of_a_sleeping_world_show_it():
     camera = Camera("above", look_at((0.8, 0.0, 1.0), (0.8, 0.001, 0.0)), 64, 48, 30.0)
     depths = []
@@ -42,6 +43,7 @@ def test_pictures_of_a_sleeping_world_show_it():
     np.testing.assert_allclose(depths[0], depths[1], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_picture_is_whole_after_another_worlds_pictures_are_gone():
     """A freed renderer may not take the buffers of the one that is in use."""
     camera = Camera("above", look_at((0.8, 0.0, 1.0), (0.8, 0.001, 0.0)), 64, 48, 30.0)

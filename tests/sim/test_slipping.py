@@ -76,6 +76,7 @@ def test_a_sliding_block_stops_by_its_dynamic_coefficient_and_then_rests(panda):
     assert slid == pytest.approx(speed**2 / (2 * DYNAMIC * G), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_held_cube_keeps_its_static_friction(panda):
     """A grip that needs more than the dynamic coefficient lifts the cube, once slipped it is lost."""
     weight = 0.5 * G

@@ -233,6 +233,7 @@ def test_wrong_names_and_values():
             call()
 
 
+@pytest.mark.slow
 def test_a_fixed_object_that_is_put_elsewhere_is_felt_there_until_a_reset():
     found = []
     for compiled in (True, False):

@@ -351,6 +351,7 @@ def test_the_cpu_time_of_threads_counts():
     assert planning.time_left <= 0 and 3 <= len(planning.rejections.details) <= 7
 
 
+@pytest.mark.slow
 def test_real_candidates_at_once_give_the_same_plans():
     cell, scene = panda_pick(), nominal()
     hand = next(iter(cell.model.grippers.values()))

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.sizes import seeds
 from tests.tasks.helpers import AtStage, notes
 
 import armcell
@@ -78,7 +79,7 @@ def test_a_miss_is_tried_again_farther_on():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", seeds(1, [0, 3]))
 def test_both_boxes_end_in_the_tray(seed):
     cell = conveyor()
     with cell.connect("sim", seed=seed) as live:

@@ -164,6 +164,7 @@ def solid() -> CollisionObject:
     return CollisionObject.single("block", Box(0.15, 0.15, 0.15), SE3.from_xyz(at[0], at[1], 0.076))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "reason"),
     [
@@ -206,6 +207,7 @@ def test_the_fingers_open_no_wider_than_there_is_room(half, width):
         assert cell.driver.gripper("hand").width == pytest.approx(width, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_full_tray_is_said_and_keeps_the_object():
     T = nominal().object("tray").T_world_object
     posts = [SE3.from_xyz(0.06 * i, 0.06 * j, 0.05) for i in (-1, 0, 1) for j in (-1, 0, 1)]

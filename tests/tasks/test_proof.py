@@ -75,6 +75,7 @@ def test_beside_the_middle_a_heavy_rod_turns_out_of_the_hand(robot):
     assert middle.successes == 4 and end.successes == 0
 
 
+@pytest.mark.slow
 def test_the_same_trials_are_remembered(robot, monkeypatch):
     model, gripper, hand = robot
     item = library_object("bolt")

@@ -26,6 +26,7 @@ def pick(scene, settings, gripper, among=()):
     return solution.data["candidate"], motion.duration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["six_axis_pick", "panda_pick"])
 def test_the_nearest_of_a_cubes_sides(name):
     cell = armcell.load(name)

@@ -40,6 +40,7 @@ def watched():
     return watching
 
 
+@pytest.mark.slow
 def test_every_motion_is_announced_with_its_trajectory(watched):
     assert len(watched.motions) == len(watched.moves)
     for (trajectory, scene), report in zip(watched.motions, watched.moves):

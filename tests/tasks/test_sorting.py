@@ -75,6 +75,7 @@ def test_names_that_do_not_exist(sorting):
             cell.sort({}, camera="above")
 
 
+@pytest.mark.slow
 def test_a_frozen_camera_ends_it_with_its_reason(sorting):
     with sorting.connect(seed=3) as cell:
         cell.camera("above").image()

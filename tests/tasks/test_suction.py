@@ -35,6 +35,7 @@ def live(mode: str, mass: float = 0.8, observers=(), settings=OBSERVED) -> LiveC
     return LiveCell("test", scene(mass), drivers[mode](scene(mass), DriverOptions()), settings, observers, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ("fake", "sim"))
 def test_pick_and_place(mode):
     with live(mode) as cell:
@@ -56,6 +57,7 @@ def test_pick_and_place(mode):
         assert mode == "fake" or not cell.driver.unwanted_contacts()
 
 
+@pytest.mark.slow
 def test_a_heavy_object_is_refused_before_the_arm_moves():
     with live("sim", mass=6.0) as cell:
         before = cell.driver.joint_state().positions
@@ -79,6 +81,7 @@ def test_an_object_heavier_than_believed_is_held_up_to_the_bound(heavier, holds)
             assert "nothing is on the cups" in outcome.message or "it rose" in outcome.message
 
 
+@pytest.mark.slow
 def test_a_vacuum_that_fails_on_the_way_loses_the_object():
     def fail():
         cell.driver.world.set_gripper_target("vacuum", 0.01)
@@ -93,6 +96,7 @@ def test_a_vacuum_that_fails_on_the_way_loses_the_object():
         assert "box" in cell.ctx.lost
 
 
+@pytest.mark.slow
 def test_proofs_tell_firm_grasps_from_leaking_and_overloaded_ones():
     model, item = scene().model, scene().object("box")
     grasps, _ = grasp_candidates(item, hand_of(model, model.gripper()))

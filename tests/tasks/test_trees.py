@@ -24,6 +24,7 @@ def hand_of(cell):
     return cell.model.gripper()
 
 
+@pytest.mark.slow
 def test_running_until_it_ends_and_the_same_run_as_without_a_tree():
     with live("sim") as cell:
         assert cell.arm.pick("cube") and cell.arm.place("cube", on="tray")

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import ruckig
 from scipy.spatial import cKDTree
+from tests.sizes import seeds
 from tests.timing.helpers import NAMES, PANDA_A, PANDA_V, random_walk, random_waypoints, toppra_duration
 
 from armcell.core import InputError
 from armcell.timing import BlendedPath, jerk_limited
 
-SMOOTH = [(seed, 0.05) for seed in range(4)] + [(seed, d) for seed in range(3) for d in (0.0, 0.005, 0.5)]
+SMOOTH = [(seed, d) for seed in range(3) for d in (0.05, 0.0, 0.005, 0.5)]
+SMOOTH = seeds(4, [*SMOOTH, (3, 0.05)])
 STEP = 5e-4  # [s] of the finite differences
 
 
@@ -61,6 +63,7 @@ def test_straight_lines_are_as_fast_as_ruckig():
         assert answer.duration - 1e-9 <= ours.duration <= answer.duration + 1e-3
 
 
+@pytest.mark.slow
 def test_between_the_motion_without_jerk_limits_and_one_that_stops_at_corners():
     for seed in range(6):
         corners = random_walk(seed, 12, 0.4)

@@ -104,6 +104,7 @@ def bands(twins):
     return fit_thresholds([(twin, range(6), watched(twin, rng)) for twin in twins])
 
 
+@pytest.mark.slow
 def test_lag_and_current_are_fitted(bands):
     assert bands.lag == pytest.approx(LAG, abs=1e-3)
     assert bands.gain[0] == pytest.approx(GAIN, abs=0.02)
@@ -273,6 +274,7 @@ def test_efforts_of_a_slowed_arm_are_what_physics_says(swings):
     assert (reckoned[:2] < 0.7 * naive[:2]).all() and (reckoned < naive + 0.5).all()
 
 
+@pytest.mark.slow
 def test_a_payload_is_told_in_kilograms(swing_bands, swings, loaded):
     slowed, stopped, trip, _, notes = driven(swing_bands, swings[3], begin=0.0, arm=loaded)
     assert slowed < 0.5 and stopped < 0.6 and "payload" in trip.hint

@@ -50,6 +50,7 @@ def test_the_flat_urdf_is_the_same_robot(name, tmp_path):
             np.testing.assert_allclose(R @ inertial.inertia @ R.T, wanted, atol=2e-7)
 
 
+@pytest.mark.slow
 def test_meshes_are_files_of_their_own(tmp_path):
     """Relative, distinct, there; and no collision mesh is more than Unity's physics takes."""
     root = etree.parse(write_urdf(load("panda_table").model, tmp_path)).getroot()
@@ -65,6 +66,7 @@ def test_meshes_are_files_of_their_own(tmp_path):
             assert merged.is_watertight and merged.volume > 0
 
 
+@pytest.mark.slow
 def test_capsules_become_a_cylinder_and_balls(tmp_path):
     model = load("panda_table").model
     T = SE3.from_xyz_rpy((0.1, 0.2, 0.3), (0.4, 0.5, 0.6))
@@ -94,6 +96,7 @@ def test_small_hulls_lie_inside_and_say_by_how_much(tmp_path):
     assert trimesh.load(tmp_path / "box.stl").volume == pytest.approx(6.0)
 
 
+@pytest.mark.slow
 def test_the_scene_file(exported):
     cell, export = exported
     data = json.loads((export.cell / "scene.json").read_text())

@@ -10,6 +10,7 @@ from tests.unity.mono import PACKAGE, compiled, need_mono, sources, stubs
 from armcell.core import JointTrajectory
 
 
+@pytest.mark.slow
 def test_its_own_tests_pass(tmp_path):
     """The same tests that Unity's Test Runner shows."""
     need_mono()
@@ -51,6 +52,7 @@ def test_it_compiles_for_other_settings(player, defines, tmp_path):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 3, 5])
 def test_interpolation_is_armcells(tmp_path, order):
     """Positions and velocities of random trajectories, in full precision, to 1e-9."""

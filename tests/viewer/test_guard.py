@@ -68,6 +68,7 @@ PAGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", PAGES.values(), ids=PAGES)
 def test_no_page_answers_a_stranger(make, scene, tmp_path):
     with make(scene, tmp_path) as page:
@@ -179,6 +180,7 @@ def test_what_the_page_may_do_in_a_browser(page):
     assert page.server.request_share_url() is None  # no tunnel to the internet
 
 
+@pytest.mark.slow
 def test_too_many_and_too_large(page):
     me = login(page.url)
     with ExitStack() as stack:
@@ -242,6 +244,7 @@ def test_refusals_are_logged_once_each(page, caplog):
 
 
 # --- what is at stake: an arm ---
+@pytest.mark.slow
 def test_only_the_operator_moves_the_arm(tmp_path):
     cell = load("panda_table")
     session = PlanningSession(

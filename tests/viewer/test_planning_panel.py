@@ -55,6 +55,7 @@ def click(button):
     button.value = True
 
 
+@pytest.mark.slow
 def test_the_ghost_follows_the_control_and_the_last_of_many_drags_counts(panel):
     for y in np.linspace(0.0, 0.25, 100):
         drag(panel.goal_control, SE3.from_xyz_rpy((0.45, y, 0.35), DOWN))
@@ -72,6 +73,7 @@ def test_the_ghost_follows_the_control_and_the_last_of_many_drags_counts(panel):
     assert "Goal free" in panel.plan.goal.content and pose(panel.goal_control).isclose(wanted, 1e-6, 1e-6)
 
 
+@pytest.mark.slow
 def test_red_with_the_pair_and_grey_with_the_distance(panel):
     drag(panel.goal_control, SE3.from_xyz_rpy((0.55, 0.06, 0.2), DOWN))
     until(lambda: "panda_hand touches wall" in panel.plan.goal.content)
@@ -83,6 +85,7 @@ def test_red_with_the_pair_and_grey_with_the_distance(panel):
     until(lambda: panel.goal_ghost._parts["panda_hand"][0].color == tuple(round(255 * c) for c in GREY[:3]))
 
 
+@pytest.mark.slow
 def test_plan_preview_execute(panel):
     assert panel.plan.execute.disabled and panel.plan.preview.disabled and panel.plan.stop.disabled
     panel.states.named.value = "extended"
@@ -107,6 +110,7 @@ def test_plan_preview_execute(panel):
     until(lambda: pose(panel.viewer.link_frames["panda_hand"]).isclose(end, 1e-5, 1e-5))
 
 
+@pytest.mark.slow
 def test_a_failure_is_explained_and_a_button_mends_it(panel):
     drag(panel.goal_control, SE3.from_xyz_rpy((0.55, 0.06, 0.2), DOWN))
     until(lambda: panel.session.goal.status == "collision")
@@ -122,6 +126,7 @@ def test_a_failure_is_explained_and_a_button_mends_it(panel):
     assert pose(panel.goal_control).isclose(panel.session.goal.T_world_tip, 1e-6, 1e-6)
 
 
+@pytest.mark.slow
 def test_every_planner_is_offered_and_choices_reach_the_session(panel):
     plan, session = panel.plan, panel.session
     for pipeline, planners in pipelines.items():
@@ -139,6 +144,7 @@ def test_every_planner_is_offered_and_choices_reach_the_session(panel):
     assert (plan.pipeline.value, plan.planner.value) == ("native", "RRTConnect")
 
 
+@pytest.mark.slow
 def test_sliders_are_degrees_and_follow(panel):
     states, session = panel.states, panel.session
     states.sliders["panda_joint1"].value = 30.0
@@ -157,6 +163,7 @@ def test_sliders_are_degrees_and_follow(panel):
     assert session.goal.positions[7] == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 def test_objects_are_added_dragged_attached_and_removed(panel):
     tab, session = panel.scene, panel.session
     tab.kind.value = "cylinder"
@@ -178,6 +185,7 @@ def test_objects_are_added_dragged_attached_and_removed(panel):
     assert "cylinder_1" not in panel.viewer.object_frames and tab.chosen.value == "-"
 
 
+@pytest.mark.slow
 def test_boxes_say_what_may_touch(panel):
     tab, session = panel.scene, panel.session
     tab.body.value = "panda_hand"
@@ -189,6 +197,7 @@ def test_boxes_say_what_may_touch(panel):
     assert not tab.pairs["wall"].value
 
 
+@pytest.mark.slow
 def test_files(panel, tmp_path):
     tab = panel.scene
     tab.file.value = "mine.scene"
@@ -203,6 +212,7 @@ def test_files(panel, tmp_path):
     assert "not a plain file name" in panel.plan.result.content
 
 
+@pytest.mark.slow
 def test_what_is_shown_is_text_not_markup(panel):
     panel.session.say("<script>alert(1)</script>")
     assert "<script>" not in panel.plan.result.content and "&lt;script&gt;" in panel.plan.result.content

@@ -235,6 +235,7 @@ def test_clouds_are_drawn(viewer):
     np.testing.assert_allclose(drawn.position, T.translation)
 
 
+@pytest.mark.slow
 def test_decimation_keeps_the_size_and_its_budget():
     sphere = g.trimesh.creation.icosphere(6, 0.2)
     vertices, faces = g.decimated(sphere.vertices, sphere.faces, 3000)

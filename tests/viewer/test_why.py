@@ -17,6 +17,7 @@ def explained():
     return scene, explain(scene, PlanRequest("arm", (NamedGoal("extended"),)))
 
 
+@pytest.mark.slow
 def test_red_and_ghost(explained):
     scene, explanation = explained
     with CellViewer(scene, port=0) as viewer:

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from scipy.stats import truncnorm
-
 from armcell.core import InputError, UnknownNameError
 
 
@@ -62,6 +60,8 @@ class Normal:
     cut: float = 3.0
 
     def at(self, u: float) -> float:
+        from scipy.stats import truncnorm  # imported late: it takes as long as half of armcell
+
         return self.mean + self.sd * float(truncnorm.ppf(u, -self.cut, self.cut))
 
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from armcell.campaigns import plots, statistics
+from armcell.campaigns import statistics
 from armcell.campaigns.failure_frames import picture_file
 from armcell.campaigns.store import Store, write_atomically
 from armcell.campaigns.trial import replay_command
@@ -152,6 +152,8 @@ def _html(data: dict[str, Any], rows: list[dict[str, Any]], folder: Path) -> str
         if (found := data["measured"][name])
     ]
     body.append(html.section("Numbers", f'<div class="keys">{"".join(keys)}</div>'))
+    from armcell.campaigns import plots  # imported late: workers of campaigns need no matplotlib
+
     if rows:
         picture = html.image(plots.success_rate_plot(rows), "success over trials")
         body.append(html.section("Success over trials", picture))
@@ -170,6 +172,8 @@ def _html(data: dict[str, Any], rows: list[dict[str, Any]], folder: Path) -> str
 
 
 def _effects(data: dict[str, Any], rows: list[dict[str, Any]]) -> str:
+    from armcell.campaigns import plots
+
     paths = [e["parameter"] for e in data["effects"]][:PLOTTED]
     if not paths:
         paths = sorted({path for row in rows for path in row["values"]})

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
 
 from armcell.core import InputError
 
@@ -53,6 +52,8 @@ class Proportion:
     def _interval(self, method: Literal["wilson", "exact"]) -> tuple[float, float]:
         if self.total == 0:
             return 0.0, 1.0
+        from scipy import stats  # imported late: workers of campaigns need none of it
+
         found = stats.binomtest(self.count, self.total).proportion_ci(1 - ALPHA, method)
         return float(found.low), float(found.high)
 
@@ -152,6 +153,8 @@ def effects(rows: Sequence[Row]) -> list[Effect]:
     of a failure, so every parameter would appear significant.
     """
     draws = [(drawn(row), bool(row["success"])) for row in without_adaptive_samples(rows)]
+    from scipy import stats
+
     found = []
     for path in sorted({path for draw, _ in draws for path in draw}):
         values = [draw[path] for draw, _ in draws if path in draw]
@@ -208,6 +211,8 @@ def compare(first: Sequence[Row], second: Sequence[Row]) -> Comparison:
     Raises:
         InputError: a campaign has no finished trial that counts.
     """
+    from scipy import stats
+
     a, b = success(first), success(second)
     for name, share in (("first", a), ("second", b)):
         if not share.total:

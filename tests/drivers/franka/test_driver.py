@@ -14,6 +14,7 @@ from tests.drivers.franka.emulated import emulator, operate
 
 from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.drivers import DriverOptions
+from armcell.drivers.following import Following
 from armcell.drivers.franka.arm import FrankaArm
 from armcell.drivers.franka.client import FciClient
 from armcell.drivers.franka.wire import commands as wire
@@ -61,6 +62,18 @@ def wait(following, states=("running",), seconds: float = 30.0) -> str:
     return following.state()
 
 
+def moving(live: RealDriver, arm: FrankaArm) -> Following:
+    """A motion of 6 s that has begun; a busy machine may stop the arm before it moves."""
+    for _ in range(3):
+        following = live.follow(swing(arm, 6.0))
+        while following.state() == "running":
+            if np.abs(arm.state["dq"]).max() > 0.02:
+                return following
+            time.sleep(0.01)
+        live.resume()
+    raise AssertionError(f"the arm does not begin to move: {live.safety_events}")
+
+
 def franka(live: RealDriver) -> FrankaArm:
     arm = live.arms["arm"]
     assert isinstance(arm, FrankaArm)
@@ -95,9 +108,7 @@ def test_a_panda_moves_stops_and_resumes_over_protocol_5():
         goal = arm.setpoint()[0] + AMPLITUDE
         assert wait(live.follow(swing(arm))) == "done", live.fault()
         assert np.abs(measured(address) - goal).max() < 1e-3
-        following = live.follow(swing(arm, 6.0))
-        while np.abs(arm.state["dq"]).max() < 0.02:
-            time.sleep(0.01)
+        following = moving(live, arm)
         operate(address, "reflex")
         assert wait(following) not in ("done", "running")
         time.sleep(0.5)
@@ -115,9 +126,7 @@ def test_a_panda_moves_stops_and_resumes_over_protocol_5():
 def test_nothing_moves_after_a_stop_before_resume(host, command, kind):
     with driver(host) as live:
         arm = franka(live)
-        following = live.follow(swing(arm, 6.0))
-        while np.abs(arm.state["dq"]).max() < 0.02:
-            time.sleep(0.01)
+        following = moving(live, arm)
         operate(host, command)
         assert wait(following) != "done"
         end = time.monotonic() + 10
@@ -152,9 +161,7 @@ def test_nothing_moves_after_a_stop_before_resume(host, command, kind):
 def test_cancelling_stops_the_arm_and_the_next_motion_runs(host):
     with driver(host) as live:
         arm = franka(live)
-        following = live.follow(swing(arm, 6.0))
-        while np.abs(arm.state["dq"]).max() < 0.02:
-            time.sleep(0.01)
+        following = moving(live, arm)
         following.cancel()
         assert wait(following) == "cancelled"
         assert live.fault() is None
@@ -233,9 +240,7 @@ def test_the_address_of_a_ur_is_recognized():
 def test_streamed_targets_take_over_from_a_trajectory(host):
     with driver(host) as live:
         arm = franka(live)
-        following = live.follow(swing(arm, 6.0))
-        while np.abs(arm.state["dq"]).max() < 0.02:
-            time.sleep(0.01)
+        following = moving(live, arm)
         target, end = arm.setpoint()[0], live.now + 2.0
         while live.now < end:
             live.command(arm.joint_names, target, np.zeros(7))

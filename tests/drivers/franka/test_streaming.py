@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.emulators.franka.rig import Rig
+from tests.sizes import seeds
 
 from armcell.core import JointTrajectory
 from armcell.core.errors import InputError
@@ -49,7 +50,8 @@ def drive(
     return np.array(path)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", seeds(2, range(4)))
 def test_lost_states_and_commands_never_make_the_arm_jump(seed):
     rig, rng = Rig(), np.random.default_rng(seed)
     amplitude = rng.uniform(-0.4, 0.4, 7)
@@ -63,6 +65,7 @@ def test_lost_states_and_commands_never_make_the_arm_jump(seed):
     assert np.abs(np.diff(path, axis=0)).max() < 1.5 * SPEED * TICK
 
 
+@pytest.mark.slow
 def test_a_motion_may_start_beside_the_setpoint_and_follow_the_slider():
     rig = Rig()
     rows = trapezoid(rig.robot.reference.q + 0.003, np.full(7, 0.3))
@@ -73,6 +76,7 @@ def test_a_motion_may_start_beside_the_setpoint_and_follow_the_slider():
     assert len(path) > len(rows) / 0.6 + 400
 
 
+@pytest.mark.slow
 def test_streamed_points_are_joined_and_end_at_rest():
     rig = Rig()
     start, points = rig.robot.reference.q, Points()
@@ -86,7 +90,8 @@ def test_streamed_points_are_joined_and_end_at_rest():
     assert np.abs(path[-1] - start - 0.1 * (1 - np.cos(2 * 0.472)) - coasted).max() < 1e-5
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", seeds(2, range(6)))
 def test_streamed_points_with_jitter_delays_and_a_gap_never_make_the_arm_jump(seed):
     rig, rng = Rig(), np.random.default_rng(seed)
     start, points = rig.robot.reference.q, Points()

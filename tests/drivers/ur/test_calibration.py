@@ -47,6 +47,7 @@ def far_and_back(seed: int) -> Kinematics:
     return replace(dh, d=tuple(d), alpha=tuple(alpha), theta=tuple(theta))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", [factory_calibration(UR10, s) for s in (1, 2, 3)] + [far_and_back(4)])
 def test_flange_is_the_robot_s_own(own, tmp_path):
     model = load_robot("ur10")

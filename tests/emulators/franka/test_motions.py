@@ -19,6 +19,7 @@ def swing(t: float, duration: float) -> tuple[float, float]:
     return 0.5 * (1 - np.cos(w * t)), 0.5 * w * np.sin(w * t)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", [MoveController.JOINT_IMPEDANCE, MoveController.CARTESIAN_IMPEDANCE])
 def test_joint_positions_are_tracked(controller):
     rig = Rig()
@@ -36,6 +37,7 @@ def test_joint_positions_are_tracked(controller):
     assert np.abs(rig.state["q"] - rig.plant.read()[0]).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_joint_velocities_are_integrated():
     rig = Rig()
     start = rig.robot.q
@@ -51,6 +53,7 @@ def test_joint_velocities_are_integrated():
     assert np.abs(rig.robot.q - start - ARM).max() < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elbow", [False, True])
 def test_cartesian_poses_move_the_end_effector(elbow):
     rig = Rig()
@@ -78,6 +81,7 @@ def test_cartesian_poses_move_the_end_effector(elbow):
         assert abs(rig.robot.q[2] - 0.2) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_cartesian_velocity_turns_the_end_effector():
     rig = Rig()
     before = rig.robot.O_T_EE.copy()
@@ -109,6 +113,7 @@ def test_torques_hold_the_arm_against_nothing_but_move_it_when_they_push():
     assert rig.robot.errors == {"controller_torque_discontinuity"}
 
 
+@pytest.mark.slow
 def test_the_robot_interpolates_a_slow_stream():
     rig = Rig()
     start, goal = rig.robot.q, rig.robot.q + ARM
@@ -164,6 +169,7 @@ def test_a_command_outside_the_limits_is_a_reflex(generator, fields, error):
     assert np.abs(rig.robot.q - before).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_missing_commands_lower_the_success_rate_and_twenty_in_a_row_end_the_motion():
     rig = Rig()
     hold = tuple(rig.robot.q)
@@ -177,6 +183,7 @@ def test_missing_commands_lower_the_success_rate_and_twenty_in_a_row_end_the_mot
     assert rig.state.success_rate == 0.0
 
 
+@pytest.mark.slow
 def test_a_push_is_felt_and_a_strong_push_is_a_reflex():
     rig = Rig()
     hold = tuple(rig.robot.q)
@@ -196,6 +203,7 @@ def test_a_push_is_felt_and_a_strong_push_is_a_reflex():
     assert statuses == [RecoveryStatus.SUCCESS] and rig.robot.mode is RobotMode.IDLE
 
 
+@pytest.mark.slow
 def test_the_configured_load_carries_an_unknown_payload():
     rig = Rig()
     rig.plant.payload(1.0)
@@ -211,6 +219,7 @@ def test_the_configured_load_carries_an_unknown_payload():
     assert np.abs(rig.robot.q - rig.robot.reference.q).max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["user stop", "reflex", "stop"])
 def test_a_moving_arm_comes_to_rest_without_a_step(fault):
     from armcell.emulators.franka.generators import Reflex

@@ -204,6 +204,7 @@ BOMBS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_file_that_never_ends_is_stopped(tmp_path, name, within):
     file = tmp_path / "r.xacro"

@@ -127,6 +127,7 @@ def test_a_stop_names_the_waypoint_it_was_on_the_way_to():
     assert result.evidence["cause"] == "collision" and result.evidence["waypoint"] == 2
 
 
+@pytest.mark.slow
 def test_a_start_in_collision_is_called_so():
     start = tip(panda())
     scene = panda(box("block", (0.1, 0.1, 0.1), start.translation))
@@ -155,6 +156,7 @@ def test_a_corridor_of_a_joint_is_kept_by_the_others():
     assert poses.isclose(goal, 1e-5, 1e-4)
 
 
+@pytest.mark.slow
 def test_a_constraint_that_stops_it_is_named_and_its_widening_helps():
     scene, goal, options, _ = stops()["path constraint"]
     request = CartesianRequest("arm", (goal,), **options)
@@ -172,6 +174,7 @@ def test_a_constraint_that_stops_it_is_named_and_its_widening_helps():
     assert plan_cartesian(changed_scene, changed).ok
 
 
+@pytest.mark.slow
 def test_a_start_outside_of_the_constraints_is_called_so():
     scene = panda()
     away = PositionConstraint(((Box(0.1, 0.1, 0.1), SE3.from_xyz(2.0, 0.0, 0.0)),))

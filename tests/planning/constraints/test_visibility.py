@@ -102,6 +102,7 @@ def surfaces(scene) -> dict[str, np.ndarray]:
     return found
 
 
+@pytest.mark.slow
 def test_links_in_the_view_are_those_that_rays_meet():
     """Cones past and through the Panda from random places, beside 300 segments within each."""
     scene, rng = panda(), np.random.default_rng(0)
@@ -142,6 +143,7 @@ def test_the_sensor_s_own_link_does_not_count():
     assert visibility(held.with_attached("part", "panda_hand"), c)[2] == words  # attached: not looked at
 
 
+@pytest.mark.slow
 def test_as_a_goal():
     """A camera on the wrist finds a pose from which it sees a disc on the floor."""
     scene = panda()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -56,14 +57,12 @@ class Explained:
     explanation: Explanation
 
 
-@pytest.fixture(scope="module")
-def all_explained() -> dict[str, Explained]:
-    """Each request explained once."""
-    found = {}
-    for name, case in REQUESTS.items():
-        scene, asked = case.make()
-        found[name] = Explained(case, scene, asked, explain(scene, asked, 60.0))
-    return found
+@cache
+def explained(name: str) -> Explained:
+    """A failing request and its explanation."""
+    case = REQUESTS[name]
+    scene, asked = case.make()
+    return Explained(case, scene, asked, explain(scene, asked, 60.0))
 
 
 def test_there_are_thirty():
@@ -71,8 +70,8 @@ def test_there_are_thirty():
 
 
 @pytest.mark.parametrize("name", REQUESTS)
-def test_the_code_and_what_is_to_blame(all_explained, name):
-    e, case = all_explained[name].explanation, all_explained[name].case
+def test_the_code_and_what_is_to_blame(name):
+    e, case = explained(name).explanation, explained(name).case
     assert e.code is case.code, e.summary
     said = e.text()
     for word in case.names:
@@ -84,9 +83,9 @@ def test_the_code_and_what_is_to_blame(all_explained, name):
 
 
 @pytest.mark.parametrize("name", REQUESTS)
-def test_every_suggestion_that_was_tried_makes_it_work(all_explained, name):
+def test_every_suggestion_that_was_tried_makes_it_work(name):
     """Also an independent look at each changed request: the given scene and request are as before."""
-    it = all_explained[name]
+    it = explained(name)
     positions, objects = it.scene.positions.copy(), dict(it.scene.objects)
     assert it.explanation.suggestions
     for suggestion in it.explanation.suggestions:
@@ -98,14 +97,15 @@ def test_every_suggestion_that_was_tried_makes_it_work(all_explained, name):
     assert dict(it.scene.objects) == objects
 
 
-def test_in_how_many_the_first_suggestion_helps(all_explained):
+def test_in_how_many_the_first_suggestion_helps():
     helped, less = [], []
-    for name, it in all_explained.items():
+    for name in REQUESTS:
+        it = explained(name)
         best = it.explanation.suggestions[0]
         if solved(*best.apply(it.scene, it.asked)).ok:
             helped.append(name)
             less += [name] if best.text.startswith(LESS) else []
-    print(f"\n{len(helped)} of {len(all_explained)} succeed with what is suggested first,")
+    print(f"\n{len(helped)} of {len(REQUESTS)} succeed with what is suggested first,")
     print(f"{len(less)} of them by asking for less: {', '.join(less)}")
     assert len(helped) - len(less) >= AT_LEAST
 
@@ -164,10 +164,10 @@ def test_solutions_beyond_limits_reach_the_pose_and_are_beyond():
         assert {n: v for n, v in over.items() if v > 1e-6} == pytest.approx(dict(branch.beyond))
 
 
-def test_the_ghost_stands_where_nothing_touches(all_explained):
+def test_the_ghost_stands_where_nothing_touches():
     shown = 0
     for name in ("start in an object", "goal in an object", "pose in an object", "pose out of reach"):
-        it = all_explained[name]
+        it = explained(name)
         state = it.explanation.nearest
         q = it.scene.state.updated(state).positions
         assert not ExactChecker(it.scene).contacts(q, padded=False)
@@ -175,8 +175,8 @@ def test_the_ghost_stands_where_nothing_touches(all_explained):
     assert shown == 4
 
 
-def test_how_far_the_nearest_pose_is(all_explained):
-    it = all_explained["pose in an object"]
+def test_how_far_the_nearest_pose_is():
+    it = explained("pose in an object")
     near, target = it.explanation.data["nearest_pose"], it.asked.goals[0].T_world_link
     assert near.rotation.matrix == pytest.approx(target.rotation.matrix)
     assert near.distance_to(target)[0] == pytest.approx(it.explanation.data["nearest_goal_m"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.planning.multi_arm.dual import FAST, LEFT, OTHER, RIGHT, SLOW, Judge, motion, scene, tip, with_tips
+from tests.sizes import seeds
 
 from armcell.collision import ExactChecker
 from armcell.collision.inter_arm_checker import without_arms
@@ -44,7 +45,7 @@ def judged(at, result, running, start=0.0):
 
 
 @pytest.mark.parametrize("name", SWAPS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(2, range(4)))
 def test_they_change_places_while_the_other_moves(name, seed):
     """Neither the plan without the other arm nor a wait will do: it has to be searched in time."""
     r0, r1, l0, l1 = SWAPS[name]

@@ -130,6 +130,7 @@ def test_rounded_ways_are_b_splines_in_space():
     np.testing.assert_allclose(found, reference(shares * way.count), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_rounded_ways_begin_and_end_where_they_should_and_turn_smoothly():
     through = random_poses(np.random.default_rng(1), 4)
     way = RoundedObjectPath(through, 0.1, 0.5)

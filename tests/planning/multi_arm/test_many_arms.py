@@ -67,6 +67,7 @@ def test_groups_of_several_arms_are_not_taken_for_arms(tmp_path):
     assert arms_of(model, "front") == (A, B) and arms_of(model, A) == ()
 
 
+@pytest.mark.slow
 def test_arms_are_tested_against_each_other_or_one_against_the_rest():
     """B and C meet in the middle while A is at home."""
     at = scene()
@@ -82,6 +83,7 @@ def test_arms_are_tested_against_each_other_or_one_against_the_rest():
     assert InterArmChecker(at, (A, B, C), B).find_too_close(q[None]) >= 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CELLS)
 def test_all_start_and_arrive_together_and_keep_apart(name):
     arms = CELLS[name]
@@ -96,6 +98,7 @@ def test_all_start_and_arrive_together_and_keep_apart(name):
     assert Judge(scene(name), "all_arms").nearest(*motions, step=4e-3) >= min(result.clearance, 0.02) - 1e-5
 
 
+@pytest.mark.slow
 def test_two_of_three_goals_in_one_place_are_named():
     goals = {A: tip(0.3, 0.0), B: tip(0.0, 0.0), C: tip(0.0, 0.0)}
     result = plan_synchronized(scene(), goals, template=PlanRequest(A, (), **FAST))

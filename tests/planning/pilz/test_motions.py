@@ -111,6 +111,7 @@ def test_lin_keeps_its_line(robot):
         assert pose.distance_to(start.interpolate(aside(start), s))[1] < 1e-6 * total + 1e-6
 
 
+@pytest.mark.slow
 @each_robot
 @pytest.mark.parametrize("limits", [{}, {"max_trans_vel": 0.4, "max_trans_acc": 1.0, "max_trans_dec": -2.0}])
 def test_lin_has_a_trapezoid_for_its_speed(robot, limits):

@@ -32,6 +32,7 @@ each_pair = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [panda, ur10])
 @each_pair
 def test_a_blend_is_continuous_and_inside_its_sphere(robot, first, second):
@@ -98,6 +99,7 @@ def test_the_window_is_moveit_s():
         assert at.isclose(a.interpolate(b, share), 1e-6, 1e-6)
 
 
+@pytest.mark.slow
 def test_three_motions_with_their_own_speeds():
     scene = ur10()
     a = tip(scene).shifted(y=0.2)
@@ -117,6 +119,7 @@ def test_three_motions_with_their_own_speeds():
 
 
 # --- what is wrong ---
+@pytest.mark.slow
 def test_overlapping_radii_are_refused_with_both_named():
     scene = ur10()
     a = tip(scene).shifted(y=0.2)
@@ -161,6 +164,7 @@ def test_only_the_first_request_may_have_a_start():
         plan_sequence(scene, SequenceRequest(((a, radius), (replace(b, start=start), 0.0))))
 
 
+@pytest.mark.slow
 def test_a_motion_that_fails_is_named_and_explained():
     scene = panda()
     (a, radius), (b, _) = corner(scene, 0.05).items
@@ -173,6 +177,7 @@ def test_a_motion_that_fails_is_named_and_explained():
     assert result.explain(60.0).contacts
 
 
+@pytest.mark.slow
 def test_a_blend_that_touches_is_not_returned():
     """A held stick goes around a corner; a pin inside of it is free of both lines, 3 mm beside each."""
     scene = panda()

@@ -291,6 +291,7 @@ def test_it_improves_on_first_paths_that_are_not_the_shortest():
     assert length(answer.waypoints) < 0.99 * firsts[seed]
 
 
+@pytest.mark.slow
 def test_the_same_seed_and_iterations_give_the_same_path():
     checker, *ask = question(*ur10_over())
     settings = AORRTCSettings(max_iterations=20_000)
@@ -300,6 +301,7 @@ def test_the_same_seed_and_iterations_give_the_same_path():
     assert a.waypoints.shape != c.waypoints.shape or np.any(a.waypoints != c.waypoints)
 
 
+@pytest.mark.slow
 def test_the_pipeline_tells_the_cost_over_time():
     scene, goal = PROBLEMS["panda"]()
     began = time.monotonic()

@@ -83,6 +83,7 @@ def check_parameters(planner, name):
     assert set(stuck) == STUCK.get(name, set())
 
 
+@pytest.mark.slow
 def test_an_unknown_parameter_lists_those_there_are_with_their_values():
     with pytest.raises(UnknownNameError) as error:
         asked("RRT", parameters={"goal_bais": 0.1})
@@ -229,6 +230,7 @@ def test_a_request_s_own_parameters_come_before_the_configuration_s():
     assert fine.evidence["checks"] == plain.evidence["checks"]
 
 
+@pytest.mark.slow
 def test_without_simplifying_the_raw_path_is_returned_proven():
     def keep(tables):
         tables["arm"]["simplify_solutions"] = False

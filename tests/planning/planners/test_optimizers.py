@@ -146,6 +146,7 @@ def test_a_step_along_the_covariant_gradient_costs_less():
 UR_GOAL = JointGoal(JointState(("shoulder_pan_joint",), [0.8]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pipeline", "seconds"), [("chomp", 20.0), ("stomp", 60.0)])
 def test_they_go_over_a_wall(pipeline, seconds):
     for scene, goal in ((panda_wall(), beyond_panda()), (ur10_wall(), UR_GOAL)):
@@ -185,6 +186,7 @@ def test_their_parameters_are_checked():
 
 
 # --- as a smoother ---
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["chomp_smoothing", "chomp/OptimizerAdapter"])
 def test_smoothing_after_another_planner_leads_away_from_obstacles(name):
     scene = panda_wall()

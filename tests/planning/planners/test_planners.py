@@ -128,6 +128,7 @@ def test_none_given_is_the_default():
     assert normalized_planner_id("") == "RRTConnect"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asked", "name"),
     [

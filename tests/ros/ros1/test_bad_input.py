@@ -104,6 +104,7 @@ def throw(port, data):
             pass
 
 
+@pytest.mark.slow
 def test_random_bytes_on_both_ports(node, caplog):
     rng = np.random.default_rng(3)
     for port in (node.node._tcpros.address[1], node.node._rpc.port):

@@ -137,6 +137,7 @@ def test_a_service_call_that_waits_ends_with_the_graph(joined):
     assert failed and "gave no answer" in failed[0]
 
 
+@pytest.mark.slow
 def test_actions_go_along(joined):
     a, b = joined("a"), joined("b")
     kind = "control_msgs/GripperCommand"

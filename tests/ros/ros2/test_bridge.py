@@ -28,6 +28,7 @@ def until(condition, timeout=5.0):
 
 
 # --- topics ---
+@pytest.mark.slow
 def test_topics_both_ways(bus, bridge, peer):
     peer.subscribe("rt/joint_states", "JointState")
     publisher = bus.advertise("/joint_states", "sensor_msgs/JointState")
@@ -233,6 +234,7 @@ def result(peer, goal_id):
     return peer.call("/hand/gripper_cmd/_action/get_result", "GripperGetResult", {"goal_id": goal_id})
 
 
+@pytest.mark.slow
 def test_an_action_of_the_bus_for_a_ros2_client(bus, bridge, peer):
     with gripper(bus):
         peer.subscribe("rt/hand/gripper_cmd/_action/feedback", "GripperFeedbackMessage")
@@ -253,6 +255,7 @@ def test_an_action_of_the_bus_for_a_ros2_client(bus, bridge, peer):
         assert result(peer, {"uuid": [9] * 16})["status"] == 0  # unknown
 
 
+@pytest.mark.slow
 def test_every_endpoint_carries_its_type_hash(bus, bridge, peer):
     """ROS 2 nodes warn of an endpoint without user data, and compare services and actions by the hashes."""
     with (
@@ -285,6 +288,7 @@ def test_every_endpoint_carries_its_type_hash(bus, bridge, peer):
     assert sum("GripperCommand" in type_name for _, type_name, _, _ in ours) >= 5
 
 
+@pytest.mark.slow
 def test_fields_that_only_ros2_has_cross_the_bridge(bus, bridge, peer):
     """The controllers that a client names come in; the reason of a failure goes out."""
     asked, name = [], "moveit_msgs/ExecuteTrajectory"
@@ -349,6 +353,7 @@ def test_an_action_of_ros2_for_a_client_on_the_bus(bus, bridge, peer):
     assert until(lambda: not bridge._reaching)
 
 
+@pytest.mark.slow
 def test_move_group_has_moveit_2s_name_outside(bus, bridge, peer):
     """And a client on another bus, which calls it as ROS 1 does, finds it."""
     MOVE, other = "moveit_msgs/MoveGroup", Bus()
@@ -382,6 +387,7 @@ def test_an_action_server_that_dies_aborts_the_goal(bus, bridge, mortal):
 
 
 # --- who is there ---
+@pytest.mark.slow
 def test_discovery_info_names_our_node_and_its_endpoints(bus, bridge, peer):
     publisher = bus.advertise("/joint_states", "sensor_msgs/JointState")
     peer.subscribe("ros_discovery_info", "ParticipantEntitiesInfo", latched=True, depth=0)
@@ -461,6 +467,7 @@ def test_a_client_that_dies_while_it_waits_holds_nobody_up(bus, bridge, peer, mo
 
 
 # --- beginning and end ---
+@pytest.mark.slow
 def test_nothing_is_left_behind(reach, bus):
     before = set(threading.enumerate())
     for _ in range(2):
@@ -492,6 +499,7 @@ raise SystemExit(3)
     assert (ended.returncode, ended.stderr) == (3, "")
 
 
+@pytest.mark.slow
 def test_a_domain_that_is_joined_differently_already(reach, bus):
     with Ros2Bridge(bus, Ros2Settings(reach)):
         other = DomainScope(reach.domain, "SUBNET", config=reach.config)
@@ -514,6 +522,7 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch, bus):
     library.cache_clear()
 
 
+@pytest.mark.slow
 def test_wrong_settings(bus):
     with pytest.raises(InputError, match="unknown ROS 2 distribution 'noetic'"):
         Ros2Bridge(bus, Ros2Settings(DomainScope(3), distro="noetic")).start()

@@ -25,6 +25,7 @@ def cell():
     return load("three_ur5_table")
 
 
+@pytest.mark.slow
 def test_tours_through_one_place_end_and_keep_apart(cell):
     watch = Watch()
     with cell.connect("fake", seed=1, observers=[watch]) as live:
@@ -35,6 +36,7 @@ def test_tours_through_one_place_end_and_keep_apart(cell):
     assert sum(result.waited.values()) + sum(result.yielded.values()) + sum(result.searched.values()) > 0
 
 
+@pytest.mark.slow
 def test_only_the_arm_in_the_way_makes_way(cell):
     """B's program is over, and it stands where A wants to go; C stands aside."""
     with cell.connect("fake") as live:
@@ -48,6 +50,7 @@ def test_only_the_arm_in_the_way_makes_way(cell):
         assert np.max(np.abs(now - home.positions)) > 0.1
 
 
+@pytest.mark.slow
 def test_an_arm_without_a_program_is_an_obstacle(cell):
     with cell.connect("fake") as live:
         checked(live[C].move_to(tip(0.0, -0.05)))

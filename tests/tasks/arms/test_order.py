@@ -7,6 +7,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 from tests.planning.multi_arm.dual import LEFT, RIGHT, Judge
+from tests.sizes import seeds, sizes
 
 import armcell
 from armcell.core import InputError, JointState, UnknownNameError
@@ -124,7 +125,7 @@ def test_long_streams_are_ordered_too():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 12])
+@pytest.mark.parametrize("seed", seeds(1, [1, 12]))
 def test_an_arm_takes_as_long_as_estimated(cell, seed):
     """Orders of an arm that works alone, against its motions; it is not told where on a tray a thing goes."""
     took, thought = [], []
@@ -149,6 +150,7 @@ def test_an_arm_takes_as_long_as_estimated(cell, seed):
     assert np.corrcoef(took, thought)[0, 1] > 0.7
 
 
+@pytest.mark.slow
 def test_where_arms_meet(cell):
     """Against coal's distances between the two arms, along ways over the trays."""
     scene, rng = cell.scene(1), np.random.default_rng(0)
@@ -196,11 +198,12 @@ def test_what_cannot_be_ordered(cell):
 
 
 @pytest.mark.slow
-def test_the_arms_are_done_earlier(cell):
+@pytest.mark.parametrize("batches", sizes(1, 3))
+def test_the_arms_are_done_earlier(cell, batches):
     """The same batches at work, in the order as the cubes come and in the one chosen."""
     ends = {"given": 0.0, "chosen": 0.0}
     waited = dict(ends)
-    for seed in (0, 1, 2):
+    for seed in range(batches):
         for how in ends:
             with cell.connect("fake", seed=seed) as live:
                 streams = streams_of(live.scene(), seed)

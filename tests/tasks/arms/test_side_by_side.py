@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.planning.multi_arm.dual import LEFT, RIGHT, Judge, tip
+from tests.sizes import seeds
 
 import armcell
 from armcell.core import ErrorCode, InputError, Outcome
@@ -193,7 +194,7 @@ def test_misuse(cell):
             live.side_by_side(left_arm=tour(SAME), middle_arm=tour(SAME))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", seeds(1, range(3)))
 def test_sorting_in_physics(seed):
     from armcell.cell import run_task
 

@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 
 HALTED_WITHIN = 3.0  # [s] time limit for a halt to reach the robot
 NEXT_STATE = 0.03  # [s] in which at least two states arrive; 125 Hz controllers send one every 8 ms
+FRESH_WITHIN = 0.5  # [s] time limit for a state from after a resume was called
 MENDED_BY_RESUME = ("program ended", "stale state")
 FARTHEST = 0.3  # [s] largest time from the last state to a streamed setpoint
 INPUTS = (("speed_slider_mask", "speed_slider_fraction"),)
@@ -403,6 +404,11 @@ class UrArm(RealArm):
         """
         if self._halting is not None:
             self._halting.join(HALTED_WITHIN)  # otherwise the halt could end the new program
+        called = time.monotonic()  # older states do not show what the operator just did
+        while self._rtde.error is None and self.time_of_state < called:
+            if time.monotonic() > called + FRESH_WITHIN:
+                break
+            _interrupts.sleep(0.005)
         fault = self.fault() if self._rtde.error is None else None
         if fault is not None and fault.kind not in MENDED_BY_RESUME:
             raise InputError(f"arm {fault.arm!r}: {fault.text}", hint=fault.hint)
