@@ -72,7 +72,7 @@ class UrKind(RobotKind[UrArmSettings, Identity]):
         self, name: str, joint_names: tuple[str, ...], arm: UrArmSettings, limits: RealSettings,
         found: Identity, on_state: Callable[[], None],
     ) -> UrArm:  # fmt: skip
-        made = UrRtdeArm if limits.backend == "ur_rtde" else UrArm
+        made = UrRtdeArm if arm.backend == "ur_rtde" else UrArm
         return made(name, joint_names, arm, limits, found, on_state)
 
     # --- bring-up ---

@@ -2,8 +2,9 @@
 
 from armcell.emulators.ur.controller import ControllerSettings, Rack, UrController
 from armcell.emulators.ur.external_control import RemoteHost
-from armcell.emulators.ur.plant import KinematicPlant, SharedWorld, WorldPlant
+from armcell.emulators.ur.kind import EmulatedUr
+from armcell.emulators.ur.plant import KinematicPlant, WorldPlant
 
 __all__ = [
-    "ControllerSettings", "KinematicPlant", "Rack", "RemoteHost", "SharedWorld", "UrController", "WorldPlant",
+    "ControllerSettings", "EmulatedUr", "KinematicPlant", "Rack", "RemoteHost", "UrController", "WorldPlant",
 ]  # fmt: skip
