@@ -179,7 +179,7 @@ def test_bring_up_and_learned_twin_of_both(tmp_path, capsys):
         assert {(s["name"], s["arm"]) for s in steps} >= {
             (name, arm) for name in ("geometry", "joints", "line") for arm in ("franka_arm", "ur_arm")
         }
-        assert main(["twin", str(tmp_path / CELL), "--yes", "--motions", "2"]) == 0, capsys.readouterr().err
+        assert main(["twin", str(tmp_path / CELL), "--yes", "--motions", "3"]) == 0, capsys.readouterr().err
         told = capsys.readouterr().out
         assert "Nm, load" in told and " A, load" in told  # torques of one, currents of the other
         with load(tmp_path / CELL).connect("real") as live:

@@ -242,3 +242,14 @@ def test_streamed_targets_take_over_from_a_trajectory(host):
             live.advance(live.period)
         assert live.fault() is None and following.state() == "cancelled"
         assert np.abs(measured(host) - target).max() < 1e-3
+
+
+def test_the_end_of_the_connection_during_a_motion_is_no_reflex(host):
+    with driver(host) as live:
+        arm = franka(live)
+        live.follow(swing(arm, 6.0))
+        while np.abs(arm.state["dq"]).max() < 0.02:
+            time.sleep(0.01)
+    assert operate(host, "state").split()[:2] == ["IDLE", "-"]
+    with driver(host) as live:
+        assert live.fault() is None

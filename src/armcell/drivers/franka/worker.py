@@ -36,6 +36,7 @@ OWN = "own"  # backend; the other one is "franky"
 REPORT = 4  # [ms] between the states that armcell receives
 START_DISTANCE = 0.05  # [rad] largest distance of a motion's start from the arm
 START_TIME = 2.0  # [s] in which the robot must be ready for the next motion
+REST_TIME = 1.0  # [s] in which the robot ends a motion before the connection closes
 ACCEPTED = (MoveStatus.SUCCESS, MoveStatus.STARTED)
 REJECTED = {
     MoveStatus.NOT_POSSIBLE: "the robot rejects a motion in its current mode",
@@ -75,18 +76,31 @@ class Worker:
                 if self._client.udp in ready:
                     self._read_states()
                 if self._client.tcp in ready:
-                    for identifier, content in self._client.answers():
-                        self._answers.pop(identifier, lambda _: None)(content)
+                    self._take_answers()
                 if self._link in ready:
                     self._read_orders()
                 self._check_watchdog()
         except FciError as error:
             self._event(lost=str(error))
         finally:
-            if self._moving:
-                with suppress(OSError):
-                    self._client.send(Command.STOP_MOVE)
+            with suppress(OSError, FciError):
+                self._rest()
             self._client.close()
+
+    def _rest(self) -> None:
+        """Stop a moving Franka arm, and wait until the robot has ended the motion.
+
+        A client that disconnects earlier causes a reflex.
+        """
+        self._cancel()
+        end = time.monotonic() + REST_TIME
+        while self._moving and time.monotonic() < end:
+            if select.select([self._client.tcp], [], [], 0.02)[0]:
+                self._take_answers()
+
+    def _take_answers(self) -> None:
+        for identifier, content in self._client.answers():
+            self._answers.pop(identifier, lambda _: None)(content)
 
     # --- armcell ---
     def _event(self, **event: Any) -> None:
