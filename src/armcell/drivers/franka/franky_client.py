@@ -46,6 +46,7 @@ Array = NDArray[np.float64]
 STIFFNESS = (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0)  # [Nm/rad] libfranka's impedance example
 DAMPING = (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0)  # [Nm s/rad] of the same example
 MAX_ACCELERATION = 20.0  # [rad/s^2] of the torque feedforward
+CLOSING_TIME = 0.5  # [s] for each thread to end
 POLL = 0.0005  # [s] between two looks at the robot's state
 
 
@@ -89,7 +90,8 @@ class FrankyClient(FciClient):
         self._reference = (0, np.zeros(7), np.zeros(7), np.zeros(7))  # time [ms], q, dq, ddq
         self._alive = True
         self._orders = ThreadPoolExecutor(1, "franky orders")
-        threading.Thread(target=self._watch, name="franky states", daemon=True).start()
+        self._threads = [threading.Thread(target=self._watch, name="franky states", daemon=True)]
+        self._threads[0].start()
 
     # --- states ---
     def _watch(self) -> None:
@@ -187,7 +189,9 @@ class FrankyClient(FciClient):
         except Exception:
             return MoveStatus.NOT_POSSIBLE
         self._motion = motion
-        threading.Thread(target=self._join, args=(identifier,), name="franky motion", daemon=True).start()
+        joins = threading.Thread(target=self._join, args=(identifier,), name="franky motion", daemon=True)
+        self._threads[1:] = [joins]
+        joins.start()
         return MoveStatus.STARTED
 
     def _join(self, identifier: int) -> None:
@@ -234,6 +238,8 @@ class FrankyClient(FciClient):
     def close(self) -> None:
         self._stop()
         self._alive = False
-        self._orders.shutdown(wait=False, cancel_futures=True)
+        self._orders.shutdown(cancel_futures=True)
+        for thread in self._threads:  # a thread within the library aborts the process when it exits
+            thread.join(CLOSING_TIME)
         for end in (self.tcp, self.udp, self._answers, self._states):
             end.close()
