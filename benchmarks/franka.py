@@ -144,7 +144,7 @@ def under_way(driver: RealDriver, home: np.ndarray, seconds: float, stopped: lis
             time.sleep(seconds)
             if handle.state() == "running" and driver.fault() is None:
                 return
-        stopped.append(str(driver.fault()))  # the computer itself was late
+        stopped.append(str(driver.fault()))  # the computer was late, or the hand has not reconnected
         time.sleep(0.5)
         resumed(driver)
     raise RuntimeError(f"the computer is too busy: {stopped}")
@@ -197,7 +197,7 @@ def stops(count: int, backend: str, seed: int = 7, **settings) -> dict:
         "refused": refused,
         "stood_until_resumed": unresumed,
         "faults": {e: sorted({m[3] for m in moments if m[0] == e}) for e in STOPS},
-        "stopped_by_the_computer": stopped,
+        "further_stops": stopped,
     }
 
 
