@@ -27,7 +27,7 @@ def test_the_built_in_cells_are_sound(capsys, tmp_path, name):
     assert all(f["ok"] for f in findings)
     looked_at = {f["check"] for f in findings}
     assert {"cell file", "robot", "start state"} <= looked_at
-    if name.startswith(("three", "four", "suction")):
+    if name.startswith(("three", "four", "suction", "panda_ur10e")):
         assert any(check.startswith("object ") for check in looked_at)
     elif not name.startswith(("dual", "bin", "conveyor", "six_axis_sort")):
         item = "object" if name == "six_axis_table" else "cube"

@@ -114,6 +114,12 @@ SERVERS = {
         2, lambda tmp_path: ["ur-controller", *(w for h in free_hosts(2) for w in ("--host", h))]
     ),
     "franka-controller": (1, lambda tmp_path: ["franka-controller", "--host", free_host()]),
+    "emulate": (
+        2,
+        lambda tmp_path: ["emulate", "panda_ur10e_handover",
+                          "--set", f"real.arms.franka_arm.host={free_host()}",
+                          "--set", f"real.arms.ur_arm.host={free_hosts(1)[0]}"],
+    ),
 }  # fmt: skip
 
 

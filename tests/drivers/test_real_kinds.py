@@ -22,6 +22,14 @@ SLOW = {"max_state_age": 1.0, "watchdog": 0.5}  # for machines that other progra
 kinds = pytest.mark.parametrize(
     "kind", [pytest.param(k, marks=() if k == "toy" else pytest.mark.slow) for k in RIGS]
 )
+backends = pytest.mark.parametrize(
+    ("kind", "backend"),
+    [
+        pytest.param(k, backend, marks=() if k == "toy" else pytest.mark.slow)
+        for k in RIGS
+        for backend in robot_kinds[k].backends
+    ],
+)
 
 
 def made(model, arms, **settings):
@@ -55,10 +63,14 @@ def test_each_installed_kind_has_a_rig():
 
 
 @pytest.mark.slow
-@kinds
-def test_the_contract_of_a_real_arm(kind):
+@backends
+def test_the_contract_of_a_real_arm(kind, backend):
+    try:
+        robot_kinds[kind].check_backend(backend)
+    except InputError as error:
+        pytest.skip(str(error))
     with RIGS[kind]() as rig:
-        driver = of(rig, kind)
+        driver = of(rig, kind, backend=backend)
         names = rig.model.group("arm").joint_names
         with pytest.raises(InputError, match="not connected"):
             driver.joint_state()

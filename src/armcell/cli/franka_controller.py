@@ -52,6 +52,7 @@ def franka_controller(
     Runs with real-time priority if permitted (as root on Linux).
     """
     from armcell.emulators.franka import ControllerSettings, FrankaPlant, Rack, free_arm, torque_world
+    from armcell.emulators.shared_world import SharedWorld
 
     if cell is None:
         world = torque_world(free_arm())
@@ -66,7 +67,7 @@ def franka_controller(
         raise InputError(
             f"cell {cell!r} has {len(arms)} groups of seven joints with a tip", hint="use a cell with one arm"
         )
-    plant = FrankaPlant(world, arms[0])
+    plant = FrankaPlant(SharedWorld(world), arms[0])
     settings = ControllerSettings(
         model, host, locked=locked, active=not inactive, homed=not unhomed, protocol=protocol
     )

@@ -14,4 +14,5 @@ EXTRAS = {
     "trees": ("py_trees",),
     "ray": ("ray",),
     "ur-rtde": ("ur_rtde",),
+    "franka": ("franky-control",),
 }

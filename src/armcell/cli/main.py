@@ -14,6 +14,7 @@ from armcell.cli import (
     check,
     check_state,
     doctor,
+    emulate,
     explain,
     export,
     franka_controller,
@@ -128,6 +129,7 @@ app.add_typer(msg.app, name="msg", rich_help_panel=WIRES)
 app.add_typer(export.app, name="export", rich_help_panel=WIRES)
 app.command("bringup", rich_help_panel=REAL)(robot_options(bringup.bringup))
 app.command("twin", rich_help_panel=REAL)(robot_options(twin.twin))
+app.command("emulate", epilog=emulate.EXAMPLES, rich_help_panel=REAL)(robot_options(emulate.emulate))
 app.command("ur-dashboard", rich_help_panel=REAL)(ur_controller.ur_dashboard)
 app.command("ur-controller", epilog=ur_controller.EXAMPLES, rich_help_panel=REAL)(
     robot_options(ur_controller.ur_controller)

@@ -71,7 +71,8 @@ def ur_controller(
 
     Runs with real-time priority if permitted (as root on Linux).
     """
-    from armcell.emulators.ur import ControllerSettings, RemoteHost, SharedWorld, UrRack
+    from armcell.emulators.shared_world import SharedWorld
+    from armcell.emulators.ur import ControllerSettings, PhysicsPlant, RemoteHost, UrRack
 
     hosts = list(host)
     if len(set(hosts)) != len(hosts):
@@ -88,7 +89,8 @@ def ur_controller(
                 f"cell {cell!r} has {len(arms)} arms ({', '.join(arms)}), {len(hosts)} addresses are given",
                 hint="give --host once per arm",
             )
-        plants = SharedWorld(SimWorld(loaded.scene(seed), loaded.physics), arms).plants
+        shared = SharedWorld(SimWorld(loaded.scene(seed), loaded.physics))
+        plants = [PhysicsPlant(shared, arm, model) for arm in arms]
     senders = [RemoteHost.parse(each) for each in external_control]
     if len(senders) not in (0, 1, len(hosts)):
         raise InputError(

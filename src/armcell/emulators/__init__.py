@@ -1,5 +1,15 @@
 """Emulated robot controllers that speak the vendors' own network protocols."""
 
-from armcell.emulators.ur import ControllerSettings, UrRack
+from armcell.emulators.franka import EmulatedFranka
+from armcell.emulators.kinds import EmulatedKind, cell_rack, emulated_kinds
+from armcell.emulators.ur import ControllerSettings, EmulatedUr, UrRack
 
-__all__ = ["ControllerSettings", "UrRack"]
+__all__ = [
+    "ControllerSettings",
+    "EmulatedFranka",
+    "EmulatedKind",
+    "EmulatedUr",
+    "UrRack",
+    "cell_rack",
+    "emulated_kinds",
+]

@@ -68,7 +68,7 @@ class Rack(Generic[AnyController]):
     """Rack of several emulated controllers that run in one thread, paced by wall time.
 
     Args:
-        controllers: controllers with the same control period, on one selector.
+        controllers: controllers on one selector.
         trace: file for the controllers' records: index of the controller (one byte), then its record.
         reset_between_runs: reset arms and objects to their start once all clients have disconnected.
     """
@@ -102,30 +102,30 @@ class Rack(Generic[AnyController]):
     def run(self) -> None:
         """Run the emulated controllers in the rack and serve their clients until `stop` is called.
 
-        The controllers' cycles are evenly offset within a period, because real controllers are not
-        synchronized either.
+        The controllers' cycles are offset within their periods, because real controllers are not synchronized
+        either. If the emulation is late, all controllers are: several arms may share a world.
         """
         self.open()
-        turn, due = 0, time.monotonic()
-        part = self.controllers[0].period / len(self.controllers)
+        count, begun = len(self.controllers), time.monotonic()
+        due = [begun + i * c.period / count for i, c in enumerate(self.controllers)]
         while not self._stop.is_set():
             _interrupts.check()
-            now = time.monotonic()
-            if now >= due:
+            now, turn = time.monotonic(), due.index(min(due))
+            if now >= due[turn]:
                 controller = self.controllers[turn]
                 controller.step()
                 if self._trace is not None:
                     self._trace.write(bytes([turn]) + controller.trace())
                 if self._reset_between_runs:
                     self._reset_when_idle(now)
-                turn, due = (turn + 1) % len(self.controllers), due + part
-                earliest = time.monotonic() + controller.answer_time
-                if now - due > MAX_LAG:
-                    self.lost += now - due
-                    due = now
-                if controller.answer_time > 0.0 and due < earliest:
-                    due = earliest
-            wait = max(due - time.monotonic(), 0.0)
+                due[turn] += controller.period
+                late = now - due[turn] if now - due[turn] > MAX_LAG else 0.0
+                self.lost += late
+                if controller.answer_time > 0.0:
+                    late = max(late, time.monotonic() + controller.answer_time - due[turn])
+                if late > 0.0:
+                    due = [each + late for each in due]
+            wait = max(min(due) - time.monotonic(), 0.0)
             frozen = any(c.network.faults.frozen for c in self.controllers)
             if frozen:  # unread data would wake the selector immediately
                 time.sleep(min(wait, 0.002))

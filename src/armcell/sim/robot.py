@@ -73,7 +73,7 @@ def add_robot(
 
 
 def _finger_scales(model: RobotModel) -> dict[str, float]:
-    """Return, for each rotating gripper joint by name, how far [m] its finger moves per radian of the joint."""
+    """Return for each rotating gripper joint, by name, how far [m] its finger moves per radian."""
     return {
         name: gripper.finger_travel_per_joint
         for gripper in model.grippers.values()

@@ -14,7 +14,7 @@ from tests.drivers.franka.emulated import emulator, operate
 
 from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.drivers import DriverOptions
-from armcell.drivers.following import Following
+from armcell.drivers.execution_handle import ExecutionHandle
 from armcell.drivers.franka.arm import FrankaArm
 from armcell.drivers.franka.client import FciClient
 from armcell.drivers.franka.wire import commands as wire
@@ -62,7 +62,7 @@ def wait(following, states=("running",), seconds: float = 30.0) -> str:
     return following.state()
 
 
-def moving(live: RealDriver, arm: FrankaArm) -> Following:
+def moving(live: RealDriver, arm: FrankaArm) -> ExecutionHandle:
     """A motion of 6 s that has begun; a busy machine may stop the arm before it moves."""
     for _ in range(3):
         following = live.follow(swing(arm, 6.0))
@@ -247,3 +247,14 @@ def test_streamed_targets_take_over_from_a_trajectory(host):
             live.advance(live.period)
         assert live.fault() is None and following.state() == "cancelled"
         assert np.abs(measured(host) - target).max() < 1e-3
+
+
+def test_the_end_of_the_connection_during_a_motion_is_no_reflex(host):
+    with driver(host) as live:
+        arm = franka(live)
+        live.follow(swing(arm, 6.0))
+        while np.abs(arm.state["dq"]).max() < 0.02:
+            time.sleep(0.01)
+    assert operate(host, "state").split()[:2] == ["IDLE", "-"]
+    with driver(host) as live:
+        assert live.fault() is None

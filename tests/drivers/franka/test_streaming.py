@@ -65,6 +65,15 @@ def test_lost_states_and_commands_never_make_the_arm_jump(seed):
     assert np.abs(np.diff(path, axis=0)).max() < 1.5 * SPEED * TICK
 
 
+def test_a_deviation_of_micrometers_is_no_step():
+    """A robot may extrapolate lost commands to within 3e-6 rad: such a step is 6000 rad/s^3 at 1 kHz."""
+    setpoints, rest = Setpoints(Rows(np.zeros((100, 7)))), np.zeros(7)
+    setpoints.next(1, 1.0, 0.0, rest, rest, rest)
+    here = np.full(7, 2.8e-6)
+    step = setpoints.next(1, 1.0, TICK, here, rest, rest) - here
+    assert 2.0 * np.abs(step).max() / TICK**3 < 0.1 * FR3.jerk.min()
+
+
 @pytest.mark.slow
 def test_a_motion_may_start_beside_the_setpoint_and_follow_the_slider():
     rig = Rig()

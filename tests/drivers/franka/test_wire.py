@@ -109,6 +109,18 @@ def test_damaged_datagrams_are_rejected_or_read(data):
             read(data)
 
 
+@pytest.mark.parametrize("version", STATES)
+def test_a_state_with_an_unknown_mode_or_flag_is_rejected(version):
+    size = STATES[version].size
+    modes, rest = STATES[version].modes, STATES[version].rest.size
+    for at in (modes, modes + 1, modes + 2, modes + 50, size - rest):
+        data = bytearray(size)
+        read_state(bytes(data))
+        data[at] = 208
+        with pytest.raises(WireError, match="modes|flags"):
+            read_state(bytes(data))
+
+
 def test_numbers_that_are_not_finite_are_rejected():
     with pytest.raises(WireError, match="not finite"):
         read_command(RobotCommand(1, q=(float("nan"),) * 7).pack())

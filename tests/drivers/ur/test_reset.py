@@ -13,7 +13,8 @@ from armcell.cell import load
 from armcell.cli.main import main
 from armcell.core import SE3
 from armcell.drivers.ur.wire.models import ur_model
-from armcell.emulators.ur.plant import KinematicPlant, SharedWorld
+from armcell.emulators.shared_world import SharedWorld
+from armcell.emulators.ur.plant import KinematicPlant, PhysicsPlant
 from armcell.emulators.ur.robot import Robot
 from armcell.sim import SimWorld
 
@@ -40,9 +41,10 @@ def test_joints_without_physics_go_back():
 def test_both_arms_and_the_object_of_a_shared_world_go_back():
     cell = load("dual_ur10_rod")
     world = SimWorld(cell.scene(None), cell.physics)
+    shared = SharedWorld(world)
     robots = [
         Robot(ur_model("UR10"), plant, str(i))
-        for i, plant in enumerate(SharedWorld(world, ["left_arm", "right_arm"]).plants)
+        for i, plant in enumerate(PhysicsPlant(shared, g, "UR10") for g in ("left_arm", "right_arm"))
     ]
     step(robots, 10)
     start = [robot.plant.read()[0].copy() for robot in robots]

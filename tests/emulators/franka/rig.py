@@ -12,6 +12,7 @@ from armcell.drivers.franka.wire.state import RobotCommand, RobotMode, RobotStat
 from armcell.emulators.franka import FrankaPlant, free_arm, torque_world
 from armcell.emulators.franka.robot import Robot
 from armcell.emulators.franka.robot_state import StateWriter
+from armcell.emulators.shared_world import SharedWorld
 from armcell.scene import PlanningScene
 
 Answer = Callable[[RobotState, float], RobotCommand | None]
@@ -21,7 +22,7 @@ class Rig:
     """One arm and a client that answers every state, or not."""
 
     def __init__(self, scene: PlanningScene | None = None):
-        self.plant = FrankaPlant(torque_world(scene or free_arm()), "arm")
+        self.plant = FrankaPlant(SharedWorld(torque_world(scene or free_arm())), "arm")
         self.robot = Robot(FR3, self.plant)
         self._writer = StateWriter(self.robot)
         self.answers: list[MoveStatus] = []

@@ -11,6 +11,7 @@ from armcell import _interrupts
 from armcell.core import InputError
 from armcell.drivers.franka.arm import FrankaArm
 from armcell.drivers.franka.client import FciClient
+from armcell.drivers.franka.franky_client import require_franky
 from armcell.drivers.franka.identity import (
     FrankaIdentity,
     check_identity,
@@ -41,6 +42,7 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
 
     arm_settings = FrankaArmSettings
     joints = 7
+    backends = ("own", "franky")
     calibrates = False
     effort = "torque", "Nm"
     gripper_hint = "add 'gripper: {kind: hand}' to its arm under 'real: arms:'"
@@ -52,8 +54,12 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
             check_load(name, arm)
         return dict(arms)
 
+    def check_backend(self, backend: str) -> None:
+        if backend == "franky":
+            require_franky()
+
     def control(self, backend: str) -> str:
-        return "armcell, at 1 kHz"
+        return "armcell, at 1 kHz" if backend == "own" else backend
 
     def identify(self, arm: FrankaArmSettings) -> FrankaIdentity:
         return identify(arm.host)

@@ -38,8 +38,11 @@ class WorkerLink:
         error: reason for which the connection ended, or None.
     """
 
-    def __init__(self, name: str, host: str, watchdog: float, on_state: Callable[[], None]):
-        self._name, self._host, self._watchdog, self._on_state = name, host, watchdog, on_state
+    def __init__(
+        self, name: str, host: str, watchdog: float, backend: str, on_state: Callable[[], None]
+    ):  # fmt: skip
+        self._name, self._host, self._on_state = name, host, on_state
+        self._options = str(watchdog), backend
         self.history: deque[tuple[float, RobotState]] = deque(maxlen=KEPT)
         self.error: str | None = "not connected"
         self.progress = (0, 0.0)  # number of the motion and its clock [s]
@@ -62,7 +65,7 @@ class WorkerLink:
         self.close()
         mine, theirs = socket.socketpair()
         command = [sys.executable, str(WORKER), str(theirs.fileno()), self._host]
-        self._process = subprocess.Popen([*command, str(self._watchdog)], pass_fds=[theirs.fileno()])
+        self._process = subprocess.Popen([*command, *self._options], pass_fds=[theirs.fileno()])
         theirs.close()
         self._socket, self.error = mine, None
         self.history.clear()

@@ -1,6 +1,6 @@
 """Worker subprocess that moves one Franka arm at 1 kHz, free of armcell's interpreter lock.
 
-`python worker_main.py FD HOST WATCHDOG` starts it: FD is a stream socket with messages of `frames`.
+`python worker_main.py FD HOST WATCHDOG BACKEND` starts it: FD is a stream socket with messages of `frames`.
 Orders: beat, setup, recover, trajectory (its rows precede it), point, cancel, end.
 """
 
@@ -32,9 +32,11 @@ from armcell.drivers.franka.wire.commands import (
 )
 from armcell.drivers.franka.wire.state import GeneratorMode, RobotCommand, RobotMode, RobotState, read_state
 
+OWN = "own"  # backend; the other one is "franky"
 REPORT = 4  # [ms] between the states that armcell receives
 START_DISTANCE = 0.05  # [rad] largest distance of a motion's start from the arm
 START_TIME = 2.0  # [s] in which the robot must be ready for the next motion
+REST_TIME = 1.0  # [s] in which the robot ends a motion before the connection closes
 ACCEPTED = (MoveStatus.SUCCESS, MoveStatus.STARTED)
 REJECTED = {
     MoveStatus.NOT_POSSIBLE: "the robot rejects a motion in its current mode",
@@ -74,18 +76,31 @@ class Worker:
                 if self._client.udp in ready:
                     self._read_states()
                 if self._client.tcp in ready:
-                    for identifier, content in self._client.answers():
-                        self._answers.pop(identifier, lambda _: None)(content)
+                    self._take_answers()
                 if self._link in ready:
                     self._read_orders()
                 self._check_watchdog()
         except FciError as error:
             self._event(lost=str(error))
         finally:
-            if self._moving:
-                with suppress(OSError):
-                    self._client.send(Command.STOP_MOVE)
+            with suppress(OSError, FciError):
+                self._rest()
             self._client.close()
+
+    def _rest(self) -> None:
+        """Stop a moving Franka arm, and wait until the robot has ended the motion.
+
+        A client that disconnects earlier causes a reflex.
+        """
+        self._cancel()
+        end = time.monotonic() + REST_TIME
+        while self._moving and time.monotonic() < end:
+            if select.select([self._client.tcp], [], [], 0.02)[0]:
+                self._take_answers()
+
+    def _take_answers(self) -> None:
+        for identifier, content in self._client.answers():
+            self._answers.pop(identifier, lambda _: None)(content)
 
     # --- armcell ---
     def _event(self, **event: Any) -> None:
@@ -260,12 +275,20 @@ class Worker:
         self._client.command(command.pack(self._client.protocol.version))
 
 
-def main(descriptor: str, host: str, watchdog: str) -> None:
+def _client(host: str, backend: str) -> FciClient:
+    if backend == OWN:
+        return FciClient(host)
+    from armcell.drivers.franka.franky_client import FrankyClient  # imports the library
+
+    return FrankyClient(host)
+
+
+def main(descriptor: str, host: str, watchdog: str, backend: str) -> None:
     link = socket.socket(fileno=int(descriptor))
     with suppress(PermissionError, AttributeError):  # the robot stops after 20 late answers
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(11))
     try:
-        client = FciClient(host)
+        client = _client(host, backend)
     except FciError as error:
         link.sendall(frames.pack_json(frames.EVENT, {"failed": str(error)}))
         return

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from armcell.core import InputError, UnknownNameError
 from armcell.drivers.real.kinds import check_distinct, kind_of, robot_kinds
-from armcell.drivers.real.settings import DEFAULT_KIND, ArmSettings, RealSettings
+from armcell.drivers.real.settings import DEFAULT_KIND, OWN, ArmSettings, RealSettings
 from armcell.model import RobotModel
 
 _NUMBERS = {6: "six", 7: "seven"}
@@ -27,9 +27,10 @@ def real_settings(values: dict[str, Any], model: RobotModel) -> RealSettings:
             hint="add to the cell file 'real: {arms: {GROUP: {host: ADDRESS, model: UR10}}}'; "
             f"groups with six joints: {', '.join(_groups(model, 6)) or 'none'}",
         )
-    arms, default = values.get("arms"), values.get("kind", DEFAULT_KIND)
+    arms = values.get("arms")
+    defaults = {"kind": values.get("kind", DEFAULT_KIND), "backend": values.get("backend", OWN)}
     if isinstance(arms, Mapping):
-        values = {**values, "arms": {name: _arm(name, block, default) for name, block in arms.items()}}
+        values = {**values, "arms": {name: _arm(name, block, defaults) for name, block in arms.items()}}
     settings = _validated(RealSettings, values)
     for name, arm in settings.arms.items():
         kind = kind_of(arm)
@@ -38,8 +39,9 @@ def real_settings(values: dict[str, Any], model: RobotModel) -> RealSettings:
                 f"arm (a planning group with {_NUMBERS.get(kind.joints, kind.joints)} joints)",
                 name, groups, element="real/arms",
             )  # fmt: skip
-        if settings.backend not in kind.backends:
-            raise UnknownNameError("backend", settings.backend, kind.backends, element="real/backend")
+        if arm.backend not in kind.backends:
+            place = _place("backend", name, arm.backend == settings.backend)
+            raise UnknownNameError(f"backend of kind {arm.kind!r}", arm.backend, kind.backends, element=place)
     check_distinct(settings.arms, "address", "host")
     complete: dict[str, ArmSettings] = {}
     for kind in dict.fromkeys(arm.kind for arm in settings.arms.values()):
@@ -52,11 +54,16 @@ def _groups(model: RobotModel, joints: int) -> list[str]:
     return [g.name for g in model.groups.values() if g.tip_link and len(g.joint_names) == joints]
 
 
-def _arm(name: str, block: Any, default: str) -> ArmSettings:
-    values = {"kind": default, **block} if isinstance(block, Mapping) else block
-    kind = values["kind"] if isinstance(values, dict) else default
-    place = "real/kind" if kind == default else f"real/arms/{name}/kind"
+def _place(key: str, arm: str, default: bool) -> str:
+    """Return the place in the cell file that determines a value of an arm."""
+    return f"real/{key}" if default else f"real/arms/{arm}/{key}"
+
+
+def _arm(name: str, block: Any, defaults: dict[str, Any]) -> ArmSettings:
+    values = {**defaults, **block} if isinstance(block, Mapping) else block
+    kind = values["kind"] if isinstance(values, dict) else defaults["kind"]
     if not isinstance(kind, str) or kind not in robot_kinds:
+        place = _place("kind", name, kind == defaults["kind"])
         raise UnknownNameError(robot_kinds.kind, str(kind), robot_kinds, element=place)
     return _validated(robot_kinds[kind].arm_settings, values, "arms", name)
 

@@ -76,7 +76,7 @@ class RealDriver(Driver):
         """
         wanted = self.settings.arms
         for arm in wanted.values():
-            kind_of(arm).check_backend(self.settings.backend)
+            kind_of(arm).check_backend(arm.backend)
         self._began = self._advanced = time.monotonic()
         found = identify_all(self.settings)
         for name, arm in wanted.items():

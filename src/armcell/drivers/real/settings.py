@@ -10,6 +10,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 DEFAULT_KIND = "ur"
+OWN = "own"  # backend: armcell itself moves the arm
 
 
 class Strict(BaseModel):
@@ -24,6 +25,7 @@ class ArmSettings(Strict):
     """Settings of one real arm that all robot kinds share. Each kind adds its own settings."""
 
     kind: str = DEFAULT_KIND  # robot kind; default: the kind of the block `real`
+    backend: str = OWN  # what moves the arm: armcell or a vendor's library; default: that of the block `real`
     host: str = Field(min_length=1)
     serial: str | None = None  # connecting to another robot fails
     calibration: str | None = None  # checksum of the factory calibration, as bringup prints it
@@ -38,7 +40,7 @@ class RealSettings(Strict):
 
     kind: str = DEFAULT_KIND  # robot kind of the arms that do not name their own
     arms: dict[str, ArmSettings] = Field(min_length=1)
-    backend: str = "own"  # what moves the arms: armcell itself, or a vendor's library
+    backend: str = OWN  # backend of the arms that do not name their own
     calibration: Literal["compare", "apply"] = (
         "compare"  # use of the robots' own geometry: compared only, or applied to the model
     )

@@ -72,7 +72,7 @@ class UrKind(RobotKind[UrArmSettings, UrIdentity]):
         self, name: str, joint_names: tuple[str, ...], arm: UrArmSettings, limits: RealSettings,
         found: UrIdentity, on_state: Callable[[], None],
     ) -> UrArm:  # fmt: skip
-        made = UrRtdeArm if limits.backend == "ur_rtde" else UrArm
+        made = UrRtdeArm if arm.backend == "ur_rtde" else UrArm
         return made(name, joint_names, arm, limits, found, on_state)
 
     # --- bring-up ---

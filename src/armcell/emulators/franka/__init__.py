@@ -7,6 +7,15 @@ from armcell.emulators.franka.controller import (
     free_arm,
     torque_world,
 )
+from armcell.emulators.franka.kind import EmulatedFranka
 from armcell.emulators.franka.plant import FrankaPlant
 
-__all__ = ["ControllerSettings", "FrankaController", "FrankaPlant", "Rack", "free_arm", "torque_world"]
+__all__ = [
+    "ControllerSettings",
+    "EmulatedFranka",
+    "FrankaController",
+    "FrankaPlant",
+    "Rack",
+    "free_arm",
+    "torque_world",
+]

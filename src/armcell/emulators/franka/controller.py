@@ -28,7 +28,8 @@ from armcell.sim import PhysicsSettings, SimWorld
 TRACE, _TRACE_RECORD = struct.Struct("<B16d"), struct.Struct("<16d")
 """Trace record: arm index, monotonic time and robot time [s], actual and desired positions (7,) [rad]."""
 
-ANSWER_TIME = 0.0004  # [s] in which a client must be able to answer a state
+TORQUE_PHYSICS = {"timestep": PERIOD, "arm_control": "torque"}  # settings for drives at 1 kHz
+ANSWER_TIME = 0.0005  # [s] in which a client must be able to answer a state
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,7 @@ def torque_world(scene: PlanningScene, physics: PhysicsSettings | None = None) -
     """Return the physics world of a scene for emulated Franka controllers,
     which drive the joints by torques at 1 kHz.
     """
-    settings = replace(physics or PhysicsSettings(), timestep=PERIOD, arm_control="torque")
-    return SimWorld(scene, settings)
+    return SimWorld(scene, replace(physics or PhysicsSettings(), **TORQUE_PHYSICS))
 
 
 class FrankaController:
@@ -79,6 +79,7 @@ class FrankaController:
         self.settings, self.plant = settings, plant
         self.network = Network(selector)
         self.period, self.answer_time = PERIOD, ANSWER_TIME
+        self._resets = plant.resets
         limits = limits_of(settings.model)
         self.robot = Robot(limits, plant)
         if settings.locked:
@@ -111,6 +112,8 @@ class FrankaController:
 
     def step(self) -> None:
         """Run one control cycle of the emulated Franka controller: the robot, the hand and the ports."""
+        if self.plant.resets != self._resets:
+            self._follow_reset()
         self.robot.step(self.commands.commands())
         self.commands.send_state()
         self._hand_server.step()
@@ -121,6 +124,11 @@ class FrankaController:
         Franka controller to their initial state.
         """
         self.plant.reset()
+        self._follow_reset()
+
+    def _follow_reset(self) -> None:
+        """Let the controller continue after a reset of the world, also by another arm's controller."""
+        self._resets = self.plant.resets
         self.hand.follow_reset()
         self.robot.follow_reset()
         self.robot.announce("the arm and its world are back at their start")

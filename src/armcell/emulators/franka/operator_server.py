@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
+from armcell.core import UnknownNameError
 from armcell.emulators.franka.command_server import CommandServer
 from armcell.emulators.franka.generators import Reflex
 from armcell.emulators.franka.hand import Hand
@@ -19,7 +20,7 @@ PORT = 1340
 MAX_LINE = 1024
 HELP = (
     "user stop on|off | brakes lock|unlock | fci on|off | guiding on|off | reflex | displace <7 rad> | "
-    "push <x> <y> <z> [N] | hand homed|unhomed|absent|present | reset | state | "
+    "push <x> <y> <z> [N] | hand homed|unhomed|absent|present | reset | state | pose <object> | "
     "fault drop <s> | fault freeze <s> | fault delay <s> | fault loss <share> | fault garbage <messages> | "
     "fault payload <kg> | fault offset <joint> <rad> | fault block <joint> | fault none"
 )
@@ -51,7 +52,7 @@ class OperatorServer:
         words = line.split()
         try:
             done = self._fault(words[1:]) if words[:1] == ["fault"] else self._act(words)
-        except (ValueError, IndexError):
+        except (ValueError, IndexError, UnknownNameError):
             done = None
         return f"unknown or incomplete command {line.strip()!r}; known: {HELP}" if done is None else done
 
@@ -78,6 +79,8 @@ class OperatorServer:
                 hand.present = how == "present"
             case ["reset"]:
                 self._whole.reset()
+            case ["pose", name]:
+                return " ".join(f"{x:.6f}" for x in robot.plant.world.object_pose(name).translation)
             case ["state"]:
                 q = " ".join(f"{x:.6f}" for x in robot.q)
                 return f"{robot.mode.name} {','.join(sorted(robot.errors)) or '-'} {q}"

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError
 from armcell.emulators.franka.kinematics import JOINTS, ArmKinematics, arm_joints
-from armcell.sim import SimWorld
+from armcell.emulators.shared_world import SharedWorld
 
 Array = NDArray[np.float64]
 
@@ -20,17 +20,19 @@ class FrankaPlant:
     """Plant of an emulated Franka arm: the arm in a physics world, driven by joint torques at 1 kHz.
 
     Args:
-        world: a world with `arm_control: "torque"` whose time step divides 1 ms.
+        shared: a world with `arm_control: "torque"` whose time step divides 1 ms.
         group: planning group of the arm.
     Raises:
         InputError: the group is not a Franka arm, or the world cannot be driven at 1 kHz by torques.
     """
 
-    def __init__(self, world: SimWorld, group: str):
-        self.world = world
+    def __init__(self, shared: SharedWorld, group: str):
+        self._shared, self.world = shared, shared.world
+        shared.join(self, PERIOD)
+        world = self.world
         self.names = arm_joints(world.robot, group)
-        self._steps = round(PERIOD / world.timestep)
-        if self._steps < 1 or abs(self._steps * world.timestep - PERIOD) > 1e-9:
+        steps = round(PERIOD / world.timestep)
+        if steps < 1 or abs(steps * world.timestep - PERIOD) > 1e-9:
             raise InputError(f"the world's time step of {world.timestep} s does not divide 1 ms")
         joints = [world.robot.joints[n] for n in self.names]
         self.kinematics = ArmKinematics(joints)
@@ -45,14 +47,15 @@ class FrankaPlant:
         self._payload = 0.0  # [kg] unknown to the controller
         self._offset = np.zeros(JOINTS)
         self.push = np.zeros(3)  # [N] force of a person on the last link, world frame
+        self.resets = -1
         self.follow_reset()
 
     def reset(self) -> None:
-        """Reset the arm of the Franka plant and all objects of the world to their initial state."""
-        self.world.reset()
-        self.follow_reset()
+        """Reset all arms and objects in the world of the Franka plant to their initial state."""
+        self._shared.reset()
 
     def follow_reset(self) -> None:
+        self.resets += 1
         self._filtered, self._seen = np.zeros(JOINTS), 0
         self.push = np.zeros(3)
         if self.hand is not None:
@@ -164,11 +167,14 @@ class FrankaPlant:
         """Apply joint torques (7,) [Nm] to the Franka plant, in addition to gravity compensation."""
         self.world.set_arm_torque(self.names, torque)
 
+    def set_joint_targets(self, time: float) -> None:
+        """Keep the applied torques: a Franka controller commands torques, not positions to interpolate."""
+
     def step(self) -> None:
         """Advance the physics world of the Franka plant by 1 ms."""
         body = self.world.built.body[self._tip]
         self.world._data.xfrc_applied[body, :3] = self.push
-        self.world.step(self._steps)
+        self._shared.advance(PERIOD)
         data = self.world._data
         felt = data.qfrc_constraint[self._dofs].copy()
         if self.push.any():

@@ -2,14 +2,15 @@
 
 from armcell.emulators.ur.controller import ControllerSettings, UrController, UrRack
 from armcell.emulators.ur.external_control import RemoteHost
-from armcell.emulators.ur.plant import KinematicPlant, PhysicsPlant, SharedWorld
+from armcell.emulators.ur.kind import EmulatedUr
+from armcell.emulators.ur.plant import KinematicPlant, PhysicsPlant
 
 __all__ = [
     "ControllerSettings",
+    "EmulatedUr",
     "KinematicPlant",
     "PhysicsPlant",
     "RemoteHost",
-    "SharedWorld",
     "UrController",
     "UrRack",
 ]  # fmt: skip

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import SE3, SO3, InputError
 from armcell.drivers.ur.wire.kinematics import pose_of
-from armcell.sim import SimWorld
+from armcell.drivers.ur.wire.models import ur_model
+from armcell.emulators.shared_world import SharedWorld
 
 Array = NDArray[np.float64]
 
@@ -146,43 +147,19 @@ class KinematicPlant:
         raise ValueError("there is no world")
 
 
-class SharedWorld:
-    """Physics world that the plants of one or several UR arms share.
-    Each arm is driven by its own emulated controller.
+class PhysicsPlant:
+    """Plant of an emulated UR controller: an arm with its gripper in a physics world.
 
-    Between two commands of a controller, joint targets are interpolated linearly, as in a real drive.
+    Between two commands of the controller, joint targets are interpolated linearly, as in a real drive.
+
+    Args:
+        group: planning group of the arm.
+        model: type of the arm, such as UR10e, which determines the control period.
     """
 
-    def __init__(self, world: SimWorld, groups: Sequence[str]):
-        self.world = world
-        self.plants = [PhysicsPlant(self, group) for group in groups]
-        self._owed = 0.0  # [s]
-
-    def reset(self) -> None:
-        """Return all arms and objects of the simulated world to their initial state. All UR plants share this
-        world."""
-        self.world.reset()
-        for plant in self.plants:
-            plant.follow_reset()
-
-    def advance(self, dt: float) -> None:
-        """Advance the world that the UR plants share by `dt` [s].
-        A remainder of less than one time step is kept for later.
-        """
-        self._owed += dt
-        step = self.world.timestep
-        while self._owed >= step - 1e-9:
-            for plant in self.plants:
-                plant.set_joint_targets(self.world.time + step)
-            self.world.step()
-            self._owed -= step
-
-
-class PhysicsPlant:
-    """Plant of an emulated UR controller: an arm with its gripper in a physics world."""
-
-    def __init__(self, shared: SharedWorld, group: str):
+    def __init__(self, shared: SharedWorld, group: str, model: str):
         self._shared, self.world = shared, shared.world
+        shared.join(self, 1.0 / ur_model(model).frequency)
         world = self.world
         self._names: Sequence[str] = world.robot.group(group).joint_names
         self._columns = world.robot.columns(tuple(self._names))
@@ -240,7 +217,7 @@ class PhysicsPlant:
         )
 
     def step(self, dt: float) -> None:
-        self._shared.advance(dt / len(self._shared.plants))
+        self._shared.advance(dt)
 
     def displace(self, q: ArrayLike) -> None:
         positions = np.array(self.world.joint_state().positions)
@@ -268,7 +245,9 @@ class PhysicsPlant:
 
     def drive_gripper(self, opening: float, force: float) -> None:
         if self._gripper is not None:
-            self._force = max(float(np.clip(force, 0.0, 1.0)) * self._gripper.max_force, 0.5)
+            wanted = float(np.clip(force, 0.0, 1.0)) * self._gripper.max_force
+            strongest = self.world.built.grippers[self._gripper.name].max_force  # by the physics settings
+            self._force = min(max(wanted, 0.5), strongest)
             width = float(np.clip(opening, 0.0, 1.0)) * self._gripper.max_width
             self.world.set_gripper_target(self._gripper.name, width, self._force)
 

@@ -86,6 +86,9 @@ class RobotMode(IntEnum):
     AUTOMATIC_ERROR_RECOVERY = 6
 
 
+_ROBOT_MODES, _GENERATORS, _CONTROLLERS = set(RobotMode), set(GeneratorMode), set(ControllerMode)
+
+
 class StateMessage:
     """Robot state message of Franka, which is written in place. `bytes(state)` returns the message.
 
@@ -144,7 +147,7 @@ def read_state(data: bytes) -> RobotState:
     """Decode the state message of a Franka robot. Its size determines the protocol version.
 
     Raises:
-        WireError: the message has another size, or numbers that are not finite.
+        WireError: the message has another size, numbers that are not finite, or unknown modes or flags.
     """
     layout = _BY_SIZE.get(len(data))
     if layout is None:
@@ -156,6 +159,10 @@ def read_state(data: bytes) -> RobotState:
     if not np.isfinite(numbers).all():
         raise WireError("a robot state has numbers that are not finite")
     flags = data[layout.modes + _MODES.size : layout.size - layout.rest.size]
+    if max(flags) > 1 or not 0.0 <= success <= 1.0:
+        raise WireError("a robot state has flags or a success rate out of range")
+    if mode not in _ROBOT_MODES or generator not in _GENERATORS or controller not in _CONTROLLERS:
+        raise WireError(f"a robot state has unknown modes: {mode}, {generator}, {controller}")
     n = len(ERRORS)
     return RobotState(
         struct.unpack_from("<Q", data)[0], numbers, generator, controller, mode, success,
