@@ -14,7 +14,7 @@ import numpy as np
 from armcell._array_store import key_of
 from armcell.collision import concave_decomposition
 from armcell.collision.convex_decomposition import convex_hull_mesh, convex_pieces, stored_pieces
-from armcell.core import Mesh
+from armcell.core import Mesh, is_closed
 
 if TYPE_CHECKING:
     import trimesh
@@ -40,7 +40,7 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     import trimesh  # slow to import
 
     merged = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)  # STL files repeat their vertices
-    if not merged.is_watertight or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
+    if not is_closed(mesh) or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
         return convex_pieces(mesh)
     key = key_of(f"concave{VERSION}", mesh.vertices.astype(float), mesh.faces.astype(np.int32))
     return stored_pieces(key, lambda: _cut(mesh, merged))
