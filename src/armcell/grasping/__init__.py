@@ -1,7 +1,13 @@
 """Planning of grasps and placements: candidates for picking up and putting down an object."""
 
 import armcell.grasping.generators  # noqa: F401  registers them
-from armcell.grasping.candidates import Proposals, generator_for, generators, grasp_candidates
+from armcell.grasping.candidates import (
+    Proposals,
+    generator_for,
+    generators,
+    grasp_candidates,
+    surface_coverage,
+)
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import LIFT_ACCELERATION, grip_force, needed_force, pair_friction
 from armcell.grasping.grasp import Grasp, Rejection, nearest_miss, rejection_sort_key
@@ -65,6 +71,7 @@ __all__ = [
     "rotated_placement",
     "stable_poses",
     "support_surface",
+    "surface_coverage",
     "surface_for",
     "surface_of",
     "tilt_of",
