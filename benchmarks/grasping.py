@@ -155,7 +155,7 @@ def _once(ctx: TaskContext, bench: Bench, item: CollisionObject, row: Row) -> No
 
 
 def _fail(row: Row, result: str, outcome: Outcome | None = None, reason: str = "") -> None:
-    row.result, row.reason = result, outcome.message if outcome else reason
+    row.result, row.reason = result, outcome.message if outcome is not None else reason
 
 
 def _box(item: CollisionObject) -> tuple[np.ndarray, np.ndarray]:

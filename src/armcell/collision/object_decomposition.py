@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-CONVEX = 0.98  # a mesh that fills more than this fraction of its hull's volume counts as convex
+CONVEX = 0.998  # a mesh that fills more than this fraction of its hull's volume counts as convex
 SMALLEST = 1e-11  # [m^3] smaller pieces are left out; MuJoCo rejects meshes without volume
-VERSION = 2  # increase when the same mesh yields different pieces, to invalidate the disk cache
+VERSION = 3  # increase when the same mesh yields different pieces, to invalidate the disk cache
 
 
 @lru_cache(maxsize=256)
@@ -31,7 +31,8 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     """Decompose an object's mesh into convex meshes whose union contains it; the result is cached on disk.
 
     The pieces of a closed mesh do not overlap. Their total volume exceeds the mesh's volume by at most
-    `concave.EXCESS`, unless the budget of `concave.cut` ends first. An open mesh has no volume:
+    `concave.EXCESS`, and they cover no point of its surface deeper than `concave.DEPTH`, unless the budget of
+    `concave.cut` ends first. An open mesh has no volume:
     `convex_pieces` divides it. The same mesh always yields the same pieces.
 
     Raises:
