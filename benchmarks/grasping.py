@@ -31,7 +31,7 @@ from armcell.cell.live import LiveCell
 from armcell.core import ArmcellError, Outcome
 from armcell.core.intervals import wilson
 from armcell.drivers import DriverOptions, drivers
-from armcell.grasping import grasp_candidates, hand_of, nearest_miss
+from armcell.grasping import grasp_candidates, hand_of, surface_coverage, why_none
 from armcell.scene import CollisionObject
 from armcell.tasks import TaskContext, TaskSettings, hold, pick, place
 from benchmarks.grasp_objects import HALVES, RULE, Listed, graspable, listed, load
@@ -88,8 +88,7 @@ def trials(robot: str, entry: Listed, poses: int) -> list[Row]:
         if grasps:
             _attempt(bench, placed, row)
         else:
-            miss = nearest_miss(rejected)
-            row.result, row.reason = "no candidate", miss.reason if miss else ""
+            row.result, row.reason = "no candidate", why_none(rejected, surface_coverage(placed, hand))
         row.cpu_s = time.process_time() - began
         rows.append(row)
     if not rows:
