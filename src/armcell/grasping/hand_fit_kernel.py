@@ -12,7 +12,8 @@ TIE = 1e-6  # [m] nearer hits count as one point, where entering precedes leavin
 PATCH = 0.001  # [m] depth below the outermost point within which points touch the pad
 INSET = 0.0015  # [m] minimum distance of a contact from the pads' edges
 CLEARANCE = 0.003  # [m] distance of the hand from the object's support
-GAP = 0.001  # [m] distance of the hand from the object
+GAP = 0.001  # [m] distance of the fingers from the object
+PALM_GAP = 0.003  # [m] of the palm: physics' solids are up to 2 mm larger than meshes, and objects shift
 BESIDE = 0.02  # [m] points farther beyond the open pads are another part, such as a bin's other wall
 WIDER, MARGIN = 1.125, 0.010  # opening before the approach: factor on the width, and minimum margin [m]
 
@@ -168,9 +169,10 @@ def fit_hand(poses, points, normals, palm, left, right, pad, thinnest, max_width
             back = 0.0
             for b in range(len(palm)):
                 for j in range(n):
-                    if (palm[b, 0] - GAP < q[j, 0] < palm[b, 3] + GAP
-                            and palm[b, 1] - GAP < q[j, 1] - middle < palm[b, 4] + GAP):  # fmt: skip
-                        back = max(back, palm[b, 5] + GAP - q[j, 2])
+                    if (palm[b, 0] - PALM_GAP < q[j, 0] < palm[b, 3] + PALM_GAP
+                            and palm[b, 1] - PALM_GAP < q[j, 1] - middle
+                            and q[j, 1] - middle < palm[b, 4] + PALM_GAP):  # fmt: skip
+                        back = max(back, palm[b, 5] + PALM_GAP - q[j, 2])
             lift = 0.0
             if floor > -np.inf:
                 lowest = np.inf
