@@ -25,13 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armcell._cache import cache_root
-from armcell.collision.convex import convex_pieces
-from armcell.collision.shapes import solid, triangle_model
+from armcell.collision.coal_shapes import solid, triangle_model
+from armcell.collision.convex_decomposition import convex_pieces
 from armcell.core import SE3, Mesh
 from armcell.grasping import surface_of
 from armcell.grasping.force import needed_force
-from armcell.grasping.generators.frames import around, tcp_pose
-from armcell.grasping.kernel import cast
+from armcell.grasping.generators.frames import directions_around, tcp_pose
+from armcell.grasping.hand_fit_kernel import cast
 from armcell.kinematics import kinematic_tree
 from armcell.model import Gripper, RobotModel
 from armcell.scene import CollisionObject, Material, mesh_object
@@ -151,7 +151,7 @@ def graspable(item: CollisionObject, model: RobotModel, gripper: Gripper, pad: A
     for start, closing, width in pairs:
         middle = start + closing * width / 2
         hand = _hand(model, gripper, min(width + WIDER, gripper.max_width))
-        for approach in around(closing, TURNS, -up):
+        for approach in directions_around(closing, TURNS, -up):
             for depth in DEPTHS:
                 T = tcp_pose(closing, approach, middle - approach * depth * pad[1, 1])
                 if _is_free(hand, T, approach, obstacles):
@@ -212,7 +212,7 @@ def _hand_at(model: RobotModel, gripper: Gripper, millimeters: int) -> Parts:
     q = model.default_positions()
     for column in model.columns(gripper.joint_names):
         q[column] = gripper.joint_position(width)
-    T_tcp_world = tree.link_pose(q, gripper.tcp_link).inv()
+    T_tcp_world = tree.link_pose(q, gripper.tcp_link).inverse()
     return [
         (coal.CollisionObject(shape), T_tcp_world @ tree.link_pose(q, name) @ T)
         for name, shape, T in _links(model, gripper)

@@ -26,10 +26,10 @@ from pathlib import Path
 
 import numpy as np
 
-from armcell.cell.grasp_trials import HOLD, NEAR_ENOUGH, OBJECT, TABLE, Bench, TrialOptions
+from armcell.cell.grasp_benchmark import HOLD, NEAR_ENOUGH, OBJECT, TABLE, Bench, TrialOptions
 from armcell.cell.live import LiveCell
 from armcell.core import ArmcellError, Outcome
-from armcell.core.intervals import wilson
+from armcell.core.confidence_interval import wilson
 from armcell.drivers import DriverOptions, drivers
 from armcell.grasping import grasp_candidates, hand_of, surface_coverage, why_none
 from armcell.scene import CollisionObject

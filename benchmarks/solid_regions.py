@@ -19,8 +19,8 @@ import mujoco
 import numpy as np
 
 from armcell.collision import ExactChecker
-from armcell.collision.decompose import object_pieces
 from armcell.collision.kernel.checker import KernelChecker
+from armcell.collision.object_decomposition import object_pieces
 from armcell.core import SE3, SO3, Mesh
 from armcell.grasping import surface_of
 from armcell.kinematics import kinematic_tree
@@ -81,7 +81,7 @@ def compare(item: CollisionObject, poses: int, seed: int) -> Counter[str]:
 
 
 def _exact_distance(checker: ExactChecker, q: np.ndarray) -> float:
-    checker.place(q)
+    checker.set_configuration(q)
     item = [i for i, g in enumerate(checker.geometries) if g.body == "object"]
     links = [i for i, g in enumerate(checker.geometries) if g.link >= 0]
     pairs = np.array([(a, b) for a in links for b in item])

@@ -152,10 +152,10 @@ def test_a_dimple_stays_free_however_small_its_volume():
     turn = np.linspace(-np.pi / 2, 1.25, 24)
     profile = [*zip(0.04 * np.cos(turn), 0.04 * np.sin(turn), strict=True), (0.004, 0.02), (0.0, 0.018)]
     apple = trimesh.creation.revolve(np.array(profile), sections=24)
-    assert apple.volume > (1 - concave.EXCESS) * apple.convex_hull.volume
-    pieces = decompose.object_pieces(mesh_of(apple))
+    assert apple.volume > (1 - concave_decomposition.EXCESS) * apple.convex_hull.volume
+    pieces = object_decomposition.object_pieces(mesh_of(apple))
     assert not covered(pieces, np.array([[0.0, 0.0, z] for z in (0.022, 0.03, 0.037)])).any()
     for piece in pieces:
         planes = ConvexHull(piece.vertices).equations
         height = (apple.vertices @ planes[:, :3].T + planes[:, 3]).max(axis=1)
-        assert -height.min() <= concave.DEPTH + 1e-6
+        assert -height.min() <= concave_decomposition.DEPTH + 1e-6

@@ -10,8 +10,7 @@ from armcell.grasping.candidates import (
 )
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import LIFT_ACCELERATION, grip_force, needed_force, pair_friction
-from armcell.grasping.from_above import AboveSettings, HeapGrasp, grasps_from_above
-from armcell.grasping.grasp import Grasp, Rejection, how_near, nearest_miss, why_none
+from armcell.grasping.grasp import Grasp, Rejection, nearest_miss, rejection_sort_key, why_none
 from armcell.grasping.hand import Hand, hand_of, pre_opening
 from armcell.grasping.placements import (
     FRICTION_MARGIN,
@@ -76,6 +75,6 @@ __all__ = [
     "surface_for",
     "surface_of",
     "tilt_of",
-    "turned",
+    "top_down_grasps",
     "why_none",
 ]

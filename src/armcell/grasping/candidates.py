@@ -1,8 +1,8 @@
 """Grasp candidates for a gripper, best first, and reasons for rejected ones.
 
 A generator proposes TCP poses. All proposals pass the same checks, cheap ones first: do the pads meet the
-object, is the object narrow enough, is the hand clear of the object and its support (`kernel.fit`), do the
-contacts press against each other, is the gripper strong enough. Suction grippers have their own checks
+object, is the object narrow enough, is the hand clear of the object and its support
+(`hand_fit_kernel`), do the contacts press against each other, is the gripper strong enough. Suction grippers have their own checks
 (`suction.py`). Reachability and other obstacles are checked later for each candidate
 (`tasks.stages.ChooseGrasp`).
 """
@@ -101,7 +101,7 @@ def surface_coverage(
     """Return the share of an object's surface, from 0 to 1, on which `grasp_candidates` tried grasps."""
     up = item.T_world_object.rotation.matrix[2]
     fitted = _fitted(item, hand, generator or generator_for(item, hand.gripper), up, on_support)
-    return 1.0 if isinstance(fitted, Seals) else fitted.covered
+    return 1.0 if isinstance(fitted, SuctionCandidates) else fitted.covered
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,9 @@ def _sampled(
     return found if found is not None else _fit(Proposals(), surface, hand, up, on_support)
 
 
-def _fit(proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool) -> _Fitted | SuctionCandidates:
+def _fit(
+    proposals: Proposals, surface: Surface, hand: Hand, up: Array, on_support: bool
+) -> _Fitted | SuctionCandidates:
     if isinstance(hand.gripper, SuctionGripper):
         return find_seals(tuple(proposals.names), proposals.poses, surface, hand, up, on_support)
     poses = np.array(proposals.poses, dtype=float).reshape(-1, 4, 4)
@@ -199,7 +201,7 @@ class _Loads:
     def __init__(self, item: CollisionObject, hand: Hand, fitted: _Fitted, up: Array):
         self.friction, self.gripper = max(item.material.friction, 1e-3), hand.gripper
         friction, force = self.friction, needed_force(item)
-        good = np.flatnonzero(fitted.verdict == kernel.FREE)
+        good = np.flatnonzero(fitted.verdict == hand_fit_kernel.FREE)
         R, at = fitted.poses[good, :3, :3], fitted.poses[good, :3, 3]
         contacts, width = fitted.contacts[good], fitted.measures[good, 0]
         # Each pad's force must be within the friction cone, or the pads squeeze the object out.

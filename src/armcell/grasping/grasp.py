@@ -78,7 +78,7 @@ def why_none(rejected: list[Rejection], covered: float) -> str:
     return f"no grasp: {tried}; of {len(rejected)} candidates {kinds}"
 
 
-def how_near(rejection: Rejection) -> tuple[int, float]:
+def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:
     """Return a sort key for rejected grasp candidates: first the number of passed checks,
     then how far the next check was missed.
     """

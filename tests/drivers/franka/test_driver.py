@@ -10,11 +10,11 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from armcell.drivers.following import Following
 from tests.drivers.franka.emulated import emulator, operate
 
 from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.drivers import DriverOptions
-from armcell.drivers.following import Following
 from armcell.drivers.franka.arm import FrankaArm
 from armcell.drivers.franka.client import FciClient
 from armcell.drivers.franka.wire import commands as wire

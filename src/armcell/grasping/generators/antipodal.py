@@ -66,7 +66,9 @@ def _pairs(
         ray = -normal + cone * np.sqrt(rng.uniform(size=(len(normal), 1))) * aside
         rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
     start, direction, normal = np.tile(start, (3, 1)), np.concatenate(rays), np.tile(normal, (3, 1))
-    distance, where = hand_fit_kernel.cast(start + 1e-6 * direction, direction, np.ascontiguousarray(triangles))
+    distance, where = hand_fit_kernel.cast(
+        start + 1e-6 * direction, direction, np.ascontiguousarray(triangles)
+    )
     a, b, c = (triangles[:, k] for k in range(3))
     outward = np.cross(b - a, c - a)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-18)

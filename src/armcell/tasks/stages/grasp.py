@@ -9,7 +9,7 @@ import numpy as np
 
 from armcell.collision import ExactChecker
 from armcell.core import SE3, JointState, PlanResult
-from armcell.grasping import Grasp, grasp_candidates, hand_of, how_near, surface_coverage, why_none
+from armcell.grasping import Grasp, grasp_candidates, hand_of, rejection_sort_key, surface_coverage, why_none
 from armcell.kinematics import ik_solver
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
@@ -73,7 +73,9 @@ class ChooseGrasp:
             yield from self._approaches(solution, planning, grasp, proofs.get(grasp.name))
         if none and not rejected:
             planning.reject(self.name, "", none)
-        for rejection in sorted(rejected, key=how_near):  # after the candidates that passed more tests
+        for rejection in sorted(
+            rejected, key=rejection_sort_key
+        ):  # after the candidates that passed more tests
             planning.reject(self.name, rejection.name, rejection.reason + (f" ({none})" if none else ""))
             none = ""
 

@@ -269,14 +269,14 @@ class OpenHand:
                 CheckStillHeld(self.object, self.gripper),
                 CommandGripper("open", self.gripper, width, self.gripper.max_force, self.settle),
                 Release(self.object),
-                Watch(self.object, on=False),
+                WatchObject(self.object, on=False),
                 scene=opened,
             )
 
     def _fingers_touch(self, scene: PlanningScene) -> bool:
         """Return whether an open finger would touch another side of the object, such as a ring's."""
         checker = ExactChecker(scene, self.gripper.joint_names)
-        checker.place(scene.positions[checker.columns])
+        checker.set_configuration(scene.positions[checker.columns])
         bodies = [geometry.body for geometry in checker.geometries]
         pairs = [(a, b) for a, b in checker.pairs.tolist() if self.object in (bodies[a], bodies[b])]
         near = np.array(pairs, dtype=np.int64).reshape(-1, 2)
