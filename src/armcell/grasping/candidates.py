@@ -2,8 +2,8 @@
 
 A generator proposes TCP poses. All proposals pass the same checks, cheap ones first: do the pads meet the
 object, is the object narrow enough, is the hand clear of the object and its support
-(`hand_fit_kernel`), do the contacts press against each other, is the gripper strong enough. Suction grippers have their own checks
-(`suction.py`). Reachability and other obstacles are checked later for each candidate
+(`hand_fit_kernel`), do the contacts press against each other, is the gripper strong enough. Suction
+grippers have their own checks (`suction.py`). Reachability and other obstacles are checked later for each candidate
 (`tasks.stages.ChooseGrasp`).
 """
 
