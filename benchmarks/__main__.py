@@ -63,6 +63,8 @@ BENCHMARKS = (
     ),
     Benchmark("cartesian", "Straight lines"),
     Benchmark("changing_scenes", "Changing scenes", ("--passes", "2")),
+    Benchmark("grasping", "Any object", ("--every", "20", "--poses", "1")),
+    Benchmark("solid_regions", "Solid regions of meshes", ("--poses", "200")),
     Benchmark("holding", "Held objects", ("--seconds", "5", "--runs", "0"), full=("--runs", "10")),
     Benchmark("constraints", "Path constraints", ("--runs", "3", "--rejection", "2")),
     Benchmark("kernel_truth", "The kernel against exact meshes", ("--samples", "20000")),

@@ -145,3 +145,17 @@ def test_the_budget_counts_work_and_its_end_is_reported(monkeypatch, caplog):
     monkeypatch.setattr(concave_decomposition.cut, "__defaults__", (60_000,))
     object_decomposition.object_pieces(mesh_of(solid))
     assert "the mesh" in caplog.text and "cm3" in caplog.text
+
+
+def test_a_dimple_stays_free_however_small_its_volume():
+    """The stem cavity of an apple: 2 % of the volume, but a finger fits in."""
+    turn = np.linspace(-np.pi / 2, 1.25, 24)
+    profile = [*zip(0.04 * np.cos(turn), 0.04 * np.sin(turn), strict=True), (0.004, 0.02), (0.0, 0.018)]
+    apple = trimesh.creation.revolve(np.array(profile), sections=24)
+    assert apple.volume > (1 - concave_decomposition.EXCESS) * apple.convex_hull.volume
+    pieces = object_decomposition.object_pieces(mesh_of(apple))
+    assert not covered(pieces, np.array([[0.0, 0.0, z] for z in (0.022, 0.03, 0.037)])).any()
+    for piece in pieces:
+        planes = ConvexHull(piece.vertices).equations
+        height = (apple.vertices @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+        assert -height.min() <= concave_decomposition.DEPTH + 1e-6

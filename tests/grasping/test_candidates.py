@@ -10,7 +10,16 @@ import trimesh
 from tests.grasping.solids import FINE, solid, surface, world_surface
 
 from armcell.core import SE3, SO3, Box, Cylinder, PointCloud, Sphere, UnknownNameError
-from armcell.grasping import generators, grasp_candidates, hand_of, nearest_miss, needed_force
+from armcell.grasping import (
+    generators,
+    grasp_candidates,
+    hand_of,
+    nearest_miss,
+    needed_force,
+    surface_coverage,
+    why_none,
+)
+from armcell.grasping.candidates import MANY
 from armcell.model import load_robot
 from armcell.scene import CollisionObject, Material, ScrewThread, library_object, mesh_object
 
@@ -250,6 +259,41 @@ def _samples(shape) -> np.ndarray:
         Cylinder: lambda s: trimesh.creation.cylinder(s.radius, s.length, sections=FINE),
     }.get(type(shape), lambda s: trimesh.Trimesh(s.vertices, s.faces, process=False))(shape)
     return mesh.sample(2000, seed=1)
+
+
+@pytest.fixture
+def wide_ball(tmp_path, hand):
+    """A ball of slightly more than the opening: only chords away from its equator fit."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.52 * hand.gripper.max_width)
+    ball.export(tmp_path / "ball.obj")
+    return mesh_object("ball", tmp_path / "ball.obj", material=Material(0.5))
+
+
+def test_sampling_goes_on_until_the_surface_is_covered_or_the_score_converges(wide_ball, hand):
+    easy = library_object("mug")
+    many, _ = grasp_candidates(easy, hand)
+    assert len(many) >= MANY and surface_coverage(easy, hand) < 1.0
+    few, rejected = grasp_candidates(wide_ball, hand)
+    assert surface_coverage(wide_ball, hand) == 1.0
+    assert len(few) < MANY and len(rejected) > 1000
+    assert [g.name for g in few] == [g.name for g in grasp_candidates(wide_ball, hand)[0]]
+
+
+def test_no_grasp_says_what_was_tried(hand, tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=hand.gripper.max_width)
+    ball.export(tmp_path / "ball.obj")
+    item = mesh_object("ball", tmp_path / "ball.obj")
+    grasps, rejected = grasp_candidates(item, hand)
+    assert not grasps
+    text = why_none(rejected, surface_coverage(item, hand))
+    assert text.startswith("no grasp: 100 % of the surface was tried")
+
+
+def test_jaws_that_do_not_meet_hold_nothing_thinner(hand):
+    plate = solid(Box(0.004, 0.06, 0.1), STANDING)
+    assert any(g.width < 0.005 for g in grasp_candidates(plate, hand)[0])
+    far = replace(hand, thinnest=0.005)
+    assert all(g.width > 0.005 for g in grasp_candidates(plate, far)[0])
 
 
 def test_a_mug_is_also_held_by_its_wall(hand):

@@ -164,7 +164,9 @@ def solid() -> CollisionObject:
     return CollisionObject.single("block", Box(0.15, 0.15, 0.15), SE3.from_xyz(at[0], at[1], 0.076))
 
 
-@pytest.mark.slow
+GEOMETRY = ("100 mm wide, the gripper opens 80 mm", "the gripper has 70 N")
+
+
 @pytest.mark.parametrize(
     ("scene", "reason"),
     [
@@ -183,6 +185,7 @@ def test_what_cannot_be_picked_says_why(scene, reason):
         assert reason in outcome.message and "\n" not in outcome.message
         details = outcome.evidence["rejections"]
         assert f"{len(details)} rejected (" in outcome.message
+        assert ("surface was tried" in outcome.message) == (reason in GEOMETRY)
         assert any(reason in why for _, _, why in details)
         assert unmoved(cell)
         assert any(outcome.message == e.text for e in cell.ctx.events if e.kind == "error")
@@ -207,7 +210,45 @@ def test_the_fingers_open_no_wider_than_there_is_room(half, width):
         assert cell.driver.gripper("hand").width == pytest.approx(width, abs=1e-4)
 
 
-@pytest.mark.slow
+def ring(inner: float) -> CollisionObject:
+    """A square ring in the cube's place, whose sides of 30 mm enclose a square hole."""
+    cube, outer = nominal().object("cube"), inner + 0.06
+    sides = [(Box(0.03, outer, 0.04), SE3.from_xyz(s * (inner + 0.03) / 2, 0, 0)) for s in (-1, 1)]
+    sides += [(Box(inner, 0.03, 0.04), SE3.from_xyz(0, s * (inner + 0.03) / 2, 0)) for s in (-1, 1)]
+    at = cube.T_world_object.translation - (0, 0, 0.005)
+    return CollisionObject("cube", tuple(sides), SE3.from_xyz(*at), movable=True, mass=0.1)
+
+
+def test_a_finger_in_a_ring_opens_no_further_than_the_ring_lets_it():
+    """A hand that pressed against the ring's other side never reached its opening."""
+    item = ring(0.034)
+    with live("sim", nominal().without_object("cube").with_object(item)) as cell:
+        assert cell.arm.pick("cube").ok
+        outcome = cell.arm.place("cube", on="table", pose=item.T_world_object)
+        assert outcome.ok, outcome.message
+        moved, turned = item.T_world_object.distance_to(cell.driver.object_poses()["cube"])
+        assert moved < 0.003 and turned < 0.05
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_an_object_returns_to_the_pose_where_it_stood(mode):
+    cube = nominal().object("cube")
+    turned = cube.at(cube.T_world_object @ SE3.from_xyz_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 0.4)))
+    with live(mode, nominal().without_object("cube").with_object(turned)) as cell:
+        before = cell.driver.object_poses()["cube"]
+        assert cell.arm.pick("cube").ok
+        outcome = cell.arm.place("cube", on="table", pose=before)
+        assert outcome.ok, outcome.message
+        moved, angle = before.distance_to(cell.driver.object_poses()["cube"])
+        assert moved < 0.003 and angle < 0.02
+
+
+def test_a_pose_excludes_a_place(cell):
+    assert cell.arm.pick("cube").ok
+    with pytest.raises(InputError, match="either a pose"):
+        cell.arm.place("cube", on="tray", at=(0.0, 0.0), pose=SE3.identity())
+
+
 def test_a_full_tray_is_said_and_keeps_the_object():
     T = nominal().object("tray").T_world_object
     posts = [SE3.from_xyz(0.06 * i, 0.06 * j, 0.05) for i in (-1, 0, 1) for j in (-1, 0, 1)]

@@ -181,7 +181,7 @@ class Bench:
         began = time.thread_time()
         grasp_candidates(item, hand)
         row = ObjectResult(name, scale, False, generation_s=time.thread_time() - began)
-        placed = self._at_rest(item)
+        placed = next(self.at_rest(item), None)
         if placed is None:
             row.reason = "does not come to rest on any side"
             return row
@@ -274,27 +274,28 @@ class Bench:
         picked = pick(ctx, OBJECT, self.gripper, ahead=[goal])
         return picked if picked.code is not ErrorCode.PLANNING_FAILED else pick(ctx, OBJECT, self.gripper)
 
-    def _at_rest(self, item: CollisionObject) -> CollisionObject | None:
-        """Return the object of a grasp trial at rest in the physics simulation,
-        on one of its three most stable sides.
+    def at_rest(self, item: CollisionObject, yaw: float = 0.0) -> Iterator[CollisionObject]:
+        """Yield the object of a grasp trial at rest on the table in the physics simulation, once for each of
+        its three most stable sides.
 
-        Returns:
-            The object at rest; None if it rolls away from all three sides.
+        Sides from which the object rolls away are skipped.
+
+        Args:
+            yaw: rotation of the object about the vertical [rad].
         """
         for rest in stable_poses(item)[:3]:
-            R = SO3.between(rest.up, (0.0, 0.0, 1.0))
+            R = SO3.exp((0.0, 0.0, yaw)) @ SO3.between(rest.up, (0.0, 0.0, 1.0))
             corners = R.matrix @ rest.foot.mean(0)  # center the foot, not the origin
             start = item.at(SE3(R, np.array([*(np.array(self.spot) - corners[:2]), rest.height + 2e-4])))
             with SimWorld(self.table.with_object(start)) as world:
                 world.step(int(1.0 / world.timestep))
-                before = world.object_pose(OBJECT)
+                before = world.object_pose(item.name)
                 world.step(int(0.5 / world.timestep))
-                after = world.object_pose(OBJECT)
+                after = world.object_pose(item.name)
             moved, turned = before.distance_to(after)
             drift = np.linalg.norm(before.apply(rest.foot.mean(0))[:2] - self.spot)
             if moved < AT_REST and turned < 10 * AT_REST and drift < 0.05:
-                return item.at(after)
-        return None
+                yield item.at(after)
 
 
 # --- results ---

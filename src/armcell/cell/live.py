@@ -87,6 +87,7 @@ class Arm:
         at: tuple[float, float] | None = None,
         up: tuple[float, float, float] | None = None,
         lean: float | None = None,
+        pose: SE3 | None = None,
     ) -> Outcome:
         """Place a held object on another object with an arm of the live cell.
 
@@ -95,8 +96,9 @@ class Arm:
             at: target position [m] on the support surface, from its center.
             up: direction in the object's frame that must point up; default: the object's current orientation.
             lean: largest tilt of the object during the motion [rad], e.g. for a full cup.
+            pose: T_world_object at which the object rests on the other one; excludes `at` and `up`.
         """
-        return place(self._ctx, item, on, at, up, lean)
+        return place(self._ctx, item, on, at, up, lean, pose)
 
     def transfer(
         self,

@@ -22,6 +22,7 @@ from armcell.core import (
     make_shape,
     shape_kind,
     shape_name,
+    with_small_holes_filled,
 )
 from armcell.model.assets import load_mesh, resolve_uri
 from armcell.model.untrusted_files import read_yaml
@@ -83,6 +84,7 @@ def _shape(spec: ShapeSpec, folder: Path, movable: bool) -> Shape:
     if spec.mesh is not None:
         s = spec.mesh_scale
         mesh = load_mesh(resolve_uri(spec.mesh, folder), (s, s, s))
+        mesh = with_small_holes_filled(mesh) if movable else mesh
         check_mesh(mesh, movable)
         return mesh
     assert spec.cloud is not None  # a validated entry has exactly one shape

@@ -11,7 +11,19 @@ from numpy.typing import NDArray
 
 from armcell.collision.primitive_set import PrimitiveSet
 from armcell.collision.winding import winding_numbers
-from armcell.core import Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
+from armcell.core import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Mesh,
+    Octree,
+    Plane,
+    PointCloud,
+    Shape,
+    Sphere,
+    is_closed,
+)
 from armcell.core.geometry import local_bounds
 
 Array = NDArray[np.float64]
@@ -100,14 +112,6 @@ def is_convex(mesh: Mesh) -> bool:
     return all(
         float(np.max(planes[:, :3] @ vertex + planes[:, 3])) >= -CONVEX_DENT for vertex in mesh.vertices
     )
-
-
-@lru_cache(maxsize=1024)
-def is_closed(mesh: Mesh) -> bool:
-    """Return whether a mesh shape is watertight, so that coal can treat its interior as solid."""
-    import trimesh
-
-    return bool(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True).is_watertight)
 
 
 def _points(vertices: Array) -> coal.StdVec_Vec3s:

@@ -1,7 +1,8 @@
-"""Convex decomposition of objects along their reflex edges, up to a given excess volume.
+"""Convex decomposition of objects along their reflex edges, up to a given excess volume and depth.
 
 The algorithm cuts the piece whose convex hull exceeds its solid most, until the total excess is below
-`EXCESS` of the mesh's volume. A candidate plane contains a reflex edge and halves its dihedral angle, or
+`EXCESS` of the mesh's volume. Then it cuts the piece whose hull covers a point of the surface deepest, until
+no point is deeper than `DEPTH`. A candidate plane contains a reflex edge and halves its dihedral angle, or
 contains the face beside it (the floor of a bin, the inner side of a wall), or halves the piece's extent
 along an axis. The union of the pieces contains the mesh, and pieces do not overlap.
 
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 
 EXCESS = 0.08
 """Excess of the pieces' total volume over the mesh's volume, as a fraction, at which the cuts end."""
+DEPTH = 0.002
+"""Largest depth [m] of a point of the mesh's surface below the surface of its piece's convex hull."""
 MAX_PIECES = 256
 EDGES = 0.5  # weight of resolved reflex edges in the choice of a cut; a cut that removes the excess has 1
 WORK = 12_000_000  # points that clips and hulls process; about 8 s
@@ -74,6 +77,7 @@ class _Piece:
     cell: Array  # (c, 4) planes of the cell, n x + d <= 0 inside
     corners: Array  # (m, 3) corners of the cell inside the solid: there, no triangle has a corner
     hull: float  # [m^3]
+    depth: float = np.inf  # [m] of the deepest point of the surface below the hull, once measured
 
     @property
     def points(self) -> Array:
@@ -112,6 +116,21 @@ class _Work:
         except (QhullError, ValueError):
             return 0.0
 
+    def measure_depth(self, piece: _Piece) -> None:
+        """Measure how deep the convex hull of a piece covers the corners of its triangles."""
+        from scipy.spatial import ConvexHull, QhullError
+
+        points = np.unique(piece.triangles.reshape(-1, 3), axis=0)
+        piece.depth = 0.0
+        try:
+            planes = np.unique(ConvexHull(piece.points).equations.round(9), axis=0)
+        except (QhullError, ValueError):
+            return
+        self.left -= len(points) * len(planes) // 50
+        for some in np.array_split(points, len(points) // 500 + 1):
+            above = (some @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+            piece.depth = max(piece.depth, -float(above.min()))
+
 
 def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[Array]:
     """Cut a closed concave mesh into pieces until the convex hulls of the
@@ -138,9 +157,15 @@ def cut(vertices: Array, faces: NDArray[np.int32], budget: int = WORK) -> list[A
     done, pieces = [], [whole]
     excess = [whole.excess]
     while pieces and len(done) + len(pieces) < MAX_PIECES and work.left > 0:
-        if sum(excess) + sum(p.excess for p in done) <= EXCESS * volume:
-            break
-        worst = int(np.argmax(excess))
+        if sum(excess) + sum(p.excess for p in done) > EXCESS * volume:
+            worst = int(np.argmax(excess))
+        else:
+            for piece in pieces:
+                if piece.depth == np.inf:
+                    work.measure_depth(piece)
+            worst = int(np.argmax([piece.depth for piece in pieces]))
+            if pieces[worst].depth <= DEPTH:
+                break
         halves = _best_cut(pieces[worst], work)
         if halves is None:
             done.append(pieces.pop(worst))

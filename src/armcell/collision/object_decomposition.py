@@ -14,16 +14,16 @@ import numpy as np
 from armcell._array_store import key_of
 from armcell.collision import concave_decomposition
 from armcell.collision.convex_decomposition import convex_hull_mesh, convex_pieces, stored_pieces
-from armcell.core import Mesh
+from armcell.core import Mesh, is_closed
 
 if TYPE_CHECKING:
     import trimesh
 
 log = logging.getLogger(__name__)
 
-CONVEX = 0.98  # a mesh that fills more than this fraction of its hull's volume counts as convex
+CONVEX = 0.998  # a mesh that fills more than this fraction of its hull's volume counts as convex
 SMALLEST = 1e-11  # [m^3] smaller pieces are left out; MuJoCo rejects meshes without volume
-VERSION = 2  # increase when the same mesh yields different pieces, to invalidate the disk cache
+VERSION = 3  # increase when the same mesh yields different pieces, to invalidate the disk cache
 
 
 @lru_cache(maxsize=256)
@@ -31,7 +31,8 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     """Decompose an object's mesh into convex meshes whose union contains it; the result is cached on disk.
 
     The pieces of a closed mesh do not overlap. Their total volume exceeds the mesh's volume by at most
-    `concave.EXCESS`, unless the budget of `concave.cut` ends first. An open mesh has no volume:
+    `concave.EXCESS`, and they cover no point of its surface deeper than `concave.DEPTH`, unless the budget of
+    `concave.cut` ends first. An open mesh has no volume:
     `convex_pieces` divides it. The same mesh always yields the same pieces.
 
     Raises:
@@ -40,7 +41,7 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     import trimesh  # slow to import
 
     merged = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)  # STL files repeat their vertices
-    if not merged.is_watertight or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
+    if not is_closed(mesh) or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
         return convex_pieces(mesh)
     key = key_of(f"concave{VERSION}", mesh.vertices.astype(float), mesh.faces.astype(np.int32))
     return stored_pieces(key, lambda: _cut(mesh, merged))

@@ -1,5 +1,6 @@
 """Value types shared by all packages: poses, joints, shapes, requests, results and errors."""
 
+from armcell.core.closed_meshes import is_closed, open_edges, with_small_holes_filled
 from armcell.core.clouds import Octree, PointCloud, finite_points
 from armcell.core.constraints import (
     WORLD,
@@ -102,11 +103,14 @@ __all__ = [
     "UnknownNameError",
     "VisibilityConstraint",
     "finite_points",
+    "is_closed",
     "make_shape",
     "named_shapes",
+    "open_edges",
     "register_shape",
     "shape_kind",
     "shape_name",
     "shapes",
     "simpler_parts",
+    "with_small_holes_filled",
 ]

@@ -1,10 +1,16 @@
 """Planning of grasps and placements: candidates for picking up and putting down an object."""
 
 import armcell.grasping.generators  # noqa: F401  registers them
-from armcell.grasping.candidates import Proposals, generator_for, generators, grasp_candidates
+from armcell.grasping.candidates import (
+    Proposals,
+    generator_for,
+    generators,
+    grasp_candidates,
+    surface_coverage,
+)
 from armcell.grasping.contact import PadContact
 from armcell.grasping.force import LIFT_ACCELERATION, grip_force, needed_force, pair_friction
-from armcell.grasping.grasp import Grasp, Rejection, nearest_miss, rejection_sort_key
+from armcell.grasping.grasp import Grasp, Rejection, nearest_miss, rejection_sort_key, why_none
 from armcell.grasping.hand import Hand, hand_of, pre_opening
 from armcell.grasping.placements import (
     FRICTION_MARGIN,
@@ -65,8 +71,10 @@ __all__ = [
     "rotated_placement",
     "stable_poses",
     "support_surface",
+    "surface_coverage",
     "surface_for",
     "surface_of",
     "tilt_of",
     "top_down_grasps",
+    "why_none",
 ]

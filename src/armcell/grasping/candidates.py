@@ -1,16 +1,16 @@
 """Grasp candidates for a gripper, best first, and reasons for rejected ones.
 
 A generator proposes TCP poses. All proposals pass the same checks, cheap ones first: do the pads meet the
-object, is the object narrow enough, is the hand clear of the object and its support (`kernel.fit`), do the
-contacts press against each other, is the gripper strong enough. Suction grippers have their own checks
-(`suction.py`). Reachability and other obstacles are checked later for each candidate
-(`tasks.stages.ChooseGrasp`).
+object, is the object narrow enough, is the hand clear of the object and its support
+(`hand_fit_kernel`), do the contacts press against each other, is the gripper strong enough. Suction
+grippers have their own checks (`suction.py`). Reachability and other obstacles are checked later for each
+candidate (`tasks.stages.ChooseGrasp`).
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +33,8 @@ KEPT = 64  # cached sets of fitted candidates
 SOFT_PATCH = 1.5e-3  # [m] patch radius that scores half as much as a large patch
 EDGE = 1.7  # distance of a patch's edge, in radii of gyration
 FAR_LEVER = 0.04  # [m] lever arm of the weight at which the score is halved
+MANY, GOOD = 100, 0.5  # candidates, and score of the best one, that end the sampling of an object's surface
+CONVERGED = 0.02  # gain of the best score by a batch of proposals below which sampling ends
 
 
 @dataclass
@@ -41,6 +43,7 @@ class Proposals:
 
     names: list[str] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)  # (4, 4)
+    covered: float = 1.0  # share of the surface that was tried with these proposals and all before them
     taken: dict[str, int] = field(default_factory=dict)  # number of uses by name
 
     def add(self, name: str, T_object_tcp: Array) -> None:
@@ -50,10 +53,11 @@ class Proposals:
         self.poses.append(T_object_tcp)
 
 
-Generator = Callable[[CollisionObject, Surface, Hand, Array], Proposals]
+Generator = Callable[[CollisionObject, Surface, Hand, Array], Proposals | Iterator[Proposals]]
 """Grasp generator: function (object, its surface, hand, up direction (3,)) -> proposals.
 
-The up direction is in the object's frame.
+The up direction is in the object's frame. A generator that samples yields its proposals in batches; armcell
+takes batches until it has `MANY` candidates and the best score is good or converged.
 """
 
 generators: Registry[Generator] = Registry("grasp generator", "armcell.grasp_generators")
@@ -91,11 +95,20 @@ def grasp_candidates(
     return _judged(item, hand, fitted, up)
 
 
+def surface_coverage(
+    item: CollisionObject, hand: Hand, generator: str | None = None, on_support: bool = True
+) -> float:
+    """Return the share of an object's surface, from 0 to 1, on which `grasp_candidates` tried grasps."""
+    up = item.T_world_object.rotation.matrix[2]
+    fitted = _fitted(item, hand, generator or generator_for(item, hand.gripper), up, on_support)
+    return 1.0 if isinstance(fitted, SuctionCandidates) else fitted.covered
+
+
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """Grasp candidates that fit around an object geometrically. They do not depend on its mass and friction.
+    """Grasp candidates that fit around an object geometrically.
 
-    They are cached per object, gripper and up direction.
+    They are cached per object, gripper and up direction. Mass and friction decide how many are sampled.
     """
 
     names: tuple[str, ...]
@@ -104,6 +117,19 @@ class _Fitted:
     measures: Array  # (k, 3): see hand_fit_kernel.fit
     contacts: Array  # (k, 2, 8)
     surface: Surface
+    covered: float  # share of the surface that was tried
+
+    def joined(self, more: _Fitted) -> _Fitted:
+        both = np.concatenate
+        return _Fitted(
+            self.names + more.names,
+            both([self.poses, more.poses]),
+            both([self.verdict, more.verdict]),
+            both([self.measures, more.measures]),
+            both([self.contacts, more.contacts]),
+            self.surface,
+            more.covered,
+        )
 
 
 _kept: OrderedDict[tuple, _Fitted | SuctionCandidates] = OrderedDict()
@@ -114,14 +140,35 @@ def _fitted(
 ) -> _Fitted | SuctionCandidates:
     make = generators[generator]
     surface = surface_of(item)
-    key = (surface.key, id(hand), generator, (up.round(3) + 0.0).tobytes(), on_support)
+    load = (item.mass_kg, item.material.friction, item.material.torsional_friction, item.thread)
+    key = (surface.key, id(hand), generator, (up.round(3) + 0.0).tobytes(), on_support, load)
     if key not in _kept:
-        proposals = make(item, surface, hand, up)
-        _kept[key] = _fit(proposals, surface, hand, up, on_support)
+        made = make(item, surface, hand, up)
+        batches = (made,) if isinstance(made, Proposals) else made
+        _kept[key] = _sampled(batches, item, surface, hand, up, on_support)
         while len(_kept) > KEPT:
             _kept.popitem(last=False)
     _kept.move_to_end(key)
     return _kept[key]
+
+
+def _sampled(
+    batches: Iterable[Proposals], item: CollisionObject, surface: Surface, hand: Hand, up: Array,
+    on_support: bool,
+) -> _Fitted | SuctionCandidates:  # fmt: skip
+    """Fit batches of proposals until there are enough good grasps or the generator ends."""
+    found, best = None, -np.inf
+    for proposals in batches:
+        fitted = _fit(proposals, surface, hand, up, on_support)
+        if isinstance(fitted, SuctionCandidates):
+            return fitted
+        found = fitted if found is None else found.joined(fitted)
+        loads = _Loads(item, hand, found, up)
+        holds = loads.holds()
+        before, best = best, float(loads.score[holds].max(initial=-np.inf))
+        if holds.sum() >= MANY and (best > GOOD or best < before + CONVERGED):
+            break
+    return found if found is not None else _fit(Proposals(), surface, hand, up, on_support)
 
 
 def _fit(
@@ -133,81 +180,106 @@ def _fit(
     floor = float((surface.points @ up).min()) if on_support else -np.inf
     found = hand_fit_kernel.fit_hand(
         poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
-        hand.gripper.max_width, np.ascontiguousarray(up), floor, APPROACH,
+        hand.thinnest, hand.gripper.max_width, np.ascontiguousarray(up), floor, APPROACH,
     )  # fmt: skip
     verdict, measures, contacts = found
-    return _Fitted(tuple(proposals.names), poses, verdict, measures, contacts, surface)
+    return _Fitted(tuple(proposals.names), poses, verdict, measures, contacts, surface, proposals.covered)
+
+
+class _Loads:
+    """Forces, slants and scores of the candidates that fit, one row each.
+
+    Attributes:
+        good: (k,) indices of the candidates.
+        force: [N] minimum force per finger at the center of mass.
+        slanted: (k,) tan of the larger angle between a pad's force and the normal of its contact.
+        least, needed: (k,) [N] minimum force per finger for the hand at rest, and in motion.
+        beside: (k,) [m] distance of the weight from the contacts, with the hand at rest.
+        score: (k,) higher scores are tried first.
+    """
+
+    def __init__(self, item: CollisionObject, hand: Hand, fitted: _Fitted, up: Array):
+        self.friction, self.gripper = max(item.material.friction, 1e-3), hand.gripper
+        friction, force = self.friction, needed_force(item)
+        good = np.flatnonzero(fitted.verdict == hand_fit_kernel.FREE)
+        R, at = fitted.poses[good, :3, :3], fitted.poses[good, :3, 3]
+        contacts, width = fitted.contacts[good], fitted.measures[good, 0]
+        # Each pad's force must be within the friction cone, or the pads squeeze the object out.
+        inwards = np.stack([contacts[:, 0, 4], -contacts[:, 1, 4]], 1).clip(-1.0, 1.0)
+        slope = (np.sqrt(1 - inwards**2) / np.maximum(inwards, 1e-6)).max(1)
+        # Lever arm of the weight about the line through both contacts, held by the pads' torsional friction.
+        a = contacts[:, 0, :3]
+        axis = contacts[:, 1, :3] - a
+        apart = np.maximum(np.linalg.norm(axis, axis=1), 1e-9)
+        axis /= apart[:, None]
+        twist = np.sqrt(1 - axis[:, 1] ** 2) / np.maximum(np.abs(axis[:, 1]), 1e-6)
+        up_tcp = R.transpose(0, 2, 1) @ up
+        mass_at = np.einsum("kji,kj->ki", R, fitted.surface.center_of_mass - at) - a
+        arm = np.cross(mass_at, axis)
+        tilting = np.abs(np.einsum("ki,ki->k", arm, up_tcp))  # hand at rest
+        lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # in motion, for any orientation
+        patch, rub = contacts[:, :, 7].min(1), item.material.torsional_friction
+        # A weight far outside the pads (a tray held by its rim) pries them off: friction and uneven pressure.
+        along = np.einsum("ki,ki->k", mass_at, axis)
+        beyond = np.maximum(np.maximum(-along, along - apart), 0.0)
+        level = np.sqrt(1 - np.einsum("ki,ki->k", axis, up_tcp).clip(-1, 1) ** 2)
+        peeling = 2 * friction * force * beyond * level / (friction * apart + 2 * EDGE * patch + rub)
+        least = force * holding_factor(friction, rub, tilting, patch) + peeling
+        needed = force * holding_factor(friction, rub, lever, patch) + peeling
+        # friction of the pads resists at half the width and across the contact patches
+        if item.thread is not None:
+            twisting = item.thread.torque / (friction * width + 2 * patch)
+            least, needed = np.maximum(least, twisting), np.maximum(needed, twisting)
+        slanted = np.maximum(slope, twist)
+        quality = (
+            np.clip(1 - (slanted / friction) ** 2, 0, 1)
+            * np.clip(self.gripper.max_force / np.maximum(SAFETY * needed, 1e-9), 0.05, 1)
+            * (0.3 + 0.7 * patch / (patch + SOFT_PATCH))
+            / (1 + (lever / FAR_LEVER) ** 2)
+        )
+        down = -(R[:, :, 2] @ up)
+        from_above = np.where(down > 0.95, 1.0, 0.5 + 0.4 * down.clip(-1, 1))
+        preferred = 0.1 * width / self.gripper.max_width + 1e-3 * (R[:, 0, 1] < -1e-6)
+        self.good, self.force, self.slanted, self.least, self.needed = good, force, slanted, least, needed
+        self.beside, self.score = tilting + beyond, quality * from_above - preferred
+
+    def holds(self) -> NDArray[np.bool_]:
+        """Return a mask of the candidates whose friction and force suffice."""
+        strong = self.force <= self.gripper.max_force
+        return strong & (self.slanted <= self.friction) & (self.least <= self.gripper.max_force)
 
 
 def _judged(
     item: CollisionObject, hand: Hand, fitted: _Fitted, up: Array
 ) -> tuple[list[Grasp], list[Rejection]]:
-    friction, gripper = max(item.material.friction, 1e-3), hand.gripper
-    force = needed_force(item)
-    good = np.flatnonzero(fitted.verdict == hand_fit_kernel.FREE)
+    gripper, loads = hand.gripper, _Loads(item, hand, fitted, up)
     rejected = [
         Rejection(fitted.names[i], *_why(int(fitted.verdict[i]), fitted.measures[i], hand))
         for i in np.flatnonzero(fitted.verdict != hand_fit_kernel.FREE)
     ]
-    R, at = fitted.poses[good, :3, :3], fitted.poses[good, :3, 3]
-    contacts, width = fitted.contacts[good], fitted.measures[good, 0]
-    # Each pad's force must be within the friction cone, or the pads squeeze the object out.
-    inwards = np.stack([contacts[:, 0, 4], -contacts[:, 1, 4]], 1).clip(-1.0, 1.0)
-    slope = (np.sqrt(1 - inwards**2) / np.maximum(inwards, 1e-6)).max(1)
-    # Lever arm of the weight about the line through both contacts, held by the pads' torsional friction.
-    a = contacts[:, 0, :3]
-    axis = contacts[:, 1, :3] - a
-    apart = np.maximum(np.linalg.norm(axis, axis=1), 1e-9)
-    axis /= apart[:, None]
-    twist = np.sqrt(1 - axis[:, 1] ** 2) / np.maximum(np.abs(axis[:, 1]), 1e-6)
-    up_tcp = R.transpose(0, 2, 1) @ up
-    mass_at = np.einsum("kji,kj->ki", R, fitted.surface.center_of_mass - at) - a
-    arm = np.cross(mass_at, axis)
-    tilting = np.abs(np.einsum("ki,ki->k", arm, up_tcp))  # hand at rest
-    lever = np.hypot(tilting, 0.5 * np.linalg.norm(arm, axis=1))  # in motion, for any orientation of the hand
-    patch, rub = contacts[:, :, 7].min(1), item.material.torsional_friction
-    # A weight far outside the pads (a tray held by its rim) pries them off: friction and uneven pressure.
-    along = np.einsum("ki,ki->k", mass_at, axis)
-    beyond = np.maximum(np.maximum(-along, along - apart), 0.0)
-    level = np.sqrt(1 - np.einsum("ki,ki->k", axis, up_tcp).clip(-1, 1) ** 2)
-    peeling = 2 * friction * force * beyond * level / (friction * apart + 2 * EDGE * patch + rub)
-    least = force * holding_factor(friction, rub, tilting, patch) + peeling
-    needed = force * holding_factor(friction, rub, lever, patch) + peeling
-    # friction of the pads resists at half the width and across the contact patches
-    if item.thread is not None:
-        twisting = item.thread.torque / (friction * width + 2 * patch)
-        least, needed = np.maximum(least, twisting), np.maximum(needed, twisting)
-    slanted = np.maximum(slope, twist)
-    quality = (
-        np.clip(1 - (slanted / friction) ** 2, 0, 1)
-        * np.clip(gripper.max_force / np.maximum(SAFETY * needed, 1e-9), 0.05, 1)
-        * (0.3 + 0.7 * patch / (patch + SOFT_PATCH))
-        / (1 + (lever / FAR_LEVER) ** 2)
-    )
-    down = -(R[:, :, 2] @ up)
-    from_above = np.where(down > 0.95, 1.0, 0.5 + 0.4 * down.clip(-1, 1))
-    score = quality * from_above - 0.1 * width / gripper.max_width - 1e-3 * (R[:, 0, 1] < -1e-6)
     found: list[Grasp] = []
-    for i in np.argsort(-score, kind="stable"):
-        name = fitted.names[good[i]]
-        if force > gripper.max_force:
-            text = f"needs {force:.0f} N per finger, the gripper has {gripper.max_force:.0f} N"
-            rejected.append(Rejection(name, text, 4, force / gripper.max_force))
-        elif slanted[i] > friction:
-            has, holds = np.degrees(np.arctan((float(slanted[i]), friction)))
+    for i in np.argsort(-loads.score, kind="stable"):
+        k = loads.good[i]
+        name, slanted, least = fitted.names[k], float(loads.slanted[i]), float(loads.least[i])
+        if loads.force > gripper.max_force:
+            text = f"needs {loads.force:.0f} N per finger, the gripper has {gripper.max_force:.0f} N"
+            rejected.append(Rejection(name, text, 4, loads.force / gripper.max_force))
+        elif slanted > loads.friction:
+            has, holds = np.degrees(np.arctan((slanted, loads.friction)))
             text = f"slips off: the surface is {has:.0f} deg slanted, friction holds {holds:.0f} deg"
             rejected.append(Rejection(name, text, 3, float(np.radians(has - holds))))
-        elif least[i] > gripper.max_force:
-            beside = 1000 * float(tilting[i] + beyond[i])
-            text = f"needs {least[i]:.0f} N per finger, {beside:.0f} mm beside the middle, the gripper has"
-            excess = float(least[i]) / gripper.max_force
+        elif least > gripper.max_force:
+            beside = 1000 * float(loads.beside[i])
+            text = f"needs {least:.0f} N per finger, {beside:.0f} mm beside the middle, the gripper has"
+            excess = least / gripper.max_force
             rejected.append(Rejection(name, f"{text} {gripper.max_force:.0f} N", 4, excess))
         else:
-            opening = float(fitted.measures[good[i], 1])
-            pose = SE3(SO3(R[i]), at[i]) @ hand.gripper.grip_center(float(width[i]), opening).inverse()
-            pads = (PadContact.of(contacts[i, 0]), PadContact.of(contacts[i, 1]))
-            hold = firm_force(float(needed[i]), gripper)
-            found.append(Grasp(name, pose, float(width[i]), opening, hold, float(score[i]), contacts=pads))
+            width, opening = fitted.measures[k, :2].tolist()
+            pose = SE3(SO3(fitted.poses[k, :3, :3]), fitted.poses[k, :3, 3])
+            pose = pose @ gripper.grip_center(width, opening).inverse()
+            pads = (PadContact.of(fitted.contacts[k, 0]), PadContact.of(fitted.contacts[k, 1]))
+            hold = firm_force(float(loads.needed[i]), gripper)
+            found.append(Grasp(name, pose, width, opening, hold, float(loads.score[i]), contacts=pads))
     return found, rejected
 
 

@@ -25,7 +25,7 @@ class PadContact:
     @staticmethod
     def of(row: Array) -> PadContact:
         """Create the contact between a gripper's pad and an object from one
-        row (8,) of the array that `kernel.fit` returns.
+        row (8,) of the array that `hand_fit_kernel.fit` returns.
         """
         row = float_array(row, (8,), "a row", finite=False)
         return PadContact(row[:3].copy(), row[3:6].copy(), float(row[7]))

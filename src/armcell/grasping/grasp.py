@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,13 @@ from armcell.grasping.contact import PadContact
 
 Array = NDArray[np.float64]
 
+FAILED = (  # by the number of checks that a rejected candidate passed
+    "have nothing between the pads",
+    "are too wide",
+    "let the hand touch the object or its support",
+    "slip off",
+    "need more force",
+)
 APPROACH, SHORTEST_APPROACH = 0.10, 0.03  # [m] desired and minimum
 
 
@@ -54,6 +62,20 @@ def nearest_miss(rejected: list[Rejection]) -> Rejection | None:
     Among equals, the candidate with the smallest excess wins.
     """
     return min(rejected, key=rejection_sort_key, default=None)
+
+
+def why_none(rejected: list[Rejection], covered: float) -> str:
+    """Explain in one line why an object has no grasp candidate.
+
+    Args:
+        covered: share of the surface that was tried, from 0 to 1.
+    """
+    counts = Counter(min(r.passed, len(FAILED) - 1) for r in rejected)
+    kinds = ", ".join(f"{counts[k]} {FAILED[k]}" for k in sorted(counts, reverse=True))
+    tried = f"{100 * covered:.0f} % of the surface was tried"
+    if not rejected:
+        return f"no grasp: {tried}, no two sides oppose each other within the opening"
+    return f"no grasp: {tried}; of {len(rejected)} candidates {kinds}"
 
 
 def rejection_sort_key(rejection: Rejection) -> tuple[int, float]:

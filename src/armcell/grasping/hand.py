@@ -18,6 +18,7 @@ from armcell.model import Gripper, RobotModel, SuctionGripper
 Array = NDArray[np.float64]
 
 OVERLAP = 0.001  # [m] smallest width and height of a pad
+THINNEST = 5e-4  # [m] compression beyond the closed jaws with which a hand holds an object
 AT_THE_PAD = 0.001  # [m] maximum distance of a finger box from the closing plane to count as a pad
 
 
@@ -35,6 +36,7 @@ class Hand:
     left: Array
     right: Array
     pad: Array  # (2, 2) [m] minimum and maximum x and z of the pads
+    thinnest: float = THINNEST  # [m] smallest width of an object that the jaws hold
     cups: Array = field(
         default_factory=lambda: np.zeros((0, 3))
     )  # (c, 3) [m] centers of a suction gripper's rings
@@ -87,7 +89,7 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
     if isinstance(gripper, SuctionGripper):
         cups = [(T_tcp_world @ tree.link_pose(q, c.link) @ c.T_link_cup).translation for c in gripper.cups]
         palm, none = np.array(groups["palm"]).reshape(-1, 6), np.zeros((0, 6))
-        return Hand(gripper, palm, none, none, np.zeros((2, 2)), np.array(cups))
+        return Hand(gripper, palm, none, none, np.zeros((2, 2)), cups=np.array(cups))
     if not groups["left"] or not groups["right"]:
         raise InputError(
             f"gripper {gripper.name!r} has no collision shapes on both sides of its tcp",
@@ -95,7 +97,9 @@ def hand_of(model: RobotModel, gripper: Gripper) -> Hand:
         )
     palm, left, right = (np.array(groups[k]).reshape(-1, 6) for k in ("palm", "left", "right"))
     pad = np.reshape(gripper.pad, (2, 2)) if gripper.pad else _pad(left, right)
-    return Hand(gripper, palm, left, right, pad)
+    ends = [model.limits(gripper.joint_names, kind)[0] for kind in ("lower", "upper")]
+    closed = min(gripper.width(float(q)) for q in ends)
+    return Hand(gripper, palm, left, right, pad, max(closed, 0.0) + THINNEST)
 
 
 def _pad(left: Array, right: Array) -> Array:

@@ -12,8 +12,8 @@ TIE = 1e-6  # [m] nearer hits count as one point, where entering precedes leavin
 PATCH = 0.001  # [m] depth below the outermost point within which points touch the pad
 INSET = 0.0015  # [m] minimum distance of a contact from the pads' edges
 CLEARANCE = 0.003  # [m] distance of the hand from the object's support
-GAP = 0.001  # [m] distance of the hand from the object
-THINNEST = 5e-4  # [m] smallest width that the hand can hold
+GAP = 0.001  # [m] distance of the fingers from the object
+PALM_GAP = 0.003  # [m] of the palm: physics' solids are up to 2 mm larger than meshes, and objects shift
 BESIDE = 0.02  # [m] points farther beyond the open pads are another part, such as a bin's other wall
 WIDER, MARGIN = 1.125, 0.010  # opening before the approach: factor on the width, and minimum margin [m]
 
@@ -106,7 +106,7 @@ def _lowest(R, p, box, up, shift):
 
 
 @njit(cache=True)
-def fit_hand(poses, points, normals, palm, left, right, pad, max_width, up, floor, approach):
+def fit_hand(poses, points, normals, palm, left, right, pad, thinnest, max_width, up, floor, approach):
     """Fit a hand around the surface points of an object at each grasp pose, in the compiled grasp kernel.
 
     The function centers the hand between the surfaces that the pads touch, moves it back until palm and
@@ -117,7 +117,7 @@ def fit_hand(poses, points, normals, palm, left, right, pad, max_width, up, floo
         points, normals: (n, 3) of the object's surface.
         palm, left, right: boxes of the hand, see `Hand`.
         pad: (2, 2) [m] minimum and maximum x and z of the pads.
-        max_width: largest opening of the gripper [m].
+        thinnest, max_width: smallest and largest width [m] of an object that the gripper can hold.
         up: (3,) direction away from the support, in the object's frame.
         floor: height of the support along `up` [m]; -inf without a support.
         approach: length [m] of the straight approach on which the open hand must not touch the object.
@@ -156,7 +156,7 @@ def fit_hand(poses, points, normals, palm, left, right, pad, max_width, up, floo
             if turn == 0 and most > least and (found == 0 or width > max_width - MARGIN / 2):
                 verdict[i], need = TOO_WIDE, most - least
                 break
-            if found == 0 or width < THINNEST:
+            if found == 0 or width < thinnest:
                 verdict[i] = NOTHING_BETWEEN if turn == 0 else TOO_FLAT
                 need = drawn
                 break
@@ -169,9 +169,10 @@ def fit_hand(poses, points, normals, palm, left, right, pad, max_width, up, floo
             back = 0.0
             for b in range(len(palm)):
                 for j in range(n):
-                    if (palm[b, 0] - GAP < q[j, 0] < palm[b, 3] + GAP
-                            and palm[b, 1] - GAP < q[j, 1] - middle < palm[b, 4] + GAP):  # fmt: skip
-                        back = max(back, palm[b, 5] + GAP - q[j, 2])
+                    if (palm[b, 0] - PALM_GAP < q[j, 0] < palm[b, 3] + PALM_GAP
+                            and palm[b, 1] - PALM_GAP < q[j, 1] - middle
+                            and q[j, 1] - middle < palm[b, 4] + PALM_GAP):  # fmt: skip
+                        back = max(back, palm[b, 5] + PALM_GAP - q[j, 2])
             lift = 0.0
             if floor > -np.inf:
                 lowest = np.inf

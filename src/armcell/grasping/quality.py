@@ -144,7 +144,7 @@ def robustness(
     up = np.ascontiguousarray(item.T_world_object.rotation.matrix[2])
     verdict, _, contacts = hand_fit_kernel.fit_hand(
         poses, surface.points, surface.normals, hand.palm, hand.left, hand.right, hand.pad,
-        hand.gripper.max_width, up, -np.inf, grasp.shortest_approach,
+        hand.thinnest, hand.gripper.max_width, up, -np.inf, grasp.shortest_approach,
     )  # fmt: skip
     holds = 0
     for i, other in enumerate(noise.materials(item, trials, rng)):

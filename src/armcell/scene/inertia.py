@@ -7,7 +7,20 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import SE3, Box, Capsule, Cone, Cylinder, Mesh, Octree, Plane, PointCloud, Shape, Sphere
+from armcell.core import (
+    SE3,
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Mesh,
+    Octree,
+    Plane,
+    PointCloud,
+    Shape,
+    Sphere,
+    is_closed,
+)
 from armcell.scene.objects import shape_volume
 
 Array = NDArray[np.float64]
@@ -17,7 +30,7 @@ def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
     """Return the center of mass (3,) [m] and the inertia (3, 3) [m^2] of
     a shape with uniform density and a mass of 1 kg.
 
-    The inertia is relative to the center of mass. A mesh that is not watertight counts as its convex hull.
+    The inertia is relative to the center of mass. A mesh that is not closed counts as its convex hull.
     """
     match shape:
         case Box():
@@ -43,7 +56,7 @@ def _unit_inertia(shape: Shape) -> tuple[Array, Array]:
             import trimesh
 
             mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
-            if not (mesh.is_watertight and abs(mesh.volume) > 0):
+            if not (is_closed(shape) and abs(mesh.volume) > 0):
                 mesh = mesh.convex_hull
             return np.array(mesh.center_mass), np.array(mesh.moment_inertia) / mesh.volume
         case Plane() | PointCloud() | Octree():

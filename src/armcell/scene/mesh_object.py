@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from armcell.core import SE3, InputError, Mesh
+from armcell.core import SE3, InputError, Mesh, open_edges, with_small_holes_filled
 from armcell.model.assets import load_mesh
 from armcell.scene.objects import CollisionObject
 
@@ -26,7 +26,7 @@ class MeshFacts:
     """
 
     size: tuple[float, float, float]  # [m] along its axes
-    closed: bool  # every edge has two triangles with consistent orientation
+    closed: bool  # the mesh encloses a volume
     open_edges: int
     convex: bool
     volume: float  # [m^3]; that of the convex hull if the mesh is not closed
@@ -42,13 +42,13 @@ def mesh_facts(mesh: Mesh) -> MeshFacts:
 
     x, y, z = (float(v) for v in np.ptp(mesh.vertices, axis=0))
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    _, count = np.unique(np.sort(solid.edges, axis=1), axis=0, return_counts=True)
     if min(x, y, z) < 1e-9:
         raise InputError("mesh is flat: it has no volume", file=mesh.file, hint="give it a thickness")
     hull = float(solid.convex_hull.volume)
-    closed = bool(solid.is_watertight and abs(solid.volume) > 0)
+    holes = len(open_edges(mesh))
+    closed = not holes and abs(float(solid.volume)) > 0
     volume = abs(float(solid.volume)) if closed else hull
-    return MeshFacts((x, y, z), closed, int(np.sum(count != 2)), closed and volume > 0.98 * hull, volume)
+    return MeshFacts((x, y, z), closed, holes, closed and volume > 0.98 * hull, volume)
 
 
 def check_mesh(mesh: Mesh, movable: bool) -> MeshFacts:
@@ -94,6 +94,8 @@ def mesh_object(
 ) -> CollisionObject:
     """Create a collision object from a mesh file (OBJ, STL, PLY, GLB, DAE or OFF).
 
+    Small holes in the mesh of a movable object are filled.
+
     Args:
         name: name of the object.
         file: the mesh file.
@@ -106,6 +108,7 @@ def mesh_object(
         InputError: the mesh is not readable, flat, or of an implausible size.
     """
     mesh = load_mesh(Path(file), (scale, scale, scale))
+    mesh = with_small_holes_filled(mesh) if movable else mesh
     facts = check_mesh(mesh, movable)
     if density is not None:
         properties.setdefault("mass", density * facts.volume)

@@ -22,6 +22,7 @@ from armcell.core import (
     PointCloud,
     Shape,
     Sphere,
+    is_closed,
 )
 from armcell.core.checks import checked, float_array
 from armcell.core.geometry import extent, local_bounds
@@ -257,7 +258,7 @@ def shape_volume(shape: Shape) -> float:
             import trimesh
 
             mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
-            return float(abs(mesh.volume) if mesh.is_watertight else mesh.convex_hull.volume)
+            return float(abs(mesh.volume) if is_closed(shape) else mesh.convex_hull.volume)
         case Octree():
             return float(np.sum(shape.sizes**3))
         case PointCloud():

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armcell.core import ErrorCode, Goal, InputError, NamedGoal, Outcome
+from armcell.core import SE3, ErrorCode, Goal, InputError, NamedGoal, Outcome
 from armcell.core.checks import require
 from armcell.grasping import Placement
 from armcell.model import Gripper
@@ -59,6 +59,7 @@ def place(
     at: tuple[float, float] | None = None,
     up: Vector | None = None,
     lean: float | None = None,
+    pose: SE3 | None = None,
 ) -> Outcome:
     """Recipe that places a held object on a support.
     The outcome's evidence contains the target pose ("placement").
@@ -70,16 +71,21 @@ def place(
         at: point on the support's surface [m] from its center.
         up: direction in the object's frame that must point up; default: the present orientation.
         lean: maximum tilt of the object during the motion [rad], e.g. for a full cup; None for no limit.
+        pose: T_world_object at which the object rests on the support, such as the pose before it was picked;
+            default: chosen by `at` and `up`.
     Raises:
-        InputError: the object is not held, it does not fit on the support, or it is the support itself.
+        InputError: the object is not held, it does not fit on the support, it is the support itself, or
+            `pose` is given together with `at` or `up`.
     """
     if item not in ctx.holding:
         raise InputError(f"the robot does not hold {item!r}", hint="pick it first")
     require(item != on, f"{item!r} cannot be put on itself")
     ctx.scene().object(on)  # raises an error with the existing names
+    require(pose is None or (at is None and up is None), "give either a pose, or `at` and `up`")
+    among = () if pose is None else (Placement("at the given pose", pose),)
     s, gripper, outcome = ctx.settings, ctx.holding[item].gripper, DONE
     for _ in range(s.attempts):
-        stages = place_stages(item, on, gripper, s, at, up, lean)
+        stages = place_stages(item, on, gripper, s, at, up, lean, among)
         solution, outcome = plan_stages(ctx, stages, f"place {item} on {on}")
         if solution is None:
             return outcome

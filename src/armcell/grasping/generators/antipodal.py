@@ -1,11 +1,14 @@
 """Antipodal grasps of any closed surface: contact pairs whose normals oppose each other.
 
-Points are sampled on the surface; a few rays go inwards from each point within the friction cone. Where a ray
-leaves the solid is the second contact: the first exit grips a wall or rim, the last exit the whole object.
-The hand may approach from all directions around the line through a pair (condition: Chen and Burdick 1993).
+Points are sampled on the surface in batches; a few rays go inwards from each point within the friction cone.
+Where a ray leaves the solid is the second contact: the first exit grips a wall or rim, the last exit the
+whole object. The hand may approach from all directions around the line through a pair (condition: Chen and
+Burdick 1993).
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,81 +22,111 @@ from armcell.scene import CollisionObject
 
 Array = NDArray[np.float64]
 
-SAMPLES = 350
-PAIRS = 90  # maximum number of contact pairs
-TURNS = 8  # approach directions around a pair
-# tan of the angle between ray and normal, for friction 0.35; the object's friction is checked later
-CONE = 0.35
+SAMPLES = 350  # surface points of a batch
+PAIRS = 90  # maximum number of contact pairs of a batch
+TURNS = 8  # approach directions around a pair; those of every second batch are between the others
+CONE = 0.35  # minimum tan of the angle between ray and normal; an object of more friction has wider cones
 DEPTHS = (0.0, 0.6)  # offsets of the contact towards the fingertips, as fractions of the pads' reach
-THINNEST = 0.002  # [m]
 MOST_TRIANGLES = 40_000
+
+Pair = tuple[Array, Array, float]  # middle (3,) [m], direction (3,), sum of the cosines at both contacts
 
 
 @generators.register("antipodal")
-def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Proposals:
+def antipodal_grasps(item: CollisionObject, surface: Surface, hand: Hand, up: Array) -> Iterator[Proposals]:
     """Propose antipodal grasps, whose two contacts are on opposite triangles of an object's surface.
 
-    The result is deterministic.
+    Each batch tries other points of the surface. The result is deterministic.
     """
     rng = np.random.default_rng(0)
-    found = Proposals()
-    chosen = rng.permutation(len(surface.points))[:SAMPLES]
-    start, normal = surface.points[chosen], surface.normals[chosen]
+    order = rng.permutation(len(surface.points))
+    triangles = surface.triangles
+    if len(triangles) > MOST_TRIANGLES:
+        triangles = triangles[rng.permutation(len(triangles))[:MOST_TRIANGLES]]
+    cone = max(CONE, item.material.friction)
+    chosen: list[Pair] = []
+    for batch, first in enumerate(range(0, len(order), SAMPLES)):
+        tried = order[first : first + SAMPLES]
+        pairs = _pairs(surface.points[tried], surface.normals[tried], triangles, cone, hand, rng)
+        found = Proposals(covered=min((first + SAMPLES) / len(order), 1.0))
+        for pair in _spread(pairs, chosen):
+            _come_in(found, len(chosen), pair, 0.5 * (batch % 2), hand, up)
+            chosen.append(pair)
+        yield found
+
+
+def _pairs(
+    start: Array, normal: Array, triangles: Array, cone: float, hand: Hand, rng: np.random.Generator
+) -> list[Pair]:
+    """Return the contact pairs of surface points (n, 3) with their normals (n, 3)."""
     rays = [-normal]
     for _ in range(2):  # two more rays per point within the cone
         aside = np.cross(normal, rng.normal(size=normal.shape))
         aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
-        ray = -normal + CONE * np.sqrt(rng.uniform(size=(len(normal), 1))) * aside
+        ray = -normal + cone * np.sqrt(rng.uniform(size=(len(normal), 1))) * aside
         rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
-    start, direction = np.tile(start, (3, 1)), np.concatenate(rays)
-    normal = np.tile(normal, (3, 1))
-    triangles = surface.triangles
-    if len(triangles) > MOST_TRIANGLES:
-        triangles = triangles[rng.permutation(len(triangles))[:MOST_TRIANGLES]]
-    origin = start + 1e-6 * direction
-    distance, where = hand_fit_kernel.cast(origin, direction, np.ascontiguousarray(triangles))
+    start, direction, normal = np.tile(start, (3, 1)), np.concatenate(rays), np.tile(normal, (3, 1))
+    distance, where = hand_fit_kernel.cast(
+        start + 1e-6 * direction, direction, np.ascontiguousarray(triangles)
+    )
     a, b, c = (triangles[:, k] for k in range(3))
     outward = np.cross(b - a, c - a)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-18)
-    pairs = []
+    found: list[Pair] = []
     for exit in range(2):
         ok = where[:, exit] >= 0
         if exit == 1:
             ok &= where[:, 1] != where[:, 0]
-        ok &= (distance[:, exit] > THINNEST) & (distance[:, exit] < hand.gripper.max_width)
+        ok &= (distance[:, exit] > hand.thinnest) & (distance[:, exit] < hand.gripper.max_width)
         facing = np.einsum("ij,ij->i", outward[where[:, exit]], direction)
-        ok &= facing > 1 / np.hypot(1.0, CONE)
+        ok &= facing > 1 / np.hypot(1.0, cone)
         square = facing - np.einsum("ij,ij->i", direction, normal)
         middle = start + direction * distance[:, exit, None] / 2
-        pairs += [(middle[i], direction[i], square[i]) for i in np.flatnonzero(ok)]
-    for n, (middle, closing, _) in enumerate(_spread(pairs)):
-        _come_in(found, n, middle, closing, hand, up)
+        found += [(middle[i], direction[i], float(square[i])) for i in np.flatnonzero(ok)]
     return found
 
 
-def _spread(pairs: list[tuple]) -> list[tuple]:
+def _spread(pairs: list[Pair], before: list[Pair]) -> list[Pair]:
     """Select at most `PAIRS` antipodal pairs of contacts that are well distributed over an object.
 
-    The pair with the best-opposed normals comes first, then always the pair farthest from those chosen.
+    The pair with the best-opposed normals comes first, then always the pair farthest from those chosen and
+    from the pairs `before`.
     """
     if len(pairs) <= PAIRS:
         return pairs
-    at = np.array([np.concatenate([m / 0.02, c]) for m, c, _ in pairs])
-    other = at * np.array([1, 1, 1, -1, -1, -1])  # the same pair with swapped contacts
-    square = np.array([s for _, _, s in pairs])
-    chosen = [int(np.argmax(square))]
+    at, square = _places(pairs), np.array([s for _, _, s in pairs])
     far = np.full(len(pairs), np.inf)
+    for place in _places(before):
+        far = np.minimum(far, _apart(at, place))
+    chosen = [int(np.argmax(far * (square - 1.5) if before else square))]
     while len(chosen) < PAIRS:
-        last = at[chosen[-1]]
-        far = np.minimum(far, np.minimum(((at - last) ** 2).sum(1), ((other - last) ** 2).sum(1)))
+        far = np.minimum(far, _apart(at, at[chosen[-1]]))
         chosen.append(int(np.argmax(far * (square - 1.5))))
     return [pairs[i] for i in chosen]
 
 
-def _come_in(found: Proposals, n: int, middle: Array, closing: Array, hand: Hand, up: Array) -> None:
-    """Propose grasp poses with all approach directions around one antipodal pair of contacts."""
-    for k, approach in enumerate(directions_around(closing, TURNS, -up)):
+def _places(pairs: list[Pair]) -> Array:
+    """Return where pairs are, (n, 6): their middles in units of 20 mm, and their directions."""
+    return np.array([np.concatenate([m / 0.02, c]) for m, c, _ in pairs]).reshape(-1, 6)
+
+
+def _apart(at: Array, place: Array) -> Array:
+    """Return the squared distances of pairs (n, 6) from a pair (6,), whose contacts may be swapped."""
+    swapped = place * np.array([1, 1, 1, -1, -1, -1])
+    return np.minimum(((at - place) ** 2).sum(1), ((at - swapped) ** 2).sum(1))
+
+
+def _come_in(found: Proposals, n: int, pair: Pair, shift: float, hand: Hand, up: Array) -> None:
+    """Propose grasp poses with all approach directions around one antipodal pair of contacts.
+
+    Args:
+        shift: rotates the directions about the pair, in steps.
+    """
+    middle, closing, _ = pair
+    first = directions_around(closing, 2 * TURNS, -up)[int(2 * shift)]
+    for k, approach in enumerate(directions_around(closing, TURNS, first)):
         for d, share in enumerate(DEPTHS):
             point = middle - approach * share * hand.pad[1, 1]
-            found.add(f"pair {n} at {360 // TURNS * k} deg{'' if d == 0 else ' at the tips'}",
+            degrees = 360 / TURNS * (k + shift)
+            found.add(f"pair {n} at {degrees:.0f} deg{'' if d == 0 else ' at the tips'}",
                       tcp_pose(closing, approach, point))  # fmt: skip

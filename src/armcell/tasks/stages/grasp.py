@@ -9,7 +9,7 @@ import numpy as np
 
 from armcell.collision import ExactChecker
 from armcell.core import SE3, JointState, PlanResult
-from armcell.grasping import Grasp, grasp_candidates, hand_of, rejection_sort_key
+from armcell.grasping import Grasp, grasp_candidates, hand_of, rejection_sort_key, surface_coverage, why_none
 from armcell.kinematics import ik_solver
 from armcell.model import Gripper
 from armcell.scene import CollisionObject, PlanningScene
@@ -50,7 +50,9 @@ class ChooseGrasp:
 
     def propose(self, solution: PartialSolution, planning: SearchState) -> Iterator[PartialSolution]:
         item, s = solution.scene.object(self.object), planning.settings
-        grasps, rejected = grasp_candidates(item, hand_of(solution.scene.model, self.gripper))
+        hand = hand_of(solution.scene.model, self.gripper)
+        grasps, rejected = grasp_candidates(item, hand)
+        none = "" if grasps else why_none(rejected, surface_coverage(item, hand))
         grasps = [g for g in grasps if g.name not in self.excluded]
         if self.among:
             grasps, rejected = [g for g in grasps if g.name in self.among], []
@@ -69,10 +71,13 @@ class ChooseGrasp:
             grasps.sort(key=lambda g: any(why_not(turned) for turned in _turned(proofs[g.name])))
         for grasp in grasps[: s.max_candidates * self.wider]:
             yield from self._approaches(solution, planning, grasp, proofs.get(grasp.name))
+        if none and not rejected:
+            planning.reject(self.name, "", none)
         for rejection in sorted(
             rejected, key=rejection_sort_key
         ):  # after the candidates that passed more tests
-            planning.reject(self.name, rejection.name, rejection.reason)
+            planning.reject(self.name, rejection.name, rejection.reason + (f" ({none})" if none else ""))
+            none = ""
 
     def _sifted(
         self, planning: SearchState, grasps: list[Grasp], why_not: Callable[[Grasp], str]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from armcell.collision import ExactChecker
 from armcell.core import SE3, PlanResult
 from armcell.grasping import (
     RELEASE_GAP,
@@ -41,6 +42,7 @@ from armcell.timing import reverse_trajectory
 
 UP = (0.0, 0.0, 1.0)
 IK_OFF = 1e-4  # [m] tolerance of the IK solution
+FINGER_GAP = 0.003  # [m] between an open finger and the other sides of a released object
 NO_SIDE = "it does not stand with that side up"
 DESCENT = ("candidate", "pre_place", "lower", "after_lower")
 """Names that `descents` provides to later stages."""
@@ -260,13 +262,26 @@ class OpenHand:
         detached = solution.scene.with_detached(self.object)
         widths = [min(now + share * self.margin, self.gripper.max_width) for share in (1.0, 0.5, 0.25)]
         for width in dict.fromkeys(widths):  # less if a finger would collide
+            opened = detached.with_state(finger_state(self.gripper, width))
+            if width > widths[-1] and self._fingers_touch(opened):
+                continue
             yield solution.then(
                 CheckStillHeld(self.object, self.gripper),
                 CommandGripper("open", self.gripper, width, self.gripper.max_force, self.settle),
                 Release(self.object),
                 WatchObject(self.object, on=False),
-                scene=detached.with_state(finger_state(self.gripper, width)),
+                scene=opened,
             )
+
+    def _fingers_touch(self, scene: PlanningScene) -> bool:
+        """Return whether an open finger would touch another side of the object, such as a ring's."""
+        checker = ExactChecker(scene, self.gripper.joint_names)
+        checker.set_configuration(scene.positions[checker.columns])
+        bodies = [geometry.body for geometry in checker.geometries]
+        pairs = [(a, b) for a, b in checker.pairs.tolist() if self.object in (bodies[a], bodies[b])]
+        near = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        near = near[checker.pair_gaps(near) < FINGER_GAP] if len(near) else near
+        return any(checker.pair_distance(a, b) < FINGER_GAP for a, b in near.tolist())
 
 
 @stage_types.register("expect_support")
