@@ -178,8 +178,9 @@ def page(kept: dict[str, Any]) -> str:
     """docs/benchmarks.md."""
     parts = [
         "# Benchmarks",
-        "`make bench` runs every benchmark in `benchmarks/` and writes the output of each to this page. "
-        '`ONLY="campaign wires"` selects benchmarks; `SIZE=quick` makes few runs and writes nothing.',
+        "The command `make bench` runs every benchmark in `benchmarks/` and writes the results to this page. "
+        'To run only some benchmarks, name them: `make bench ONLY="campaign wires"`. For a short test of the '
+        "benchmarks, run `make bench SIZE=quick`, which executes fewer runs and does not change this page.",
     ]
     for benchmark in BENCHMARKS:
         parts += [f"## {benchmark.title}", *section(benchmark, kept.get(benchmark.name))]
@@ -187,7 +188,11 @@ def page(kept: dict[str, Any]) -> str:
 
 
 def section(benchmark: Benchmark, found: dict[str, Any] | None) -> list[str]:
-    where = [f"For the results, see [{benchmark.title}]({benchmark.page})."] if benchmark.page else []
+    where = (
+        [f"For the results of this benchmark, see [{benchmark.title}]({benchmark.page})."]
+        if benchmark.page
+        else []
+    )
     drawn = []
     if benchmark.draws and (PAGE.parent / picture(benchmark)).exists():
         drawn.append(f"![{benchmark.title}]({picture(benchmark)})")

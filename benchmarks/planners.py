@@ -128,15 +128,17 @@ def measure(case: Case, pipeline: str, planner: str, seeds: int, seconds: float)
 
 HEAD = """# Comparison of all planners
 
-The table compares all planners of all pipelines on four problems, from the request to a proven and timed
-motion. Each cell of the table contains the number of solved runs, their median CPU time (all threads of the
-process) and their median path length.
+The tables describe four planning problems, and compare all planners of all pipelines on these problems.
+Each entry of the second table contains the number of solved runs, the median CPU time of the solved runs (all
+threads of the process) and the median path length of the solved runs. The CPU time covers planning from the
+request to a proven and timed motion.
 `make bench-planners` writes this page ({seeds} seeds, {seconds:g} s of planning time each, {machine}).
 
-Anytime planners use all of their planning time. OMPL's AORRTC, BIT*, PRM*, RRT* and similar planners stop
-after 1 s if they have a solution; the native AORRTC stops at the end of the planning time.
-The native PRM keeps its roadmap from run to run, so later seeds reuse the roadmap of earlier seeds.
-OMPL's planners call armcell's collision kernel from Python, and armcell shortens the paths of all planners.
+Anytime planners continue to improve a path until a time limit. OMPL's AORRTC, BIT*, PRM*, RRT* and
+similar planners stop after 1 s if they have a solution; the native AORRTC uses the whole planning time
+of {seconds:g} s. The native PRM keeps its roadmap from run to run, so the runs with later seeds reuse
+the roadmap of earlier runs. OMPL's planners call armcell's collision kernel from Python. armcell
+shortens the paths of all planners.
 
 """
 
