@@ -134,8 +134,8 @@ class Effect:
 
 
 def drawn(row: Row) -> dict[str, Any]:
-    """Return the values that were varied in a trial, by path:
-    the campaign's parameters and the cell's `randomize` draws.
+    """Return the values that a trial varied: parameters of the campaign and values that the cell's
+    `randomize` drew. The keys are the values' paths in the cell file.
 
     A trial whose values gave an invalid cell has no `randomize` draws.
     """

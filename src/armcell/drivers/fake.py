@@ -121,8 +121,8 @@ class FakeDriver(Driver):
             self._held[gripper] = (item, self._tcp(gripper).inverse() @ self._poses[item])
 
     def _between(self, gripper: str) -> str | None:
-        """Return the object that a fake gripper would grasp because
-        its bounding box contains the TCP, or a point within the stroke of a cup's lip, or None.
+        """Return the object that a fake gripper grasps, or None. Jaws grasp the object whose bounding
+        box contains the TCP; a suction cup grasps an object within reach of its lip.
         """
         g = self._model.gripper(gripper)
         points = [self._tcp(gripper).translation]

@@ -60,7 +60,7 @@ class SafetyEvent:
 
 
 class SupervisedArm(Protocol):
-    """Interface of an arm as the safety supervisor needs it."""
+    """What the safety supervisor reads from an arm and commands to it."""
 
     def fault(self) -> Fault | None:
         """Return the current safety fault of a supervised arm, or None."""

@@ -137,9 +137,7 @@ def top_down_grasps(
 def _only_pieces(
     seen: HeightMap, labels: NDArray[np.int64], T: SE3, width: float, half: float, tip: float
 ) -> bool:
-    """Return whether a grasp from above has only pieces of the heap
-    between the fingers, and no wall of the bin.
-    """
+    """Return whether 90 % of the points between the fingers belong to objects, not to the bin's walls."""
     r = seen.resolution
     x, y = np.meshgrid(np.arange(-half, half + r, r), np.arange(r - width / 2, width / 2, r))
     at = T.apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]

@@ -144,7 +144,7 @@ def _todo(
 
 
 def _lies_on(scene: PlanningScene, thing: DetectedObject, place_on: str) -> bool:
-    """Return whether the center of a detected object is above the target onto which it is sorted."""
+    """Return whether an object already lies on its target, because its detected center is above it."""
     frame, size_x, size_y = support_surface(scene.object(place_on))
     middle = thing.points.mean(axis=0) if thing.T_world_object is None else thing.T_world_object.translation
     x, y, z = frame.inverse().apply(middle)

@@ -151,8 +151,8 @@ def evaluate(kind, origin, x, y, length, radius, piece, s):
 
 @njit(cache=True)
 def chords(kind, origin, x, y, length, radius, turn, sagitta):
-    """Return points (m, n) along the pieces of a path, so close that the chords between them deviate by at
-    most `sagitta` [rad].
+    """Sample points (m, n) along the pieces of a path. Straight lines between these points deviate from the
+    path by at most `sagitta` [rad].
     """
     p, n = origin.shape
     count = np.ones(p, np.int64)

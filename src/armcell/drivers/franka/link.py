@@ -31,7 +31,8 @@ KEPT = 512  # states
 
 
 class WorkerLink:
-    """Link to the worker process of one Franka arm, which it starts and with which it exchanges messages.
+    """Connection to the worker process of one Franka arm: it starts the process and exchanges messages with
+    it.
 
     Attributes:
         history: (receive time [s, monotonic], state) of recent states, oldest first.

@@ -175,7 +175,9 @@ def _coasted(point: Point, now: float) -> tuple[Array, Array]:
 
 
 def _between(points: list[Point], now: float) -> Array:
-    """Interpolate between streamed Franka setpoints (7,) at a time, or return the nearest setpoint."""
+    """Return the joint positions (7,) at a given time, interpolated between streamed Franka setpoints. Before
+    the first and after the last setpoint, return this setpoint.
+    """
     if now <= points[0][0]:
         return points[0][1]
     for (t0, q0, v0), (t1, q1, v1) in pairwise(points):

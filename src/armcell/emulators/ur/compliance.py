@@ -97,8 +97,8 @@ def force_mode(
 
 
 def _turned(frame: Array, direction: Array, axis: int) -> Array:
-    """Return the frame of a compliance after the smallest rotation
-    that makes one axis point in a given direction.
+    """Rotate a compliance frame by the smallest angle after which one of its axes points in a given
+    direction.
 
     A zero direction leaves the frame unchanged.
     """

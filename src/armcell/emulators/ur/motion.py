@@ -336,7 +336,8 @@ class TrackL:
 
 
 class TorqueMotion:
-    """Motion of an emulated UR arm driven by joint torques, in addition to gravity compensation.
+    """Motion of an emulated UR arm in which a program sets the joint torques. The controller adds the torques
+    that compensate gravity.
 
     The arm's dynamics determine the acceleration.
     """

@@ -37,8 +37,8 @@ def _length(p, dof, first, last):
 
 @njit(cache=True)
 def _shortcuts(k, n, c, x, p, count, tried, f, t, at, rules, stop):
-    """Simplify a path under constraints: replace first long, then ever shorter parts of it with shortcuts
-    that are projected onto the constraints.
+    """Simplify a path under constraints by shortcuts that are projected onto the constraints. Long parts of
+    the path are replaced first, shorter parts later.
 
     p[tried:] is the walk's buffer.
     """

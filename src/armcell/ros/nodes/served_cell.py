@@ -97,7 +97,8 @@ class ServedCell:
         return self.thread.ident is not None and not self.over.is_set()
 
     def start(self, poll: float = 0.1, layer: Callable[[str], AbstractContextManager] = nullcontext) -> None:
-        """Connect a live cell, serve it with all its nodes on the bus, and return when the cell is ready.
+        """Connect a live cell and start all its nodes on the message bus. Return when the cell can answer
+        clients.
 
         Args:
             poll: polling period [s] for the cell's thread.

@@ -69,8 +69,8 @@ class Publication:
             return list(self._links)
 
     def refusal(self, header: Fields) -> str | None:
-        """Return the reason for which a published topic refuses a ROS 1 subscriber, or None.
-        The wording is that of roscpp and rospy.
+        """Return why this topic rejects a ROS 1 subscriber, in the words of roscpp and rospy, or None if it
+        accepts the subscriber.
         """
         md5, kind = header["md5sum"], header.get("type", self.type)
         if md5 in (ANY, self.md5):

@@ -115,7 +115,7 @@ class TourEstimator:
         return None if there is None else (near[0].seconds, near[0].q, there)
 
     def _on_zone(self, item: str) -> SE3:
-        """Return T_world_object of an object after an arm's tour has placed it on its zone."""
+        """Return the pose of an object in the world after an arm has placed it in its zone."""
         body, zone = self.scene.object(item), self.scene.object(self.zone[item])
         try:
             return place_candidates(body, zone)[0].T_world_object

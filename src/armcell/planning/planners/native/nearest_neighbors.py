@@ -164,8 +164,8 @@ def _join(nodes, floats, ints, dims, first, f, boxes, i, inside, leaf_of, leaf, 
 
 @inner_njit
 def _nearest(floats, dims, f, boxes, bounds, leaves, q, at, lanes):
-    """Find the slot that holds the nearest neighbor of configuration q[at:].
-    Slots (SIMD lanes) are counted over all leaves.
+    """Return the index of the nearest neighbor of configuration q[at:]: 16 times its leaf, plus its SIMD
+    lane.
     """
     zero, least, first = splat(np.float32(0.0)), np.float32(FAR * FAR), 0
     blocks = (leaves + L - 1) // L

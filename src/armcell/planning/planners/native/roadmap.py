@@ -76,8 +76,7 @@ class Search(NamedTuple):
 
 @inner_njit
 def _nearest_vertices(g, dof, q, at, k):
-    """Find in a compiled kernel the k vertices of a PRM roadmap that are nearest to q[at:], sorted by
-    distance.
+    """Find the k vertices of a PRM roadmap nearest to the configuration q[at:], sorted by distance.
 
     Write their numbers to g.ids and their squared distances to g.near. Return the count.
     """
