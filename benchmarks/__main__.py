@@ -74,6 +74,7 @@ BENCHMARKS = (
     Benchmark("wires", "The ROS-TCP wire", ("--seconds", "5")),
     Benchmark("two_arms", "Two arms", ("--runs", "1", "--recheck", "1", "--batches", "1")),
     Benchmark("carry", "Carrying round obstacles", ("--scenes", "4", "--recheck", "1", "--physics", "1")),
+    Benchmark("franka", "An emulated Franka arm", ("stops", "--count", "4"), full=("stops",)),
     Benchmark("ur_stops", "Stops of two emulated UR10", ("--count", "4"), draws=True),
     Benchmark(
         "twin_guard",

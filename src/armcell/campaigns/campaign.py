@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -84,6 +85,8 @@ def run(
     spec = store.spec
     if _sure_enough(store):
         return _sure(spec)
+    # Statistics between trials use it. A signal during an import ends the process at once, without a report.
+    importlib.import_module("scipy.stats")
     warm_up()  # compile once here instead of in every worker
     began, count = time.monotonic(), 0
     with _workers(store, workers, ray) as found:

@@ -21,7 +21,7 @@ from armcell.core import InputError, JointTrajectory
 from armcell.drivers.ur import program
 from armcell.drivers.ur.program import CANCELLED, DONE, RUNNING, ProgramSettings
 
-WORKER = Path(__file__).with_name("rtde_worker.py")
+WORKER = Path(__file__).with_name("ur_rtde_worker.py")
 STARTS_WITHIN = 20.0  # [s] to import ur_rtde, connect and upload its script
 ENDS_WITHIN = 0.5  # [s] to wait for the subprocess to end before killing it
 
