@@ -11,7 +11,8 @@ FOLDER = Path(everything.__file__).parent
 
 def test_every_benchmark_is_run():
     files = {f.stem for f in FOLDER.glob("*.py")} | {f.parent.name for f in FOLDER.glob("*/__main__.py")}
-    assert {b.name for b in everything.BENCHMARKS} == files - {"__init__", "__main__", "grasp_objects", "picture"}
+    helpers = {"__init__", "__main__", "grasp_objects", "picture"}
+    assert {b.name for b in everything.BENCHMARKS} == files - helpers
 
     for benchmark in everything.BENCHMARKS:
         assert isinstance(benchmark.quick, tuple) and isinstance(benchmark.full, tuple)

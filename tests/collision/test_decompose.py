@@ -159,3 +159,12 @@ def test_a_dimple_stays_free_however_small_its_volume():
         planes = ConvexHull(piece.vertices).equations
         height = (apple.vertices @ planes[:, :3].T + planes[:, 3]).max(axis=1)
         assert -height.min() <= concave_decomposition.DEPTH + 1e-6
+
+
+def test_overlapping_solids_of_one_mesh_stay_what_they_are():
+    """The mesh's volume counts their overlap twice: as one solid, their pieces would fill the corner."""
+    foot = trimesh.creation.box((0.08, 0.04, 0.01))
+    T = trimesh.transformations.translation_matrix((-0.035, 0, 0.025))
+    wall = trimesh.creation.box((0.01, 0.04, 0.06), T)
+    pieces = object_decomposition.object_pieces(mesh_of(trimesh.util.concatenate([foot, wall])))
+    assert sorted(volume([piece]) for piece in pieces) == pytest.approx([foot.volume * 0.75, foot.volume])

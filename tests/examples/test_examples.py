@@ -515,7 +515,7 @@ def test_36_tasks_of_stages(printed):
     for name in ("duration", "path_length", "both"):
         found = [float(c) for c in re.search(rf"by {name}: (.*)", text).group(1).split(", ")]
         assert len(found) == 4 and found == sorted(found)
-    assert "performed: SUCCESS - the last step: Together" in text
+    assert "performed: SUCCESS - the last step: ParallelMotions" in text
     assert re.search(r"\n  2 m +1 +0 +1 .*(out of reach|at the limit)", text)
     assert "SUCCESS 4 parts, 3 by plans made ahead {}" in text
 

@@ -30,10 +30,11 @@ VERSION = 3  # increase when the same mesh yields different pieces, to invalidat
 def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     """Decompose an object's mesh into convex meshes whose union contains it; the result is cached on disk.
 
-    The pieces of a closed mesh do not overlap. Their total volume exceeds the mesh's volume by at most
-    `concave.EXCESS`, and they cover no point of its surface deeper than `concave.DEPTH`, unless the budget of
-    `concave.cut` ends first. An open mesh has no volume:
-    `convex_pieces` divides it. The same mesh always yields the same pieces.
+    Each closed solid of a mesh is decomposed on its own, into pieces that do not overlap. Their total
+    volume exceeds the solid's volume by at most `concave_decomposition.EXCESS`, and they cover no point of
+    its surface deeper than `concave_decomposition.DEPTH`, unless the budget of `concave_decomposition.cut`
+    ends first. An open mesh has no volume: `convex_pieces` divides it. The same mesh always yields the same
+    pieces.
 
     Raises:
         InputError: the mesh is flat.
@@ -41,6 +42,11 @@ def object_pieces(mesh: Mesh) -> tuple[Mesh, ...]:
     import trimesh  # slow to import
 
     merged = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)  # STL files repeat their vertices
+    parts = merged.split(only_watertight=False)
+    if len(parts) > 1 and all(part.is_watertight and part.volume > 0 for part in parts):
+        # Solids that may overlap: the mesh's volume would count the overlap twice.
+        solids = (Mesh(part.vertices, part.faces.astype(np.int32)) for part in parts)
+        return tuple(piece for solid in solids for piece in object_pieces(solid))
     if not is_closed(mesh) or abs(merged.volume) > CONVEX * merged.convex_hull.volume:
         return convex_pieces(mesh)
     key = key_of(f"concave{VERSION}", mesh.vertices.astype(float), mesh.faces.astype(np.int32))

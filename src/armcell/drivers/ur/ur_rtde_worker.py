@@ -1,9 +1,9 @@
 """Subprocess for `ur_rtde`'s control interface, one per arm, because a lost link crashes it.
 
 With a lost link, the library ends the process by SIGSEGV. The file runs as a script and needs only the
-standard library and `ur_rtde`: `python ur_rtde_worker.py FD HOST FREQUENCY WATCHDOG STOP_DECELERATION`. FD is
-a socket for lines of JSON in both directions. It receives: beat, trajectory, point, cancel, payload, tcp, end.
-It sends: ready, then the progress in every cycle.
+standard library and `ur_rtde`: `python ur_rtde_worker.py FD HOST FREQUENCY WATCHDOG STOP_DECELERATION`. FD
+is a socket for lines of JSON in both directions. It receives: beat, trajectory, point, cancel, payload,
+tcp, end. It sends: ready, then the progress in every cycle.
 """
 
 from __future__ import annotations
