@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,17 @@ UNGUARDED = frozenset(
         Capability.REPORT_MODES,
     }
 )
+
+
+LOST = 0.003  # [m] decrease of a hand's width after which the object that it held is no longer there
+
+
+class _HeldObject(NamedTuple):
+    """Object in the hand of a real arm, as armcell believes it."""
+
+    name: str
+    T_tcp_object: SE3
+    width: float  # [m] of the hand when it grasped the object
 
 
 class RealDriver(Driver):
@@ -106,7 +117,8 @@ class RealDriver(Driver):
         }
         self._q = np.array(self._scene.positions, dtype=float)
         self._poses = {n: o.T_world_object for n, o in self._scene.objects.items() if o.movable}
-        self._held: dict[str, tuple[str, SE3]] = {}
+        self._held: dict[str, _HeldObject] = {}
+        self._lost: set[str] = set()  # grippers whose object slipped away; they have not opened since
         self._forces: dict[str, float] = {}
         self._T_world_base = {}  # frames of the controllers' bases
         for name, arm in self.arms.items():
@@ -158,7 +170,7 @@ class RealDriver(Driver):
         """Dry-run a trajectory for the real driver in the twin. Return the reason to refuse it, or None."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
-        held = {gripper: item for gripper, (item, _) in self._held.items()}
+        held = {gripper: held.name for gripper, held in self._held.items()}
         return self.guard.dry_run(trajectory, self.joint_state(), self._poses, held)
 
     def __exit__(self, *exc: object) -> None:
@@ -406,6 +418,7 @@ class RealDriver(Driver):
         present, holds = self._grippers[gripper].read()
         if width > present + 1e-3:
             self._held.pop(gripper, None)
+            self._lost.discard(gripper)
         elif not holds:
             self.zero_wrench(gripper)  # the empty gripper begins to close
         self._forces[gripper] = force
@@ -420,7 +433,7 @@ class RealDriver(Driver):
         held = self._held.get(gripper)
         if not holds or held is None:
             return GripperReading(width, 0.0)
-        return GripperReading(width, self._forces.get(gripper, 0.0), held[0])
+        return GripperReading(width, self._forces.get(gripper, 0.0), held.name)
 
     def wrench(self, gripper: str) -> NDArray[np.float64]:
         """Return the external wrench on a gripper of the real driver, as measured by the arm.
@@ -462,19 +475,20 @@ class RealDriver(Driver):
 
     def _carry(self, gripper: str, q: NDArray[np.float64]) -> None:
         """Update the real driver's object poses: an object that a gripper holds moves with the gripper."""
-        holds = self._grippers[gripper].read()[1]
+        width, holds = self._grippers[gripper].read()
         T_world_tcp = self._tree.link_pose(q, self._model.gripper(gripper).tcp_link)
-        if not holds:
-            self._held.pop(gripper, None)
-        elif gripper in self._held:
-            item, T_tcp_object = self._held[gripper]
-            self._poses[item] = T_world_tcp @ T_tcp_object
-        else:
-            for item, pose in self._poses.items():
-                low, high = self._scene.object(item).bounds()
+        held = self._held.get(gripper)
+        if held is not None and (not holds or width < held.width - LOST):
+            del self._held[gripper]
+            self._lost.add(gripper)
+        elif held is not None:
+            self._poses[held.name] = T_world_tcp @ held.T_tcp_object
+        elif holds and gripper not in self._lost:
+            for name, pose in self._poses.items():
+                low, high = self._scene.object(name).bounds()
                 point = pose.inverse().apply(T_world_tcp.translation)
                 if np.all(point >= low) and np.all(point <= high):
-                    self._held[gripper] = (item, T_world_tcp.inverse() @ pose)
+                    self._held[gripper] = _HeldObject(name, T_world_tcp.inverse() @ pose, width)
                     break
 
     def object_poses(self) -> dict[str, SE3]:

@@ -127,6 +127,7 @@ class Hand:
         if task.command is Command.GRASP:
             self.is_grasped = task.low < width < task.high
             self._grasp = (task.low, task.high) if self.is_grasped else None
+            self._drive(task.goal, task.force)  # keep pressing; the hand closes if the object slips away
             self._end(Status.SUCCESS if self.is_grasped else Status.UNSUCCESSFUL)
         else:
             self.homed = self.homed or task.command is Command.HOMING
