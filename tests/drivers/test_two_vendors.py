@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from tests.drivers.franka.emulated import free_host, operate
+from tests.drivers.franka.emulated import emulators, free_host, operate
 from tests.drivers.test_real_kinds import quintic, until
-from tests.drivers.ur.emulated import SRC, dashboard, free_hosts, free_port, in_real_time
+from tests.drivers.ur.emulated import dashboard, free_hosts, free_port, in_real_time
 from tests.execution.ungated import execute
-from tests.programs import Program
 
 from armcell.cell import load, run_task, with_values
 from armcell.cell.built_in import LIBRARY
@@ -66,29 +62,11 @@ def emulated(seed: int = 0):
         "real.arms.ur_arm.host": ur,
         "real.arms.ur_arm.port": free_port(),
     }
-    command = [sys.executable, "-m", "armcell", "emulate", CELL, "--seed", str(seed)]
-    for key, value in values.items():
-        command += ["--set", f"{key}={value}"]
-    process = Program(
-        command, env={**os.environ, "PYTHONPATH": os.path.abspath(SRC)}, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
-    try:
-        end = time.monotonic() + 120
-        while True:
-            if process.poll() is not None:
-                raise RuntimeError(process.communicate()[0])
-            with suppress(OSError):
-                operate(franka, "state")
-                break
-            assert time.monotonic() < end, "the emulators did not come up"
-            time.sleep(0.1)
-        # Wide, for machines that other programs fill; the defaults are 0.05, 1 and 0.1 s.
-        wide = {"real.max_state_age": 0.3, "real.max_silence": 3.0, "real.watchdog": 0.5}
+    given = [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+    # Wide, for machines that other programs fill; the defaults are 0.05, 1 and 0.1 s.
+    wide = {"real.max_state_age": 0.3, "real.max_silence": 3.0, "real.watchdog": 0.5}
+    with emulators("emulate", CELL, "--seed", str(seed), *given, host=franka):
         yield with_values(load(CELL), {**values, **wide}), franka, ur
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @pytest.mark.slow

@@ -35,7 +35,14 @@ def free_host() -> str:
 def emulator(*options: str):
     """`armcell franka-controller` at a free address, which it yields."""
     host = free_host()
-    command = [sys.executable, "-m", "armcell", "franka-controller", "--host", host, *options]
+    with emulators("franka-controller", "--host", host, *options, host=host):
+        yield host
+
+
+@contextmanager
+def emulators(*words: str, host: str):
+    """A command of armcell that emulates robots, from when the Franka arm at `host` answers."""
+    command = [sys.executable, "-m", "armcell", *words]
     process = Program(
         command, env={**os.environ, "PYTHONPATH": os.path.abspath(SRC)}, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True,
@@ -50,7 +57,7 @@ def emulator(*options: str):
                 break
             assert time.monotonic() < end, "the emulator did not come up"
             time.sleep(0.1)
-        yield host
+        yield
     finally:
         process.kill()
         process.communicate()

@@ -14,13 +14,11 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from enum import IntEnum
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.core import InputError
 from armcell.drivers.franka.client import FciClient, FciError
 from armcell.drivers.franka.wire import commands as wire
 from armcell.drivers.franka.wire.commands import (
@@ -48,20 +46,6 @@ DAMPING = (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0)  # [Nm s/rad] of the same e
 MAX_ACCELERATION = 20.0  # [rad/s^2] of the torque feedforward
 CLOSING_TIME = 0.5  # [s] for each thread to end
 POLL = 0.0005  # [s] between two looks at the robot's state
-
-
-def require_franky() -> None:
-    """Check that the library `franky` of the backend `franky` is installed.
-
-    Raises:
-        InputError: `franky` is not installed.
-    """
-    if find_spec("franky") is None:
-        raise InputError(
-            "'backend: franky' needs the library franky-control, which is not installed",
-            element="real/backend",
-            hint="pip install 'armcell[franka]' (it has wheels for Linux), or leave out 'backend'",
-        )
 
 
 class FrankyClient(FciClient):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from armcell import _interrupts
 from armcell.core import InputError
 from armcell.drivers.franka.arm import FrankaArm
 from armcell.drivers.franka.client import FciClient
-from armcell.drivers.franka.franky_client import require_franky
 from armcell.drivers.franka.identity import (
     FrankaIdentity,
     check_identity,
@@ -22,7 +22,7 @@ from armcell.drivers.franka.identity import (
 from armcell.drivers.franka.settings import FrankaArmSettings
 from armcell.drivers.franka.wire.commands import REQUESTS, Command
 from armcell.drivers.franka.wire.state import RobotMode
-from armcell.drivers.real import NetworkReport, RealSettings, RobotKind, robot_kinds
+from armcell.drivers.real import BackendLibrary, NetworkReport, RealSettings, RobotKind, robot_kinds
 from armcell.drivers.real.arm import Array
 from armcell.model import RobotModel
 
@@ -43,6 +43,7 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
     arm_settings = FrankaArmSettings
     joints = 7
     backends = ("own", "franky")
+    libraries: ClassVar = {"franky": BackendLibrary("franky-control", "franky", "franka", "for Linux")}
     calibrates = False
     effort = "torque", "Nm"
     gripper_hint = "add 'gripper: {kind: hand}' to its arm under 'real: arms:'"
@@ -53,10 +54,6 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
         for name, arm in arms.items():
             check_load(name, arm)
         return dict(arms)
-
-    def check_backend(self, backend: str) -> None:
-        if backend == "franky":
-            require_franky()
 
     def control(self, backend: str) -> str:
         return "armcell, at 1 kHz" if backend == "own" else backend

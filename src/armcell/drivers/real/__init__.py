@@ -4,11 +4,12 @@ from armcell.drivers.real.arm import RealArm, RealGripper
 from armcell.drivers.real.block import real_settings
 from armcell.drivers.real.driver import RealDriver
 from armcell.drivers.real.identity import NetworkReport, RobotIdentity, check_numbers
-from armcell.drivers.real.kinds import RobotKind, identify_all, kind_of, robot_kinds
+from armcell.drivers.real.kinds import BackendLibrary, RobotKind, identify_all, kind_of, robot_kinds
 from armcell.drivers.real.settings import ArmSettings, RealSettings
 
 __all__ = [
     "ArmSettings",
+    "BackendLibrary",
     "NetworkReport",
     "RealArm",
     "RealDriver",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Generic, TypeVar
+from importlib.util import find_spec
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,15 @@ A = TypeVar("A", bound=ArmSettings)
 I = TypeVar("I", bound=RobotIdentity)
 
 
+class BackendLibrary(NamedTuple):
+    """Library that a motion backend needs, and how to install it."""
+
+    name: str
+    module: str  # that Python imports
+    extra: str  # of armcell
+    wheels: str  # for which systems it has wheels
+
+
 class RobotKind(ABC, Generic[A, I]):
     """Interface of a robot kind, which a vendor implements for mode `real`, the bring-up and the twin.
 
@@ -29,6 +39,7 @@ class RobotKind(ABC, Generic[A, I]):
         arm_settings: model of an arm's block in the cell file.
         joints: number of joints of an arm.
         backends: valid values of `real: backend:`, the default first.
+        libraries: the libraries of the backends that need one.
         gripper_hint: how to configure a gripper in the cell file.
         calibrates: robots report the factory calibration of their geometry.
         effort: name and unit of `ArmSample.efforts`.
@@ -37,6 +48,7 @@ class RobotKind(ABC, Generic[A, I]):
     arm_settings: ClassVar[type[ArmSettings]]
     joints: ClassVar[int]
     backends: ClassVar[tuple[str, ...]] = ("own",)
+    libraries: ClassVar[Mapping[str, BackendLibrary]] = {}
     gripper_hint: ClassVar[str]
     calibrates: ClassVar[bool] = True
     effort: ClassVar[tuple[str, str]] = ("current", "A")
@@ -55,7 +67,14 @@ class RobotKind(ABC, Generic[A, I]):
         Raises:
             InputError: a library is missing; the error names the extra to install.
         """
-        return None
+        library = self.libraries.get(backend)
+        if library is not None and find_spec(library.module) is None:
+            raise InputError(
+                f"'backend: {backend}' needs the library {library.name}, which is not installed",
+                element="real/backend",
+                hint=f"pip install 'armcell[{library.extra}]' (it has wheels {library.wheels}), or leave out "
+                "'backend'",
+            )
 
     def control(self, backend: str) -> str:
         """Describe in a few words what controls the arms of a robot kind, for example "our program"."""

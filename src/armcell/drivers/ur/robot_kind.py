@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from typing import ClassVar
 
 import numpy as np
 
 from armcell import _interrupts
 from armcell.core import InputError
-from armcell.drivers.real import NetworkReport, RealSettings, RobotKind, robot_kinds
+from armcell.drivers.real import BackendLibrary, NetworkReport, RealSettings, RobotKind, robot_kinds
 from armcell.drivers.real.arm import Array
 from armcell.drivers.real.kinds import check_distinct
 from armcell.drivers.ur.arm import UrArm
@@ -20,7 +21,6 @@ from armcell.drivers.ur.network import measure_network
 from armcell.drivers.ur.rtde_client import RtdeClient
 from armcell.drivers.ur.settings import FIRST_PORT, UrArmSettings
 from armcell.drivers.ur.ur_rtde_arm import UrRtdeArm
-from armcell.drivers.ur.ur_rtde_connection import require_ur_rtde
 from armcell.drivers.ur.wire.kinematics import frames_of
 from armcell.drivers.ur.wire.models import ur_model
 from armcell.model import RobotModel
@@ -36,6 +36,9 @@ class UrKind(RobotKind[UrArmSettings, UrIdentity]):
     arm_settings = UrArmSettings
     joints = 6
     backends = ("own", "ur_rtde")
+    libraries: ClassVar = {
+        "ur_rtde": BackendLibrary("ur_rtde", "rtde_control", "ur-rtde", "up to Python 3.12")
+    }
     gripper_hint = "add 'gripper: {kind: socket}' or '{kind: tool_io}' to its arm under 'real: arms:'"
 
     def complete(self, arms: Mapping[str, UrArmSettings], model: RobotModel) -> dict[str, UrArmSettings]:
@@ -47,10 +50,6 @@ class UrKind(RobotKind[UrArmSettings, UrIdentity]):
         }
         check_distinct(numbered, "port", "port")
         return numbered
-
-    def check_backend(self, backend: str) -> None:
-        if backend == "ur_rtde":
-            require_ur_rtde()
 
     def control(self, backend: str) -> str:
         return "our program" if backend == "own" else backend

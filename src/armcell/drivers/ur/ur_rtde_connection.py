@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,20 +23,6 @@ from armcell.drivers.ur.program import CANCELLED, DONE, RUNNING, ProgramSettings
 WORKER = Path(__file__).with_name("ur_rtde_worker.py")
 STARTS_WITHIN = 20.0  # [s] to import ur_rtde, connect and upload its script
 ENDS_WITHIN = 0.5  # [s] to wait for the subprocess to end before killing it
-
-
-def require_ur_rtde() -> None:
-    """Check that the library `ur_rtde` is installed.
-
-    Raises:
-        InputError: `ur_rtde` is not installed.
-    """
-    if find_spec("rtde_control") is None:
-        raise InputError(
-            "'backend: ur_rtde' needs the library ur_rtde, which is not installed",
-            element="real/backend",
-            hint="pip install 'armcell[ur-rtde]' (it has wheels up to Python 3.12), or leave out 'backend'",
-        )
 
 
 class UrRtdeConnection:
@@ -67,9 +52,8 @@ class UrRtdeConnection:
         Return the session number.
 
         Raises:
-            InputError: ur_rtde is not installed, or cannot take control of the robot.
+            InputError: ur_rtde cannot take control of the robot.
         """
-        require_ur_rtde()
         self.close_links()
         self._session += 1
         ours, its = socket.socketpair()
