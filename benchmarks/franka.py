@@ -32,7 +32,7 @@ from armcell.cell import load, run_task, with_values
 from armcell.core import ArmcellError, InputError, JointTrajectory
 from armcell.drivers import DriverOptions
 from armcell.drivers.real import RealDriver
-from armcell.emulators.franka import free_arm
+from armcell.emulators.franka import scene_without_cell
 from armcell.emulators.franka.controller import TRACE
 from armcell.emulators.franka.operator_server import PORT as OPERATOR
 from armcell.planning import warm_up
@@ -83,7 +83,7 @@ def emulator(*command: str, log: Path | None = None) -> Iterator[None]:
 def one_arm(backend: str = "own", **settings) -> RealDriver:
     arms = {"arm": {"host": HOST, "model": "fr3", "backend": backend, "gripper": {"kind": "hand"}}}
     real = {"kind": "franka", "arms": arms, "twin": False, **settings}
-    return RealDriver(free_arm(), DriverOptions(extra={"real": real}))
+    return RealDriver(scene_without_cell(), DriverOptions(extra={"real": real}))
 
 
 def motion(driver: RealDriver, goal: np.ndarray, seconds: float) -> JointTrajectory:

@@ -13,7 +13,7 @@ from tests.drivers.toy_kind import ROBOTS, ToyKind, ToyRobot
 from tests.drivers.ur.emulated import dashboard, emulator, free_hosts, free_port
 
 from armcell.drivers.real import robot_kinds
-from armcell.emulators.franka import free_arm
+from armcell.emulators.franka import scene_without_cell
 from armcell.model import RobotModel, load_robot
 
 if "toy" not in robot_kinds:
@@ -63,7 +63,7 @@ def toy() -> Iterator[Rig]:
 def franka() -> Iterator[Rig]:
     with fci_emulator() as host:
         yield Rig(
-            free_arm().model, {"host": host}, lambda: operate(host, "user stop on"),
+            scene_without_cell().model, {"host": host}, lambda: operate(host, "user stop on"),
             lambda: operate(host, "user stop off"),
         )  # fmt: skip
 

@@ -14,7 +14,7 @@ from armcell.scene import CollisionObject, PlanningScene
 class Fingers:
     """A hand that reports a grasp as long as it is not closed fully."""
 
-    hint, silent = "", 0.0
+    hint, time_since_answer = "", 0.0
 
     def __init__(self):
         self.width = 0.08

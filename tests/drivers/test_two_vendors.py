@@ -90,7 +90,7 @@ def test_the_panda_hands_the_bar_to_the_ur10e():
 
 def _under_way(driver: RealDriver, motion: JointTrajectory) -> None:
     handle = driver.follow(motion)
-    until(lambda: (handle.clock() or 0.0) > 0.5)
+    until(lambda: (handle.trajectory_time() or 0.0) > 0.5)
 
 
 def _stopped(driver: RealDriver) -> Fault:

@@ -14,8 +14,8 @@ import numpy as np
 from armcell.core import InputError
 from armcell.drivers import Fault
 from armcell.drivers.motion_guard import ArmSample
-from armcell.drivers.real import ArmSettings, NetworkReport, RealArm, RobotKind, check_numbers
-from armcell.drivers.real.motion import Streamed
+from armcell.drivers.real import ArmSettings, NetworkReport, RealArm, RobotKind, check_serial_and_calibration
+from armcell.drivers.real.execution_handles import StreamedExecution
 
 RUNNING, NORMAL, PROTECTIVE_STOP = 7, 1, 3  # in the numbers of ur_dashboard_msgs
 
@@ -78,7 +78,7 @@ class ToyArm(RealArm):
     def close(self):
         self.halt()
 
-    def beat(self):
+    def send_keep_alive(self):
         self._on_state()
 
     # --- state ---
@@ -86,19 +86,19 @@ class ToyArm(RealArm):
     def time_of_state(self):
         return time.monotonic()
 
-    def measured_at(self, when):
+    def state_at(self, when):
         self.robot.update()
         return self.robot.q.copy(), self.robot.v.copy()
 
     def setpoint(self):
-        return self.measured_at(time.monotonic())
+        return self.state_at(time.monotonic())
 
     def sample(self):
-        q, v = self.measured_at(time.monotonic())
+        q, v = self.state_at(time.monotonic())
         return ArmSample(q, v, np.zeros(len(q)), 0.0, self.robot.slider)
 
     @property
-    def scaling(self):
+    def speed_scaling(self):
         return self.robot.slider
 
     def set_slider(self, fraction):
@@ -108,7 +108,7 @@ class ToyArm(RealArm):
     def modes(self):
         return RUNNING, PROTECTIVE_STOP if self.robot.stopped else NORMAL
 
-    def force(self):
+    def external_wrench(self):
         return np.zeros(3), np.zeros(3), np.zeros(3)
 
     def zero_force(self):
@@ -123,7 +123,7 @@ class ToyArm(RealArm):
     def halt(self):
         self.robot.hold()
 
-    def prepare_resume(self):
+    def check_resume(self):
         if self.robot.stopped:
             raise InputError(f"arm {self.name!r}: protective stop", hint="unlock it")
 
@@ -132,7 +132,7 @@ class ToyArm(RealArm):
 
     # --- motion ---
     def follow(self, trajectory):
-        return Streamed([self], trajectory.reindexed(self.joint_names), self._lead, self.fault)
+        return StreamedExecution([self], trajectory.reindexed(self.joint_names), self._lead, self.fault)
 
     def servo(self, q, v, at):
         self.robot.update()
@@ -153,7 +153,7 @@ class ToyKind(RobotKind[ToySettings, ToyIdentity]):
         return ToyIdentity(arm.host, ROBOTS[arm.host].serial)
 
     def check_identity(self, name, arm, found):
-        check_numbers(name, arm, found)
+        check_serial_and_calibration(name, arm, found)
 
     def check_ready(self, name, found):
         if ROBOTS[found.host].stopped:

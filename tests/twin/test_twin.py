@@ -155,7 +155,7 @@ class Robot:
         self.sliders, self.seen, self.ramp, self.now = [], None, ramp, 1.0
 
     @property
-    def scaling(self):
+    def speed_scaling(self):
         if self.sliders:
             self.now = max(self.now - self.ramp, self.sliders[-1])
         return self.now

@@ -125,7 +125,8 @@ def check_controllers(cell: Cell, mode: str) -> str:
             raise
         raise InputError(error.reason, file=cell.file, element=error.element, hint=error.hint) from None
     return ", ".join(
-        f"{name}: {kind_of(arm).control(arm.backend)} at {arm.host}" for name, arm in settings.arms.items()
+        f"{name}: {kind_of(arm).controller_description(arm.backend)} at {arm.host}"
+        for name, arm in settings.arms.items()
     )
 
 

@@ -51,11 +51,17 @@ def franka_controller(
 
     Runs with real-time priority if permitted (as root on Linux).
     """
-    from armcell.emulators.franka import ControllerSettings, FrankaPlant, Rack, free_arm, torque_world
+    from armcell.emulators.franka import (
+        ControllerSettings,
+        FrankaPlant,
+        FrankaRack,
+        scene_without_cell,
+        torque_world,
+    )
     from armcell.emulators.shared_world import SharedWorld
 
     if cell is None:
-        world = torque_world(free_arm())
+        world = torque_world(scene_without_cell())
     else:
         from armcell.cell import load
 
@@ -72,7 +78,7 @@ def franka_controller(
         model, host, locked=locked, active=not inactive, homed=not unhomed, protocol=protocol
     )
     file = trace.open("wb", buffering=0) if trace is not None else None
-    rack = Rack([settings], [plant], arms, file, reset_between_runs)
+    rack = FrankaRack([settings], [plant], arms, file, reset_between_runs)
     rack.open()
     controller = rack.controllers[0]
     console.print(f"{model} at {host}, protocol {settings.version}", soft_wrap=True)

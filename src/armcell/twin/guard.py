@@ -191,7 +191,7 @@ class MonitoredExecution:
 
     # --- comparison with the twin ---
     def _look(self, arm: GuardedArm, t: float) -> None:
-        sample, scaling = arm.sample(), arm.scaling
+        sample, scaling = arm.sample(), arm.speed_scaling
         q, v, current = sample.positions, sample.velocities, sample.efforts
         if self._sent_for is None:  # the robot plays the trajectory: its measurement contains its clock
             clock = sample.clock

@@ -19,7 +19,7 @@ from armcell.drivers.franka.arm import FrankaArm
 from armcell.drivers.franka.client import FciClient
 from armcell.drivers.franka.wire import commands as wire
 from armcell.drivers.real import RealDriver
-from armcell.emulators.franka import free_arm
+from armcell.emulators.franka import scene_without_cell
 
 pytestmark = pytest.mark.slow
 AMPLITUDE = np.array([0.3, 0.1, -0.2, 0.2, 0.2, -0.2, 0.3])
@@ -43,7 +43,7 @@ def driver(host: str, **arm) -> RealDriver:
     block = {"host": host, "gripper": {"kind": "hand"}, **arm}
     # a busy machine delays this process; how old a state may be is not under test
     real = {"kind": "franka", "twin": False, "max_state_age": 1.0, "watchdog": 0.5, "arms": {"arm": block}}
-    return RealDriver(free_arm(), DriverOptions(extra={"real": real}))
+    return RealDriver(scene_without_cell(), DriverOptions(extra={"real": real}))
 
 
 def swing(arm: FrankaArm, duration: float = 1.5) -> JointTrajectory:
@@ -101,6 +101,7 @@ def test_a_trajectory_moves_the_arm_and_the_hand_grasps(host):
         assert abs(live.gripper("hand").width - 0.03) < 2e-3
 
 
+@pytest.mark.realtime
 def test_a_panda_moves_stops_and_resumes_over_protocol_5():
     with emulator("--model", "panda") as address, driver(address, model="panda") as live:
         arm = franka(live)
@@ -119,6 +120,7 @@ def test_a_panda_moves_stops_and_resumes_over_protocol_5():
         assert wait(live.follow(swing(arm))) == "done", live.fault()
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("command", "kind"),
     [("reflex", "protective stop"), ("user stop on", "emergency stop"), ("fault drop 0.5", "link lost")],
@@ -237,6 +239,7 @@ def test_the_address_of_a_ur_is_recognized():
         driver("127.0.121.8").__enter__()
 
 
+@pytest.mark.realtime
 def test_streamed_targets_take_over_from_a_trajectory(host):
     with driver(host) as live:
         arm = franka(live)

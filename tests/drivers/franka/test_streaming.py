@@ -10,9 +10,15 @@ from tests.sizes import seeds
 from armcell.core import JointTrajectory
 from armcell.core.errors import InputError
 from armcell.drivers.franka.arm import time_stretch
-from armcell.drivers.franka.streaming import COAST, TICK, Points, Rows, Setpoints
+from armcell.drivers.franka.motion_limits import FR3, PANDA
+from armcell.drivers.franka.setpoint_stream import (
+    COAST,
+    TICK,
+    SampledTrajectory,
+    SetpointStream,
+    TimedSetpoints,
+)
 from armcell.drivers.franka.wire.commands import MoveGenerator, MoveStatus
-from armcell.drivers.franka.wire.limits import FR3, PANDA
 from armcell.drivers.franka.wire.state import RobotCommand, RobotMode
 
 SPEED, ACCELERATION = 1.2, 7.0
@@ -29,7 +35,7 @@ def trapezoid(q: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
 
 
 def drive(
-    rig: Rig, setpoints: Setpoints, lost, milliseconds: int, pace=lambda t: 1.0, wall=lambda k: k * TICK
+    rig: Rig, setpoints: SetpointStream, lost, milliseconds: int, pace=lambda t: 1.0, wall=lambda k: k * TICK
 ) -> np.ndarray:
     """Answer the robot's states with setpoints; `lost(k)`: 1 if a state, 2 if a command is lost.
 
@@ -59,7 +65,7 @@ def test_lost_states_and_commands_never_make_the_arm_jump(seed):
     gaps = np.zeros(3000, dtype=int)
     for start in rng.integers(20, 1000, 6):
         gaps[start : start + rng.integers(1, 15)] = rng.integers(1, 3)
-    path = drive(rig, Setpoints(Rows(rows)), lambda k: gaps[k], 3000)
+    path = drive(rig, SetpointStream(SampledTrajectory(rows)), lambda k: gaps[k], 3000)
     assert rig.answers == [MoveStatus.STARTED, MoveStatus.SUCCESS], rig.texts
     assert np.abs(path[-1] - rows[-1]).max() < 1e-5
     assert np.abs(np.diff(path, axis=0)).max() < 1.5 * SPEED * TICK
@@ -67,7 +73,7 @@ def test_lost_states_and_commands_never_make_the_arm_jump(seed):
 
 def test_a_deviation_of_micrometers_is_no_step():
     """A robot may extrapolate lost commands to within 3e-6 rad: such a step is 6000 rad/s^3 at 1 kHz."""
-    setpoints, rest = Setpoints(Rows(np.zeros((100, 7)))), np.zeros(7)
+    setpoints, rest = SetpointStream(SampledTrajectory(np.zeros((100, 7)))), np.zeros(7)
     setpoints.next(1, 1.0, 0.0, rest, rest, rest)
     here = np.full(7, 2.8e-6)
     step = setpoints.next(1, 1.0, TICK, here, rest, rest) - here
@@ -79,7 +85,7 @@ def test_a_motion_may_start_beside_the_setpoint_and_follow_the_slider():
     rig = Rig()
     rows = trapezoid(rig.robot.reference.q + 0.003, np.full(7, 0.3))
     slider = lambda t: 0.0 if 0.3 < t < 0.8 else 0.6  # noqa: E731
-    path = drive(rig, Setpoints(Rows(rows), pace=0.6), lambda k: 0, 4000, slider)
+    path = drive(rig, SetpointStream(SampledTrajectory(rows), pace=0.6), lambda k: 0, 4000, slider)
     assert rig.answers[-1] is MoveStatus.SUCCESS, rig.texts
     assert np.abs(path[-1] - rows[-1]).max() < 1e-5
     assert len(path) > len(rows) / 0.6 + 400
@@ -88,12 +94,12 @@ def test_a_motion_may_start_beside_the_setpoint_and_follow_the_slider():
 @pytest.mark.slow
 def test_streamed_points_are_joined_and_end_at_rest():
     rig = Rig()
-    start, points = rig.robot.reference.q, Points()
+    start, points = rig.robot.reference.q, TimedSetpoints()
     for k in range(60):
         t = 0.008 * k
         s, v = 0.1 * (1 - np.cos(2 * t)), 0.2 * np.sin(2 * t)
         points.add(t + 0.04, start + s, np.full(7, v))
-    path = drive(rig, Setpoints(points), lambda k: 0, 3000)
+    path = drive(rig, SetpointStream(points), lambda k: 0, 3000)
     assert rig.answers[-1] is MoveStatus.SUCCESS, rig.texts
     coasted = (0.2 * np.sin(2 * 0.472)) ** 2 / (2 * COAST)
     assert np.abs(path[-1] - start - 0.1 * (1 - np.cos(2 * 0.472)) - coasted).max() < 1e-5
@@ -103,7 +109,7 @@ def test_streamed_points_are_joined_and_end_at_rest():
 @pytest.mark.parametrize("seed", seeds(2, range(6)))
 def test_streamed_points_with_jitter_delays_and_a_gap_never_make_the_arm_jump(seed):
     rig, rng = Rig(), np.random.default_rng(seed)
-    start, points = rig.robot.reference.q, Points()
+    start, points = rig.robot.reference.q, TimedSetpoints()
     amplitude = rng.uniform(-0.3, 0.3, 7)
     late = np.cumsum(rng.exponential(0.05 * TICK, 5000))  # the robot's clock is 5 % slow, and states are late
     late[int(rng.integers(200, 900)) :] += rng.uniform(0.02, 0.2)
@@ -120,7 +126,7 @@ def test_streamed_points_with_jitter_delays_and_a_gap_never_make_the_arm_jump(se
 
     wall.sent = 0
     wall(0)
-    path = drive(rig, Setpoints(points), lambda k: 0, 5000, wall=wall)
+    path = drive(rig, SetpointStream(points), lambda k: 0, 5000, wall=wall)
     assert wall.sent == 200 and rig.answers[-1] is MoveStatus.SUCCESS, rig.texts
     v = np.abs(np.sin(2 * 1.592) * amplitude)
     goal = start + 0.5 * (1 - np.cos(2 * 1.592)) * amplitude

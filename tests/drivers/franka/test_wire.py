@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armcell.drivers.franka.motion_limits import FR3, LIMITS, PANDA
 from armcell.drivers.franka.wire import commands, gripper
 from armcell.drivers.franka.wire.commands import (
     PROTOCOLS,
@@ -24,7 +25,6 @@ from armcell.drivers.franka.wire.commands import (
     WireError,
 )
 from armcell.drivers.franka.wire.errors import ERRORS
-from armcell.drivers.franka.wire.limits import FR3, LIMITS, PANDA
 from armcell.drivers.franka.wire.state import (
     COMMANDS,
     FIELDS,
@@ -75,7 +75,7 @@ def test_a_state_survives_the_wire(version):
         message[name] = value
     message.errors[ERRORS.index("joint_reflex")] = 1
     message.reflex_reason[ERRORS.index("power_limit_violation")] = 1
-    message.head(2**40 + 7, 1, 2, 4, 0.5)
+    message.write_scalars(2**40 + 7, 1, 2, 4, 0.5)
     state = read_state(bytes(message))
     assert (state.time, state.generator, state.controller, state.mode) == (2**40 + 7, 1, 2, 4)
     assert (state.errors, state.last_errors) == (("joint_reflex",), ("power_limit_violation",))

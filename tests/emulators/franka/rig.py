@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from armcell.drivers.franka.motion_limits import FR3
 from armcell.drivers.franka.wire.commands import MoveController, MoveGenerator, MoveRequest, MoveStatus
-from armcell.drivers.franka.wire.limits import FR3
 from armcell.drivers.franka.wire.state import RobotCommand, RobotMode, RobotState, read_state
-from armcell.emulators.franka import FrankaPlant, free_arm, torque_world
+from armcell.emulators.franka import FrankaPlant, scene_without_cell, torque_world
 from armcell.emulators.franka.robot import Robot
 from armcell.emulators.franka.robot_state import StateWriter
 from armcell.emulators.shared_world import SharedWorld
@@ -22,7 +22,7 @@ class Rig:
     """One arm and a client that answers every state, or not."""
 
     def __init__(self, scene: PlanningScene | None = None):
-        self.plant = FrankaPlant(SharedWorld(torque_world(scene or free_arm())), "arm")
+        self.plant = FrankaPlant(SharedWorld(torque_world(scene or scene_without_cell())), "arm")
         self.robot = Robot(FR3, self.plant)
         self._writer = StateWriter(self.robot)
         self.answers: list[MoveStatus] = []

@@ -206,7 +206,7 @@ def test_a_push_is_felt_and_a_strong_push_is_a_reflex():
 @pytest.mark.slow
 def test_the_configured_load_carries_an_unknown_payload():
     rig = Rig()
-    rig.plant.payload(1.0)
+    rig.plant.attach_payload(1.0)
     rig.idle(1000)
     sagged = rig.state["tau_ext_hat_filtered"]
     assert np.abs(sagged).max() > 3.0
@@ -222,7 +222,7 @@ def test_the_configured_load_carries_an_unknown_payload():
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["user stop", "reflex", "stop"])
 def test_a_moving_arm_comes_to_rest_without_a_step(fault):
-    from armcell.emulators.franka.generators import Reflex
+    from armcell.emulators.franka.motion_generators import Reflex
 
     rig = Rig()
     start = rig.robot.q

@@ -1,5 +1,5 @@
 """Franka arms (FR3, Panda) in pure Python over Franka's Control Interface; kind `franka`."""
 
-from armcell.drivers.franka.kind import FrankaKind
+from armcell.drivers.franka.robot_kind import FrankaKind
 
 __all__ = ["FrankaKind"]

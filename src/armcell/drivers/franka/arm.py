@@ -12,12 +12,12 @@ from armcell.core import InputError, JointTrajectory
 from armcell.drivers.execution_handle import RUNNING, ExecutionHandle
 from armcell.drivers.franka.hand import FrankaHand
 from armcell.drivers.franka.identity import HINTS, FrankaIdentity, check_position, identify
-from armcell.drivers.franka.link import WorkerLink
+from armcell.drivers.franka.motion_limits import FrankaLimits, limits_of
+from armcell.drivers.franka.setpoint_stream import TICK
 from armcell.drivers.franka.settings import FrankaArmSettings
-from armcell.drivers.franka.streaming import TICK
 from armcell.drivers.franka.wire.commands import REQUESTS, Command, RecoveryStatus
-from armcell.drivers.franka.wire.limits import FrankaLimits, limits_of
 from armcell.drivers.franka.wire.state import GeneratorMode, RobotMode, RobotState
+from armcell.drivers.franka.worker_connection import WorkerConnection
 from armcell.drivers.motion_guard import ArmSample
 from armcell.drivers.real import RealArm, RealGripper, RealSettings
 from armcell.drivers.safety import Fault
@@ -81,7 +81,7 @@ class FrankaArm(RealArm):
         self.settings, self.identity, self._supervision = settings, identity, limits
         self.limits = limits_of(settings.model)
         self.step = 0.004  # [s]
-        self._link = WorkerLink(name, settings.host, limits.watchdog, settings.backend, on_state)
+        self._link = WorkerConnection(name, settings.host, limits.watchdog, settings.backend, on_state)
         self.armed = False
         self._slider, self._streamed, self._halted = 1.0, 0.0, 0.0
         self._number = 0
@@ -106,7 +106,7 @@ class FrankaArm(RealArm):
         if own.payload is not None:
             inertia = (0.4 * own.payload * own.payload_radius**2 * np.eye(3)).ravel()
             self._set(Command.SET_LOAD, (own.payload, *own.payload_cog, *inertia), "load")
-        self._link.set_pace(self._slider)
+        self._link.set_speed_scaling(self._slider)
 
     def _set(self, command: Command, values: Sequence[float], what: str) -> None:
         status = self._link.ask(command, REQUESTS[command].pack(*values))
@@ -124,7 +124,7 @@ class FrankaArm(RealArm):
         self.armed = False
         self._link.close()
 
-    def beat(self) -> None:
+    def send_keep_alive(self) -> None:
         self._link.beat()
 
     # --- state ---
@@ -142,7 +142,7 @@ class FrankaArm(RealArm):
     def time_of_state(self) -> float:
         return self._link.history[-1][0]
 
-    def measured_at(self, when: float) -> tuple[Array, Array]:
+    def state_at(self, when: float) -> tuple[Array, Array]:
         history = list(self._link.history)
         after_time, after = history[-1]
         for measured, state in reversed(history):
@@ -165,12 +165,12 @@ class FrankaArm(RealArm):
         )
 
     @property
-    def scaling(self) -> float:
+    def speed_scaling(self) -> float:
         return self._slider
 
     def set_slider(self, fraction: float) -> None:
         self._slider = float(np.clip(fraction, 0.0, 1.0))
-        self._link.set_pace(self._slider)
+        self._link.set_speed_scaling(self._slider)
 
     @property
     def modes(self) -> tuple[int, int]:
@@ -186,7 +186,7 @@ class FrankaArm(RealArm):
         """
         return self.state.success_rate
 
-    def force(self) -> tuple[Array, Array, Array]:
+    def external_wrench(self) -> tuple[Array, Array, Array]:
         state = self.state
         felt = -state["O_F_ext_hat_K"] - self._no_force  # Franka reports forces on the environment
         return felt[:3], felt[3:], state["O_T_EE"].reshape(4, 4).T[:3, 3]
@@ -210,8 +210,8 @@ class FrankaArm(RealArm):
         state, mode = self.state, RobotMode(self.state.mode)
         if mode not in (RobotMode.IDLE, RobotMode.MOVE):
             return self._mode_fault(mode, state)
-        if self.armed and link.age > (limits.max_state_age if self.moving else limits.max_silence):
-            text = f"its state is {link.age * 1000:.0f} ms old"
+        if self.armed and link.state_age > (limits.max_state_age if self.moving else limits.max_silence):
+            text = f"its state is {link.state_age * 1000:.0f} ms old"
             return Fault(self.name, "stale state", text, "check the network")
         error = float(np.abs(state["q_d"] - state["q"]).max())
         if self.armed and error > limits.max_tracking_error:
@@ -233,7 +233,7 @@ class FrankaArm(RealArm):
         self._streamed, self._halted = 0.0, time.monotonic()
         self._link.cancel()
 
-    def prepare_resume(self) -> None:
+    def check_resume(self) -> None:
         if self._link.error is not None:
             found = identify(self.settings.host)
             if (found.model, found.calibration) != (self.identity.model, self.identity.calibration):
@@ -280,7 +280,7 @@ class FrankaArm(RealArm):
 
     # --- motion ---
     def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
-        return Played(self, trajectory.reindexed(self.joint_names))
+        return FrankaExecution(self, trajectory.reindexed(self.joint_names))
 
     def play(self, trajectory: JointTrajectory) -> tuple[int, float]:
         """Play a trajectory on the real Franka arm, more slowly if Franka's limits require it.
@@ -318,7 +318,7 @@ class FrankaArm(RealArm):
 REALTIME = "the robot missed 20 commands in a row: free this computer, or use chrt -f 10 armcell ..."
 
 
-class Played:
+class FrankaExecution:
     """Handle of a trajectory that the worker of a Franka arm plays. The speed slider slows its clock."""
 
     def __init__(self, arm: FrankaArm, trajectory: JointTrajectory):
@@ -334,7 +334,7 @@ class Played:
         return self._arm.result(self._number)
 
     def paused(self) -> bool:
-        return self._arm.scaling <= 0.0
+        return self._arm.speed_scaling <= 0.0
 
     def cancel(self) -> None:
         self._arm.cancel()

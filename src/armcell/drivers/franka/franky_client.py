@@ -109,7 +109,7 @@ class FrankyClient(FciClient):
             flags[:] = [getattr(errors, name.lower(), False) for name in ERRORS]
         generator = GeneratorMode.JOINT_POSITION if moving else GeneratorMode.IDLE
         controller = ControllerMode.EXTERNAL if moving else ControllerMode.OTHER
-        m.head(now, generator, controller, mode, state.control_command_success_rate)
+        m.write_scalars(now, generator, controller, mode, state.control_command_success_rate)
         return bytes(m)
 
     # --- commands ---

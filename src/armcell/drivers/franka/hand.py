@@ -175,7 +175,7 @@ class FrankaHand:
         return self._reading
 
     @property
-    def silent(self) -> float:
+    def time_since_answer(self) -> float:
         return time.monotonic() - self._heard
 
     def close(self) -> None:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.drivers.franka.client import FciClient, FciError
+from armcell.drivers.franka.motion_limits import HAND_MASS, MAX_LOAD, limits_of
 from armcell.drivers.franka.settings import FrankaArmSettings
 from armcell.drivers.franka.wire.commands import Command, WireError
-from armcell.drivers.franka.wire.limits import HAND_MASS, MAX_LOAD, limits_of
 from armcell.drivers.franka.wire.state import RobotMode, RobotState, read_state
-from armcell.drivers.real import check_numbers
+from armcell.drivers.real import check_serial_and_calibration
 
 Array = NDArray[np.float64]
 
@@ -129,7 +129,7 @@ def check_identity(name: str, arm: FrankaArmSettings, found: FrankaIdentity) -> 
             f"arm {name!r}: the robot at {arm.host} is a {found.model}, the cell file says {arm.model}",
             hint=f"set 'model: {found.model}', or correct the address",
         )
-    check_numbers(name, arm, found)
+    check_serial_and_calibration(name, arm, found)
 
 
 def check_load(name: str, arm: FrankaArmSettings) -> None:

@@ -6,12 +6,12 @@ from typing import Literal
 
 from pydantic import Field
 
-from armcell.drivers.franka.wire.limits import MAX_LOAD
+from armcell.drivers.franka.motion_limits import MAX_LOAD
 from armcell.drivers.real import ArmSettings
-from armcell.drivers.real.settings import Strict
+from armcell.drivers.real.settings import StrictSettings
 
 
-class HandSettings(Strict):
+class HandSettings(StrictSettings):
     """Settings of the Franka Hand."""
 
     kind: Literal["hand"] = "hand"

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from armcell.drivers.franka import frames
+from armcell.drivers.franka import worker_messages
 from armcell.drivers.franka.client import FciClient, FciError
-from armcell.drivers.franka.streaming import Points, Rows, Setpoints
+from armcell.drivers.franka.setpoint_stream import SampledTrajectory, SetpointStream, TimedSetpoints
 from armcell.drivers.franka.wire.commands import (
     STATUS,
     Command,
@@ -57,9 +57,11 @@ class Worker:
         self._beaten, self._pace = time.monotonic(), 1.0
         self._open = True
         self._state: RobotState | None = None
-        self._setpoints: Setpoints | None = None
-        self._waiting: tuple[float, Rows | Points] | None = None  # source of a motion that has not started
-        self._points: Points | None = None
+        self._setpoints: SetpointStream | None = None
+        self._waiting: tuple[float, SampledTrajectory | TimedSetpoints] | None = (
+            None  # source of a motion that has not started
+        )
+        self._points: TimedSetpoints | None = None
         self._number, self._streaming = 0, False
         self._moving, self._ending = False, False
         client.tcp.setblocking(False)
@@ -104,7 +106,7 @@ class Worker:
 
     # --- armcell ---
     def _event(self, **event: Any) -> None:
-        self._write(frames.pack_json(frames.EVENT, event))
+        self._write(worker_messages.pack_json(worker_messages.EVENT, event))
 
     def _write(self, data: bytes) -> None:
         try:
@@ -113,10 +115,10 @@ class Worker:
             self._open = False
 
     def _read_orders(self) -> None:
-        self._open = frames.read_into(self._link, self._received)
-        while (message := frames.take(self._received)) is not None:
+        self._open = worker_messages.read_into(self._link, self._received)
+        while (message := worker_messages.take_message(self._received)) is not None:
             kind, content = message
-            if kind == frames.ROWS:
+            if kind == worker_messages.ROWS:
                 self._rows = content
             else:
                 self._obey(json.loads(content))
@@ -129,7 +131,7 @@ class Worker:
                 self._pace = order["pace"]
             case "trajectory":
                 rows = np.frombuffer(self._rows, dtype="<f8").reshape(-1, 7)
-                self._begin(Rows(rows), order["number"], streaming=False)
+                self._begin(SampledTrajectory(rows), order["number"], streaming=False)
             case "point":
                 self._take_point(order)
             case "cancel":
@@ -162,7 +164,7 @@ class Worker:
             raise FciError("closed", f"the connection broke: {error.strerror}") from None
 
     # --- motions ---
-    def _begin(self, source: Rows | Points, number: int, streaming: bool) -> None:
+    def _begin(self, source: SampledTrajectory | TimedSetpoints, number: int, streaming: bool) -> None:
         if self._moving:
             self._cancel()
         self._number, self._streaming = number, streaming
@@ -171,14 +173,14 @@ class Worker:
 
     def _take_point(self, order: dict[str, Any]) -> None:
         point = order["at"], np.array(order["q"]), np.array(order["v"])
-        if self._points is None or self._points.ended or not self._streaming:
-            self._points = Points()
+        if self._points is None or self._points.is_finished or not self._streaming:
+            self._points = TimedSetpoints()
             self._points.add(*point)
             self._begin(self._points, 0, streaming=True)
         else:
             self._points.add(*point)
 
-    def _start(self, state: RobotState, since: float, source: Rows | Points) -> None:
+    def _start(self, state: RobotState, since: float, source: SampledTrajectory | TimedSetpoints) -> None:
         """Start the waiting motion of the Franka worker once the robot is idle.
         It has been waiting since the time `since` [s, monotonic].
         """
@@ -187,7 +189,7 @@ class Worker:
                 self._drop()
                 self._result(f"the robot is not ready: mode {RobotMode(state.mode).name}")
             return
-        setpoints = Setpoints(source, self._pace)
+        setpoints = SetpointStream(source, self._pace)
         off = setpoints.start_error(state["q_d"])
         if off > START_DISTANCE:
             self._drop()
@@ -264,7 +266,11 @@ class Worker:
         if report:
             raw = max(messages, key=lambda m: m[:8][::-1])
             clock = self._setpoints.source.clock if self._setpoints is not None else 0.0
-            self._write(frames.pack(frames.STATE, frames.PROGRESS.pack(now, self._number, clock) + raw))
+            self._write(
+                worker_messages.pack(
+                    worker_messages.STATE, worker_messages.PROGRESS.pack(now, self._number, clock) + raw
+                )
+            )
 
     def _stream(self, state: RobotState, ticks: int, now: float) -> None:
         setpoints = self._setpoints
@@ -290,7 +296,7 @@ def main(descriptor: str, host: str, watchdog: str, backend: str) -> None:
     try:
         client = _client(host, backend)
     except FciError as error:
-        link.sendall(frames.pack_json(frames.EVENT, {"failed": str(error)}))
+        link.sendall(worker_messages.pack_json(worker_messages.EVENT, {"failed": str(error)}))
         return
-    link.sendall(frames.pack_json(frames.EVENT, {"ready": True}))
+    link.sendall(worker_messages.pack_json(worker_messages.EVENT, {"ready": True}))
     Worker(link, client, float(watchdog)).run()

@@ -1,11 +1,11 @@
 """Mode `real`: one driver for real arms of any kind, and the interface of robot kinds."""
 
 from armcell.drivers.real.arm import RealArm, RealGripper
-from armcell.drivers.real.block import real_settings
 from armcell.drivers.real.driver import RealDriver
-from armcell.drivers.real.identity import NetworkReport, RobotIdentity, check_numbers
-from armcell.drivers.real.kinds import BackendLibrary, RobotKind, identify_all, kind_of, robot_kinds
+from armcell.drivers.real.identity import NetworkReport, RobotIdentity, check_serial_and_calibration
+from armcell.drivers.real.robot_kind import BackendLibrary, RobotKind, identify_all, kind_of, robot_kinds
 from armcell.drivers.real.settings import ArmSettings, RealSettings
+from armcell.drivers.real.settings_validation import real_settings
 
 __all__ = [
     "ArmSettings",
@@ -17,7 +17,7 @@ __all__ = [
     "RealSettings",
     "RobotIdentity",
     "RobotKind",
-    "check_numbers",
+    "check_serial_and_calibration",
     "identify_all",
     "kind_of",
     "real_settings",

@@ -39,7 +39,7 @@ class RealGripper(Protocol):
         ...
 
     @property
-    def silent(self) -> float:
+    def time_since_answer(self) -> float:
         """Return the time [s] since the gripper of a real arm last answered."""
         ...
 
@@ -93,12 +93,12 @@ class RealArm(ABC):
         """
 
     @abstractmethod
-    def beat(self) -> None:
+    def send_keep_alive(self) -> None:
         """Send the keep-alive signal to the robot of a real arm, which stops without this signal.
         The call must not raise or block.
         """
 
-    def start_round_trips(self) -> Callable[[], float]:
+    def start_round_trip_measurement(self) -> Callable[[], float]:
         """Start measuring the network of a real arm.
         Return a function that returns the shortest recent round trip [s].
 
@@ -113,7 +113,7 @@ class RealArm(ABC):
         """Return the time of the latest state of a real arm [s, this computer's monotonic clock]."""
 
     @abstractmethod
-    def measured_at(self, when: float) -> tuple[Array, Array]:
+    def state_at(self, when: float) -> tuple[Array, Array]:
         """Return the positions [rad] and velocities [rad/s], each (n,),
         measured on a real arm at a given time.
 
@@ -131,7 +131,7 @@ class RealArm(ABC):
 
     @property
     @abstractmethod
-    def scaling(self) -> float:
+    def speed_scaling(self) -> float:
         """Return the fraction of full speed (0 to 1) that the slider and pauses of a real arm allow."""
 
     @abstractmethod
@@ -144,7 +144,7 @@ class RealArm(ABC):
         """Return the robot mode and safety mode of a real arm, as numbers of `ur_dashboard_msgs`."""
 
     @abstractmethod
-    def force(self) -> tuple[Array, Array, Array]:
+    def external_wrench(self) -> tuple[Array, Array, Array]:
         """Return the force [N] and torque [Nm] at the tool of a real arm,
         and the point [m] to which they refer, all in the base frame.
 
@@ -165,7 +165,7 @@ class RealArm(ABC):
         """Stop a real arm, discard all goals and hold the measured pose. The call must not raise or block."""
 
     @abstractmethod
-    def prepare_resume(self) -> None:
+    def check_resume(self) -> None:
         """Check, before a real arm resumes, that the robot is still the same one and is allowed to move.
 
         Raises:
@@ -185,7 +185,7 @@ class RealArm(ABC):
     def follow(self, trajectory: JointTrajectory) -> ExecutionHandle:
         """Start a trajectory that a real arm plays itself, and return a handle for it.
 
-        A robot without such a function streams the setpoints in a thread of its own: see `motion.Streamed`.
+        A robot without such a function streams the setpoints in a thread of its own: see `StreamedExecution`.
         """
 
     @abstractmethod

@@ -18,10 +18,10 @@ from armcell.drivers.driver import Capability, Driver, DriverOptions, GripperRea
 from armcell.drivers.execution_handle import ExecutionHandle, SetpointHistory
 from armcell.drivers.motion_guard import MotionGuard
 from armcell.drivers.real.arm import RealArm, RealGripper
-from armcell.drivers.real.block import real_settings
+from armcell.drivers.real.execution_handles import CallerStreamedExecution, StreamedExecution
 from armcell.drivers.real.heartbeat import Heartbeat
-from armcell.drivers.real.kinds import identify_all, kind_of
-from armcell.drivers.real.motion import Commanded, Streamed
+from armcell.drivers.real.robot_kind import identify_all, kind_of
+from armcell.drivers.real.settings_validation import real_settings
 from armcell.drivers.safety import Fault, SafetyEvent, Supervisor, cannot_resume
 from armcell.kinematics import kinematic_tree
 from armcell.scene import PlanningScene
@@ -135,7 +135,7 @@ class RealDriver(Driver):
     def _begin_guard(self, guard: MotionGuard, supervisor: Supervisor) -> None:
         """Provide the twin guard with the real driver's event log and its measured network round trips."""
         guard.check_calibration(self.calibrations())
-        guard.trips = {name: arm.start_round_trips() for name, arm in self.arms.items()}
+        guard.trips = {name: arm.start_round_trip_measurement() for name, arm in self.arms.items()}
         guard.note = supervisor.record
 
     @property
@@ -185,7 +185,7 @@ class RealDriver(Driver):
 
     def _beat(self) -> None:
         for arm in list(self.arms.values()):
-            arm.beat()
+            arm.send_keep_alive()
         self._look()
 
     def _look(self) -> None:
@@ -206,8 +206,8 @@ class RealDriver(Driver):
                 "start armcell again",
             )
         for name, gripper in self._grippers.items():
-            if gripper.silent > GRIPPER_SILENCE:
-                text = f"gripper {name!r} has sent nothing for {gripper.silent:.1f} s"
+            if gripper.time_since_answer > GRIPPER_SILENCE:
+                text = f"gripper {name!r} has sent nothing for {gripper.time_since_answer:.1f} s"
                 group = self._model.gripper(name).arm_group
                 return Fault(group, GRIPPER_LOST, text, gripper.hint)
         return None
@@ -229,7 +229,7 @@ class RealDriver(Driver):
         when = max(min(times), max(times) - LONGEST_SKEW)
         for arm in self.arms.values():
             columns = self._model.columns(arm.joint_names)
-            q[columns], v[columns] = arm.measured_at(when)
+            q[columns], v[columns] = arm.state_at(when)
         for name in self._grippers.keys() & self._column.keys():
             g = self._model.gripper(name)
             q[self._column[name]] = g.joint_position(self._grippers[name].read()[0])
@@ -290,15 +290,15 @@ class RealDriver(Driver):
         arms = self._arms_of(trajectory.joint_names)
         if len(arms) == 1:
             return self._guarded(supervisor, arms[0].follow(trajectory), trajectory, arms)
-        streamed = Streamed(arms, trajectory, self.settings.stream_lead, self.fault)
+        streamed = StreamedExecution(arms, trajectory, self.settings.stream_lead, self.fault)
         return self._guarded(supervisor, streamed, trajectory, arms, streamed.sent_for)
 
-    def monitor_execution(self, trajectory: JointTrajectory, forced: bool) -> Commanded:
+    def monitor_execution(self, trajectory: JointTrajectory, forced: bool) -> CallerStreamedExecution:
         """Return the real driver's monitor that compares a streamed motion with its dry run."""
         if self.guard is None:
             raise self._incapable(Capability.DRY_RUN)
         arms = self._arms_of(trajectory.joint_names)
-        moving = Commanded(lambda: self._due() + self.settings.stream_lead)
+        moving = CallerStreamedExecution(lambda: self._due() + self.settings.stream_lead)
         supervisor = self._connected()
         moving.watched = self._guarded(supervisor, moving, trajectory, arms, moving.sent_for, forced)
         return moving
@@ -370,7 +370,7 @@ class RealDriver(Driver):
             try:
                 self._wait_for_grippers()
                 for arm in self.arms.values():
-                    arm.prepare_resume()
+                    arm.check_resume()
                 for arm in self.arms.values():
                     arm.restart()
             except InputError as error:
@@ -403,7 +403,7 @@ class RealDriver(Driver):
         """Return the fraction of full speed (0 to 1) that sliders and
         pauses allow the real driver's slowest arm.
         """
-        return min((arm.scaling for arm in self.arms.values()), default=1.0)
+        return min((arm.speed_scaling for arm in self.arms.values()), default=1.0)
 
     # --- gripper and objects ---
     def command_gripper(self, gripper: str, width: float, force: float) -> None:
@@ -445,7 +445,7 @@ class RealDriver(Driver):
         """
         g = self._model.gripper(gripper)
         arm = self._arm_of(gripper)
-        force, torque, point = arm.force()
+        force, torque, point = arm.external_wrench()
         T = self._T_world_base[arm.name]
         R = T.rotation.matrix
         here = self._tree.link_pose(self.joint_state().positions, g.tcp_link).translation

@@ -39,7 +39,7 @@ class NetworkReport:
         )
 
 
-def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
+def check_serial_and_calibration(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
     """Check the identity of a real robot: its serial number and
     calibration must match those in the cell file, if given.
 
@@ -57,7 +57,7 @@ def check_numbers(name: str, arm: ArmSettings, found: RobotIdentity) -> None:
             )
 
 
-def check_swapped(wanted: Mapping[str, ArmSettings], found: Mapping[str, RobotIdentity]) -> None:
+def check_not_swapped(wanted: Mapping[str, ArmSettings], found: Mapping[str, RobotIdentity]) -> None:
     """Check the identities of real arms: no arm may answer with the serial number or calibration of another.
 
     Raises:

@@ -13,7 +13,7 @@ DEFAULT_KIND = "ur"
 OWN = "own"  # backend: armcell itself moves the arm
 
 
-class Strict(BaseModel):
+class StrictSettings(BaseModel):
     """Strict base class for the settings of real arms: unknown keys are errors,
     values cannot change and must be finite.
     """
@@ -21,7 +21,7 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
 
 
-class ArmSettings(Strict):
+class ArmSettings(StrictSettings):
     """Settings of one real arm that all robot kinds share. Each kind adds its own settings."""
 
     kind: str = DEFAULT_KIND  # robot kind; default: the kind of the block `real`
@@ -33,7 +33,7 @@ class ArmSettings(Strict):
     payload_cog: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m]
 
 
-class RealSettings(Strict):
+class RealSettings(StrictSettings):
     """Settings of a cell's real arms, by planning group,
     and the limits that the safety supervisor enforces.
     """

@@ -142,7 +142,7 @@ class UrArm(RealArm):
             return SocketGripper(self.settings.host, how.port, gripper)
         return ToolGripper(self, gripper)
 
-    def start_round_trips(self) -> Callable[[], float]:
+    def start_round_trip_measurement(self) -> Callable[[], float]:
         self._pinger = Pinger(self.settings.host)
         self._pinger.start()
         return self._pinger.round_trip_time
@@ -187,7 +187,7 @@ class UrArm(RealArm):
         return np.array(self.state.actual_qd)
 
     @property
-    def scaling(self) -> float:
+    def speed_scaling(self) -> float:
         """Return the fraction of full speed (0 to 1) that the speed slider and pauses of the UR arm allow."""
         return 0.0 if self.paused else float(self.state.speed_scaling)
 
@@ -314,11 +314,11 @@ class UrArm(RealArm):
             raise self._not_connected()
         before, state = self._rtde.last_two
         runs = state.output_double_register_25 > before.output_double_register_25
-        pace = self.scaling if runs else 0.0  # rate of the program's clock, which slider and pause slow
+        pace = self.speed_scaling if runs else 0.0  # rate of the program's clock, which slider and pause slow
         ahead = at - self._rtde.clock.offset - state.timestamp  # [s] on the robot's clock
         ahead = min(max(ahead, 0.0), FARTHEST)
         stamp = float(state.output_double_register_25) + pace * ahead
-        fast = 1.0 / max(self.scaling, 0.05)  # speeds refer to the slowed clock
+        fast = 1.0 / max(self.speed_scaling, 0.05)  # speeds refer to the slowed clock
         self._link.servo(q, np.asarray(v) * fast, stamp)
 
     def _mark_streamed(self) -> None:
@@ -329,7 +329,7 @@ class UrArm(RealArm):
         """Return the time of the UR arm's latest state [s, this computer's monotonic clock]."""
         return self.state.timestamp + self._rtde.clock.offset
 
-    def measured_at(self, when: float) -> tuple[Array, Array]:
+    def state_at(self, when: float) -> tuple[Array, Array]:
         """Return the positions and speeds of the UR arm, each (6,),
         at a given time [s, this computer's clock].
 
@@ -353,7 +353,7 @@ class UrArm(RealArm):
         """
         self._no_force = np.mean([s.actual_TCP_force for s in list(self._rtde.history)], axis=0)
 
-    def force(self) -> tuple[Array, Array, Array]:
+    def external_wrench(self) -> tuple[Array, Array, Array]:
         """Return the force [N] and torque [Nm] at the UR arm's tool,
         and the point [m] to which they refer, all in the base frame.
 
@@ -366,7 +366,7 @@ class UrArm(RealArm):
         point = forward(self.identity.geometry, state.actual_q, tool)[:3, 3]
         return felt[:3], felt[3:], point
 
-    def beat(self) -> None:
+    def send_keep_alive(self) -> None:
         """Send a keep-alive signal to the robot program of the UR arm."""
         self._link.send(commands.KEEP_ALIVE)
 
@@ -396,7 +396,7 @@ class UrArm(RealArm):
         if not self.armed:
             self._link.close_links()
 
-    def prepare_resume(self) -> None:
+    def check_resume(self) -> None:
         """Check, before the UR arm resumes, that it is still the same arm and is allowed to move.
 
         Raises:
@@ -464,7 +464,7 @@ class UrExecution:
         return self._arm.result
 
     def paused(self) -> bool:
-        return self._arm.scaling <= 0.0
+        return self._arm.speed_scaling <= 0.0
 
     def cancel(self) -> None:
         self._arm.cancel()

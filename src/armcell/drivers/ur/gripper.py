@@ -71,7 +71,7 @@ class SocketGripper:
             time.sleep(POLL)
 
     @property
-    def silent(self) -> float:
+    def time_since_answer(self) -> float:
         return time.monotonic() - self._told
 
     def drive(self, width: float, force: float) -> None:
@@ -115,7 +115,7 @@ class ToolGripper:
         self._arm.set_tool_output(0, self._closed)
 
     @property
-    def silent(self) -> float:
+    def time_since_answer(self) -> float:
         return 0.0  # its input is part of the arm's state, which the supervisor checks
 
     def read(self) -> tuple[float, bool]:

@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 
 from armcell.core import InputError
-from armcell.drivers.real import check_numbers
+from armcell.drivers.real import check_serial_and_calibration
 from armcell.drivers.ur.dashboard import DashboardClient
 from armcell.drivers.ur.settings import UrArmSettings
 from armcell.drivers.ur.wire import primary
@@ -111,7 +111,7 @@ def check_identity(arm: str, wanted: UrArmSettings, found: UrIdentity) -> None:
             f"the cell file says {wanted.model}",
             hint="correct 'model' (and the robot model of the cell), or the address",
         )
-    check_numbers(arm, wanted, found)
+    check_serial_and_calibration(arm, wanted, found)
 
 
 def check_ready(arm: str, found: UrIdentity) -> None:

@@ -12,7 +12,7 @@ from armcell import _interrupts
 from armcell.core import InputError
 from armcell.drivers.real import BackendLibrary, NetworkReport, RealSettings, RobotKind, robot_kinds
 from armcell.drivers.real.arm import Array
-from armcell.drivers.real.kinds import check_distinct
+from armcell.drivers.real.robot_kind import check_distinct
 from armcell.drivers.ur.arm import UrArm
 from armcell.drivers.ur.calibration import calibrated_model
 from armcell.drivers.ur.dashboard import DashboardClient
@@ -41,7 +41,9 @@ class UrKind(RobotKind[UrArmSettings, UrIdentity]):
     }
     gripper_hint = "add 'gripper: {kind: socket}' or '{kind: tool_io}' to its arm under 'real: arms:'"
 
-    def complete(self, arms: Mapping[str, UrArmSettings], model: RobotModel) -> dict[str, UrArmSettings]:
+    def complete_settings(
+        self, arms: Mapping[str, UrArmSettings], model: RobotModel
+    ) -> dict[str, UrArmSettings]:
         for arm in arms.values():
             ur_model(arm.model)
         numbered = {
@@ -51,7 +53,7 @@ class UrKind(RobotKind[UrArmSettings, UrIdentity]):
         check_distinct(numbered, "port", "port")
         return numbered
 
-    def control(self, backend: str) -> str:
+    def controller_description(self, backend: str) -> str:
         return "our program" if backend == "own" else backend
 
     # --- identity and readiness ---

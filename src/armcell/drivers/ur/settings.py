@@ -7,12 +7,12 @@ from typing import Literal
 from pydantic import Field
 
 from armcell.drivers.real import ArmSettings
-from armcell.drivers.real.settings import Strict
+from armcell.drivers.real.settings import StrictSettings
 
 FIRST_PORT = 50001
 
 
-class GripperSettings(Strict):
+class GripperSettings(StrictSettings):
     """Settings of the gripper on a UR arm.
     The gripper uses either the socket of a URCap or digital output 0 of the tool.
     """

@@ -32,7 +32,7 @@ class UrRtdeArm(UrArm):
         return own
 
     def _scaling_now(self) -> float:
-        return self.scaling if self._rtde.latest is not None else 1.0
+        return self.speed_scaling if self._rtde.latest is not None else 1.0
 
     def clock(self, number: int) -> float:
         link = self._rtde_link

@@ -3,8 +3,8 @@
 from armcell.emulators.franka.controller import (
     ControllerSettings,
     FrankaController,
-    Rack,
-    free_arm,
+    FrankaRack,
+    scene_without_cell,
     torque_world,
 )
 from armcell.emulators.franka.kind import EmulatedFranka
@@ -15,7 +15,7 @@ __all__ = [
     "EmulatedFranka",
     "FrankaController",
     "FrankaPlant",
-    "Rack",
-    "free_arm",
+    "FrankaRack",
+    "scene_without_cell",
     "torque_world",
 ]

@@ -9,7 +9,7 @@ from enum import IntEnum
 from armcell.drivers.franka.wire import commands as wire
 from armcell.drivers.franka.wire.commands import Command, ConnectStatus, Protocol, SetterStatus
 from armcell.drivers.franka.wire.state import COMMANDS, RobotCommand, read_command
-from armcell.emulators.franka.generators import Reflex
+from armcell.emulators.franka.motion_generators import Reflex
 from armcell.emulators.franka.robot import Robot
 from armcell.emulators.franka.robot_state import StateWriter
 from armcell.emulators.network import Network, TcpConnection
@@ -136,8 +136,8 @@ class CommandServer:
 
     def _set(self, command: Command, values: tuple) -> SetterStatus:
         robot = self._robot
-        if robot.may_set is not SetterStatus.SUCCESS:
-            return robot.may_set
+        if robot.can_set_parameters is not SetterStatus.SUCCESS:
+            return robot.can_set_parameters
         match command:
             case Command.SET_COLLISION_BEHAVIOR:
                 return robot.set_thresholds(values)

@@ -11,8 +11,8 @@ from typing import BinaryIO
 
 from armcell.core import InputError
 from armcell.core.checks import checked
+from armcell.drivers.franka.motion_limits import limits_of
 from armcell.drivers.franka.wire.commands import PROTOCOLS
-from armcell.drivers.franka.wire.limits import limits_of
 from armcell.emulators import rack
 from armcell.emulators.franka.command_server import CommandServer
 from armcell.emulators.franka.hand import Hand, HandServer
@@ -55,7 +55,7 @@ class ControllerSettings:
         return 5 if self.model == "panda" else 10
 
 
-def free_arm() -> PlanningScene:
+def scene_without_cell() -> PlanningScene:
     """Return the scene for an emulated Franka controller without a cell. It contains an arm with a hand at
     its home position, but no objects.
     """
@@ -141,7 +141,7 @@ class FrankaController:
         self.network.close()
 
 
-class Rack(rack.Rack[FrankaController]):
+class FrankaRack(rack.Rack[FrankaController]):
     """Rack of several emulated Franka controllers that run in one thread, each with its own plant.
 
     Args:

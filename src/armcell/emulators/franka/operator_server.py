@@ -11,8 +11,8 @@ from typing import Protocol
 
 from armcell.core import UnknownNameError
 from armcell.emulators.franka.command_server import CommandServer
-from armcell.emulators.franka.generators import Reflex
 from armcell.emulators.franka.hand import Hand
+from armcell.emulators.franka.motion_generators import Reflex
 from armcell.emulators.franka.robot import Robot
 from armcell.emulators.network import Network, TcpConnection
 
@@ -104,11 +104,11 @@ class OperatorServer:
             case ["garbage", count]:
                 faults.garbage = int(count) + 1  # plus 1, because the answer to this command counts
             case ["payload", mass]:
-                plant.payload(float(mass))
+                plant.attach_payload(float(mass))
             case ["offset", joint, angle]:
-                plant.offset(int(joint), float(angle))
+                plant.set_encoder_offset(int(joint), float(angle))
             case ["block", joint]:
-                plant.block(int(joint))
+                plant.block_joint(int(joint))
             case ["none"]:
                 faults.delay, faults.garbage, self._commands.udp.loss = 0.0, 0, 0.0
             case _:

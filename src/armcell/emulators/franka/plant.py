@@ -76,7 +76,7 @@ class FrankaPlant:
         data = self.world._data
         return data.qfrc_actuator[self._dofs] + data.qfrc_gravcomp[self._dofs]
 
-    def external(self) -> Array:
+    def external_torques(self) -> Array:
         """Return the external torques (7,) [Nm] on the Franka plant:
         the measured torques minus the robot's own dynamics.
 
@@ -99,7 +99,7 @@ class FrankaPlant:
         data, dofs = self.world._data, self._dofs
         return data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs] - self._weight()
 
-    def friction(self) -> Array:
+    def friction_torques(self) -> Array:
         """Return the torques (7,) [Nm] that compensate the viscous
         friction in the joints of the Franka plant.
         """
@@ -144,7 +144,7 @@ class FrankaPlant:
         up = R.T @ -np.asarray(self.world.settings.gravity) * mass
         return self.kinematics.jacobian(at[:3, :3] @ center + at[:3, 3])[:3].T @ up
 
-    def touched(self) -> list[tuple[str, str]]:
+    def take_unexpected_contacts(self) -> list[tuple[str, str]]:
         """Return the unexpected contacts (pairs of bodies) of the Franka plant since the last call.
 
         The first body of each pair is a link of the arm.
@@ -191,16 +191,16 @@ class FrankaPlant:
         positions[self.world.robot.columns(self.names)] = q
         self.world.set_positions(np.clip(positions, self.world.robot.lower, self.world.robot.upper))
 
-    def payload(self, mass: float) -> None:
+    def attach_payload(self, mass: float) -> None:
         """Attach a mass [kg] to the last link of the Franka plant without informing the controller."""
         self.world.add_load(self._tip, mass)
         self._payload += mass
 
-    def block(self, joint: int) -> None:
+    def block_joint(self, joint: int) -> None:
         """Block a joint (0 to 6) of the Franka plant at its present position, so that no torque moves it."""
         self.world.block(self.names[joint])
 
-    def offset(self, joint: int, angle: float) -> None:
+    def set_encoder_offset(self, joint: int, angle: float) -> None:
         """Add an error [rad] to the measured position of a joint of the Franka plant,
         like an encoder with a wrong zero position.
         """

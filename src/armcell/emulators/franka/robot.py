@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armcell.drivers.franka.wire import limits as wire_limits
+from armcell.drivers.franka import motion_limits
+from armcell.drivers.franka.motion_limits import FrankaLimits
 from armcell.drivers.franka.wire.commands import (
     MoveController,
     MoveGenerator,
@@ -22,23 +23,22 @@ from armcell.drivers.franka.wire.commands import (
     SetterStatus,
     StopStatus,
 )
-from armcell.drivers.franka.wire.limits import FrankaLimits
 from armcell.drivers.franka.wire.state import ControllerMode, GeneratorMode, RobotCommand, RobotMode
-from armcell.emulators.franka.control import Brake, Impedance, cartesian_impedance, joint_impedance
-from armcell.emulators.franka.generators import (
-    Cartesian,
-    Follow,
-    Frames,
+from armcell.emulators.franka.impedance_control import Brake, Impedance, cartesian_impedance, joint_impedance
+from armcell.emulators.franka.kinematics import JOINTS, rotation_log
+from armcell.emulators.franka.motion_generators import (
+    CartesianMotion,
+    EndEffectorKinematics,
     Generator,
     Interpolation,
     JointPosition,
     JointVelocity,
+    MeasuredReference,
     Motion,
     Reference,
     Reflex,
     elbow_of,
 )
-from armcell.emulators.franka.kinematics import JOINTS, rotation_log
 from armcell.emulators.franka.parameters import T_F_NE, Load, Thresholds
 from armcell.emulators.franka.plant import PERIOD, FrankaPlant
 
@@ -91,7 +91,7 @@ class Robot:
     # --- frames and measurements ---
     def _update_frames(self) -> None:
         self.F_T_EE = self.T_F_NE @ self.NE_T_EE
-        self.frames = Frames(self.plant.kinematics, self.F_T_EE)
+        self.frames = EndEffectorKinematics(self.plant.kinematics, self.F_T_EE)
 
     def measure(self) -> None:
         """Update the measured state of the emulated Franka robot from the physics simulation."""
@@ -100,7 +100,7 @@ class Robot:
         self.O_T_EE, J = self.frames.pose_and_jacobian(self.q)
         T_O_K = self.O_T_EE @ self.EE_T_K
         carried = self.load_torque()
-        self.tau_ext = self.plant.external() - carried
+        self.tau_ext = self.plant.external_torques() - carried
         J = self.plant.kinematics.jacobian(T_O_K[:3, 3]) if carried.any() or self.EE_T_K[:3, 3].any() else J
         gram = J @ J.T
         singular = np.linalg.det(gram) < 1e-8
@@ -133,7 +133,7 @@ class Robot:
         self.torque_rate = (self.torque - before) / PERIOD
         applied = self.torque + self.load_torque()
         if self.mode is not RobotMode.GUIDING:
-            applied = applied + self.plant.friction()
+            applied = applied + self.plant.friction_torques()
         self.plant.apply(np.clip(applied, -self.limits.torque, self.limits.torque))
         self.plant.step()
         self.measure()
@@ -164,7 +164,7 @@ class Robot:
                 return
             motion.started = True
         self._count(motion, command)
-        if isinstance(motion.generator, Follow):
+        if isinstance(motion.generator, MeasuredReference):
             self._follow()
         if motion.by_torque and command is not None:
             self._take_torque(command)
@@ -244,7 +244,9 @@ class Robot:
             self.joint_collision = joint.astype(float)
             raise Reflex("joint_reflex", self.plant.contact())
         own = self.plant.links
-        if (pair := next((p for p in self.plant.touched() if p[1] in own), None)) is not None:
+        if (
+            pair := next((p for p in self.plant.take_unexpected_contacts() if p[1] in own), None)
+        ) is not None:
             raise Reflex("self_collision_avoidance_violation", f"{pair[0]} and {pair[1]}")
         if self.outside_limits():
             raise Reflex("joint_position_limits_violation")
@@ -254,7 +256,7 @@ class Robot:
 
     def _check_deviation(self) -> None:
         motion = self.motion
-        if motion is None or isinstance(motion.generator, Follow):
+        if motion is None or isinstance(motion.generator, MeasuredReference):
             return
         wanted = self.O_T_EE_d
         translation, rotation, elbow = motion.request.path_deviation
@@ -302,9 +304,9 @@ class Robot:
             case MoveGenerator.JOINT_VELOCITY:
                 return JointVelocity(self.limits, self.reference)
             case MoveGenerator.NONE:
-                return Follow()
+                return MeasuredReference()
         velocity = request.generator is MoveGenerator.CARTESIAN_VELOCITY
-        return Cartesian(self.limits, self.reference, self.frames, velocity)
+        return CartesianMotion(self.limits, self.reference, self.frames, velocity)
 
     def _finish(self, status: MoveStatus) -> None:
         motion, self.motion = self.motion, None
@@ -428,7 +430,7 @@ class Robot:
 
     # --- parameters ---
     @property
-    def may_set(self) -> SetterStatus:
+    def can_set_parameters(self) -> SetterStatus:
         """Return whether clients may set the emulated Franka robot's parameters now, outside a motion."""
         return SetterStatus.NOT_POSSIBLE if self.mode is RobotMode.MOVE else SetterStatus.SUCCESS
 
@@ -436,7 +438,7 @@ class Robot:
         """Set the load [kg] of the emulated Franka robot, its center (3,) [m] and inertia (9,) [kg m^2]."""
         center, inertia = np.asarray(center, dtype=float), np.asarray(inertia, dtype=float)
         tensor = inertia.reshape(3, 3)
-        heavy = mass + (wire_limits.HAND_MASS if self.plant.hand else 0.0) > wire_limits.MAX_LOAD
+        heavy = mass + (motion_limits.HAND_MASS if self.plant.hand else 0.0) > motion_limits.MAX_LOAD
         if not (mass >= 0.0 and np.allclose(tensor, tensor.T)) or heavy:
             return SetterStatus.INVALID_ARGUMENT
         if np.linalg.norm(center) > 0.5 or np.linalg.eigvalsh(tensor)[0] < -1e-9:

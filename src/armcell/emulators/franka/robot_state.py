@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from armcell.drivers.franka.wire import limits as wire_limits
+from armcell.drivers.franka import motion_limits
 from armcell.drivers.franka.wire.errors import INDEX
 from armcell.drivers.franka.wire.state import StateMessage
-from armcell.emulators.franka.generators import elbow_of
+from armcell.emulators.franka.motion_generators import elbow_of
 from armcell.emulators.franka.robot import Robot
 
 
@@ -20,8 +20,8 @@ class StateWriter:
         m["F_T_NE"] = robot.T_F_NE.T.ravel()
         m["O_ddP_O"] = (0.0, 0.0, -9.81)
         if robot.plant.hand is not None:
-            m["m_ee"], m["F_x_Cee"] = wire_limits.HAND_MASS, wire_limits.HAND_CENTER
-            m["I_ee"] = np.diag(wire_limits.HAND_INERTIA).ravel()
+            m["m_ee"], m["F_x_Cee"] = motion_limits.HAND_MASS, motion_limits.HAND_CENTER
+            m["I_ee"] = np.diag(motion_limits.HAND_INERTIA).ravel()
 
     def write(self) -> bytes:
         """Write the state of the emulated Franka arm, and return the message for the current millisecond."""
@@ -49,5 +49,5 @@ class StateWriter:
             flags[:] = 0
             for name in names:
                 flags[INDEX[name]] = 1
-        m.head(r.time, r.generator_mode, r.controller_mode, r.mode, r.success_rate)
+        m.write_scalars(r.time, r.generator_mode, r.controller_mode, r.mode, r.success_rate)
         return bytes(m)

@@ -107,7 +107,9 @@ class StateMessage:
     def __setitem__(self, field: str, values: ArrayLike) -> None:
         self.numbers[FIELDS[field]] = values
 
-    def head(self, identifier: int, generator: int, controller: int, mode: int, success: float) -> None:
+    def write_scalars(
+        self, identifier: int, generator: int, controller: int, mode: int, success: float
+    ) -> None:
         """Write the scalar fields of Franka's robot state message, that is,
         all fields that are not arrays.
         """

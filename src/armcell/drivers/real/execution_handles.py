@@ -12,7 +12,7 @@ from armcell.drivers.real.arm import Array, RealArm
 from armcell.drivers.safety import Fault
 
 
-class Streamed:
+class StreamedExecution:
     """Motion that is streamed to several real arms on one clock. If one arm slows down or stops, all do."""
 
     def __init__(
@@ -34,7 +34,7 @@ class Streamed:
         names = self._trajectory.joint_names
         columns = [[names.index(n) for n in arm.joint_names] for arm in self._arms]
         while self._fault() is None and not self._cancel.is_set():
-            scaling = min(arm.scaling for arm in self._arms)
+            scaling = min(arm.speed_scaling for arm in self._arms)
             q, v, _ = self._trajectory.sample(first + self._clock)
             self.sent_at.append(time.monotonic())
             self.sent_for.record(due + self._lead, self._clock)
@@ -58,13 +58,13 @@ class Streamed:
         return self._state
 
     def paused(self) -> bool:
-        return any(arm.scaling <= 0.0 for arm in self._arms)
+        return any(arm.speed_scaling <= 0.0 for arm in self._arms)
 
     def cancel(self) -> None:
         self._cancel.set()
 
 
-class Commanded:
+class CallerStreamedExecution:
     """Handle of a motion of a real arm that the caller commands point by point.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from armcell.core import InputError, UnknownNameError
-from armcell.drivers.real.kinds import check_distinct, kind_of, robot_kinds
+from armcell.drivers.real.robot_kind import check_distinct, kind_of, robot_kinds
 from armcell.drivers.real.settings import DEFAULT_KIND, OWN, ArmSettings, RealSettings
 from armcell.model import RobotModel
 
@@ -46,7 +46,7 @@ def real_settings(values: dict[str, Any], model: RobotModel) -> RealSettings:
     complete: dict[str, ArmSettings] = {}
     for kind in dict.fromkeys(arm.kind for arm in settings.arms.values()):
         mine = {name: arm for name, arm in settings.arms.items() if arm.kind == kind}
-        complete |= robot_kinds[kind].complete(mine, model)
+        complete |= robot_kinds[kind].complete_settings(mine, model)
     return settings.model_copy(update={"arms": {name: complete[name] for name in settings.arms}})
 
 

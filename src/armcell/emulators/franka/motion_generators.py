@@ -14,8 +14,8 @@ import numpy as np
 import ruckig
 from numpy.typing import NDArray
 
+from armcell.drivers.franka.motion_limits import ELBOW_FLIP, FrankaLimits
 from armcell.drivers.franka.wire.commands import MoveController, MoveRequest, MoveStatus
-from armcell.drivers.franka.wire.limits import ELBOW_FLIP, FrankaLimits
 from armcell.drivers.franka.wire.state import RobotCommand
 from armcell.emulators.franka.kinematics import JOINTS, ArmKinematics, rotation_exp, rotation_log
 from armcell.emulators.franka.plant import PERIOD
@@ -64,7 +64,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Frames:
+class EndEffectorKinematics:
     """Kinematics of a Franka arm up to its configured end effector frame, for the motion generators."""
 
     kinematics: ArmKinematics
@@ -236,7 +236,7 @@ class Interpolation:
         r.ddq = np.array(self._output.new_acceleration)
 
 
-class Cartesian:
+class CartesianMotion:
     """Motion generator of the emulated Franka arm for poses or velocities of the end effector.
 
     The elbow's angle resolves the pose to joint positions.
@@ -245,7 +245,9 @@ class Cartesian:
     cartesian = True
     patient = False
 
-    def __init__(self, limits: FrankaLimits, reference: Reference, frames: Frames, velocity: bool):
+    def __init__(
+        self, limits: FrankaLimits, reference: Reference, frames: EndEffectorKinematics, velocity: bool
+    ):
         self._limits, self._reference, self._frames, self._velocity = limits, reference, frames, velocity
         reference.T = frames.pose(reference.q)
         reference.twist, reference.dtwist = np.zeros(6), np.zeros(6)
@@ -345,7 +347,7 @@ class Cartesian:
         return q
 
 
-class Follow:
+class MeasuredReference:
     """Motion generator of the emulated Franka arm under torque control.
     Its reference follows the measured motion of the arm.
     """

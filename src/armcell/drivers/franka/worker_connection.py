@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError
 from armcell.drivers.execution_handle import RUNNING
-from armcell.drivers.franka import frames
+from armcell.drivers.franka import worker_messages
 from armcell.drivers.franka.wire.commands import Command, WireError
 from armcell.drivers.franka.wire.state import RobotState, read_state
 
@@ -30,7 +30,7 @@ ANSWER_TIME = 10.0  # [s] for the robot's answer: a recovery takes a few seconds
 KEPT = 512  # states
 
 
-class WorkerLink:
+class WorkerConnection:
     """Connection to the worker process of one Franka arm: it starts the process and exchanges messages with
     it.
 
@@ -113,7 +113,7 @@ class WorkerLink:
                 self._lost("the worker process ended")
 
     def _order(self, **order: Any) -> None:
-        self._send(frames.pack_json(frames.ORDER, order))
+        self._send(worker_messages.pack_json(worker_messages.ORDER, order))
 
     def _lost(self, reason: str) -> None:
         with self._news:
@@ -122,17 +122,17 @@ class WorkerLink:
 
     def _read(self, sock: socket.socket) -> None:
         received = bytearray()
-        while frames.read_into(sock, received):
-            while (message := frames.take(received)) is not None:
+        while worker_messages.read_into(sock, received):
+            while (message := worker_messages.take_message(received)) is not None:
                 self._take(*message)
         self._lost("the worker process ended")
         self._on_state()
 
     def _take(self, kind: int, content: bytes) -> None:
-        if kind == frames.STATE:
-            when, number, clock = frames.PROGRESS.unpack_from(content)
+        if kind == worker_messages.STATE:
+            when, number, clock = worker_messages.PROGRESS.unpack_from(content)
             try:
-                state = read_state(content[frames.PROGRESS.size :])
+                state = read_state(content[worker_messages.PROGRESS.size :])
             except WireError:
                 return
             with self._news:
@@ -140,7 +140,7 @@ class WorkerLink:
                 self.progress = number, clock
                 self._news.notify_all()
             self._on_state()
-        elif kind == frames.EVENT:
+        elif kind == worker_messages.EVENT:
             self._event(json.loads(content))
 
     def _event(self, event: dict[str, Any]) -> None:
@@ -177,7 +177,7 @@ class WorkerLink:
     def beat(self) -> None:
         self._order(do="beat")
 
-    def set_pace(self, pace: float) -> None:
+    def set_speed_scaling(self, pace: float) -> None:
         self._order(do="pace", pace=pace)
 
     def play(self, rows: Array) -> int:
@@ -188,8 +188,11 @@ class WorkerLink:
         with self._news:
             self._results.clear()
             self._results[self._number] = RUNNING
-        data = frames.pack(frames.ROWS, np.ascontiguousarray(rows, dtype="<f8").tobytes())
-        self._send(data + frames.pack_json(frames.ORDER, {"do": "trajectory", "number": self._number}))
+        data = worker_messages.pack(worker_messages.ROWS, np.ascontiguousarray(rows, dtype="<f8").tobytes())
+        self._send(
+            data
+            + worker_messages.pack_json(worker_messages.ORDER, {"do": "trajectory", "number": self._number})
+        )
         return self._number
 
     def servo(self, q: Array, v: Array, at: float) -> None:
@@ -205,6 +208,6 @@ class WorkerLink:
         return self._results.get(number, self.error or "cancelled")
 
     @property
-    def age(self) -> float:
+    def state_age(self) -> float:
         """Return the age [s] of the latest state that the Franka robot has sent over the worker link."""
         return time.monotonic() - self.history[-1][0] if self.history else float("inf")

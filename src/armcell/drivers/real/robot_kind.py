@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armcell.core import InputError, Registry
 from armcell.drivers.real.arm import RealArm
-from armcell.drivers.real.identity import NetworkReport, RobotIdentity, check_swapped
+from armcell.drivers.real.identity import NetworkReport, RobotIdentity, check_not_swapped
 from armcell.drivers.real.settings import ArmSettings, RealSettings
 from armcell.model import RobotModel
 
@@ -53,7 +53,7 @@ class RobotKind(ABC, Generic[A, I]):
     calibrates: ClassVar[bool] = True
     effort: ClassVar[tuple[str, str]] = ("current", "A")
 
-    def complete(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
+    def complete_settings(self, arms: Mapping[str, A], model: RobotModel) -> dict[str, A]:
         """Check all arms of one robot kind for contradictions, and fill in default values.
 
         Raises:
@@ -76,7 +76,7 @@ class RobotKind(ABC, Generic[A, I]):
                 "'backend'",
             )
 
-    def control(self, backend: str) -> str:
+    def controller_description(self, backend: str) -> str:
         """Describe in a few words what controls the arms of a robot kind, for example "our program"."""
         return backend
 
@@ -179,7 +179,7 @@ def identify_all(settings: RealSettings) -> dict[str, RobotIdentity]:
         InputError: a robot does not answer, or the arms' addresses are swapped.
     """
     found = {name: kind_of(arm).identify(arm) for name, arm in settings.arms.items()}
-    check_swapped(settings.arms, found)
+    check_not_swapped(settings.arms, found)
     return found
 
 

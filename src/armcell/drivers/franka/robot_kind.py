@@ -48,14 +48,14 @@ class FrankaKind(RobotKind[FrankaArmSettings, FrankaIdentity]):
     effort = "torque", "Nm"
     gripper_hint = "add 'gripper: {kind: hand}' to its arm under 'real: arms:'"
 
-    def complete(
+    def complete_settings(
         self, arms: Mapping[str, FrankaArmSettings], model: RobotModel
     ) -> dict[str, FrankaArmSettings]:
         for name, arm in arms.items():
             check_load(name, arm)
         return dict(arms)
 
-    def control(self, backend: str) -> str:
+    def controller_description(self, backend: str) -> str:
         return "armcell, at 1 kHz" if backend == "own" else backend
 
     def identify(self, arm: FrankaArmSettings) -> FrankaIdentity:

@@ -27,7 +27,7 @@ EVEN = 0.1  # [s] time constant of the rate of that time
 CATCH_UP = 0.4  # largest deviation of that rate from 1
 
 
-class Rows:
+class SampledTrajectory:
     """Trajectory for a Franka arm with one setpoint per millisecond, which is streamed at an adjustable pace.
 
     Args:
@@ -38,7 +38,7 @@ class Rows:
         self._rows, self.clock = rows, 0.0
 
     @property
-    def ended(self) -> bool:
+    def is_finished(self) -> bool:
         return self.clock >= (len(self._rows) - 1) * TICK
 
     @property
@@ -55,7 +55,7 @@ class Rows:
         return self._rows[i] + (at - i) * (self._rows[i + 1] - self._rows[i])
 
 
-class Decay:
+class DecayingDeviation:
     """Deviation of the streamed Franka setpoints from the plan, which decays smoothly to zero.
 
     Args:
@@ -78,7 +78,7 @@ class Decay:
         return None if x >= 1.0 else np.power(x, np.arange(6)) @ self._coefficients
 
 
-class Points:
+class TimedSetpoints:
     """Setpoints that are streamed to a Franka arm, each with the time when it is due,
     and interpolated by cubic polynomials.
 
@@ -90,11 +90,11 @@ class Points:
 
     def __init__(self) -> None:
         self._points: deque[Point] = deque(maxlen=MAX_POINTS)
-        self.ended = False
+        self.is_finished = False
         self._time: float | None = None
         self._rate = 1.0
         self._coast: Point | None = None  # last point, which the arm has passed
-        self._away: tuple[float, Decay] | None = None
+        self._away: tuple[float, DecayingDeviation] | None = None
 
     @property
     def start(self) -> Array:
@@ -129,29 +129,29 @@ class Points:
             self._points.popleft()
         points = list(self._points)
         last, _, v = points[-1]
-        self.ended = now - last > LATEST + float(np.abs(v).max()) / COAST
+        self.is_finished = now - last > LATEST + float(np.abs(v).max()) / COAST
         passed = _coasts_from(points, now)
         if passed is not None:
             self._coast = passed
-            return _coasted(passed, now)[0] + self._off(now)
+            return _coasted(passed, now)[0] + self._deviation(now)
         position = _between(points, now)
         if self._coast is not None:
             q_coast, v_coast = _coasted(self._coast, now)
-            off = q_coast + self._off(now) - position
-            rate = v_coast + self._rate_of_off(now) - (_between(points, now + TICK) - position) / TICK
+            off = q_coast + self._deviation(now) - position
+            rate = v_coast + self._deviation_rate(now) - (_between(points, now + TICK) - position) / TICK
             gentle = max(np.sqrt(6 * np.abs(off).max() / COAST), 6 * np.abs(rate).max() / COAST, REJOIN)
-            self._away, self._coast = (now, Decay(off, rate, np.zeros(7), float(gentle))), None
-        return position + self._off(now)
+            self._away, self._coast = (now, DecayingDeviation(off, rate, np.zeros(7), float(gentle))), None
+        return position + self._deviation(now)
 
-    def _off(self, now: float) -> Array:
+    def _deviation(self, now: float) -> Array:
         """Return the deviation (7,) of the streamed Franka setpoints from the plan at a given time.
         The deviation decays to zero.
         """
         off = None if self._away is None else self._away[1].at(now - self._away[0])
         return np.zeros(7) if off is None else off
 
-    def _rate_of_off(self, now: float) -> Array:
-        return (self._off(now + TICK) - self._off(now)) / TICK
+    def _deviation_rate(self, now: float) -> Array:
+        return (self._deviation(now + TICK) - self._deviation(now)) / TICK
 
 
 def _coasts_from(points: list[Point], now: float) -> Point | None:
@@ -188,7 +188,7 @@ def _between(points: list[Point], now: float) -> Array:
     return points[-1][1]
 
 
-class Setpoints:
+class SetpointStream:
     """Stream of setpoints for a Franka arm, which converts a source
     of positions into one setpoint per millisecond.
 
@@ -197,13 +197,13 @@ class Setpoints:
         pace: initial pace, 0 to 1.
     """
 
-    def __init__(self, source: Rows | Points, pace: float = 1.0):
+    def __init__(self, source: SampledTrajectory | TimedSetpoints, pace: float = 1.0):
         self.source = source
         self._pace = pace
         self._window: deque[Array] = deque(maxlen=WINDOW)
         self._plan: deque[Array] = deque(maxlen=3)  # the smoothed plan at the last three milliseconds
         self._sent = np.full(7, np.nan)
-        self._away: Decay | None = None
+        self._away: DecayingDeviation | None = None
         self._since = 0.0
         self._settled = 0
 
@@ -247,7 +247,7 @@ class Setpoints:
         self._pace += min(max(wanted_pace - self._pace, -step), step)
         self._window.append(self.source.next(self._pace, now))
         self._plan.append(np.mean(self._window, axis=0))
-        self._settled = self._settled + 1 if self.source.ended else 0
+        self._settled = self._settled + 1 if self.source.is_finished else 0
 
     def _rejoin(self, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
         """Bring the streamed Franka setpoints back to the plan:
@@ -257,7 +257,7 @@ class Setpoints:
         off = q_d - p2
         rate = dq_d - (p2 - p1) / TICK
         change = ddq_d - (p2 - 2.0 * p1 + p0) / TICK**2
-        self._away = Decay(off, rate, change)
+        self._away = DecayingDeviation(off, rate, change)
         self._since = 0.0
 
     def _deviation(self) -> Array:

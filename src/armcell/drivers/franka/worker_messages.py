@@ -23,7 +23,7 @@ def pack_json(kind: int, value: dict[str, Any]) -> bytes:
     return pack(kind, json.dumps(value).encode())
 
 
-def take(received: bytearray) -> tuple[int, bytes] | None:
+def take_message(received: bytearray) -> tuple[int, bytes] | None:
     """Remove the first complete frame from a buffer with data of a Franka worker, and return it.
     Return None if no frame is complete.
     """

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from armcell.emulators.franka.generators import Frames, Reference
 from armcell.emulators.franka.kinematics import JOINTS, rotation_log
+from armcell.emulators.franka.motion_generators import EndEffectorKinematics, Reference
 from armcell.emulators.franka.plant import PERIOD, FrankaPlant
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def joint_impedance(plant: FrankaPlant, reference: Reference, impedance: Impedan
 
 
 def cartesian_impedance(
-    plant: FrankaPlant, frames: Frames, reference: Reference, impedance: Impedance
+    plant: FrankaPlant, frames: EndEffectorKinematics, reference: Reference, impedance: Impedance
 ) -> Array:
     """Return the torques (7,) [Nm] with which Cartesian impedance control
     pulls the emulated Franka arm toward the reference.
