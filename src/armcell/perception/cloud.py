@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from armcell.core import InputError, Pinhole
@@ -35,19 +34,9 @@ def organized_cloud(depth: ArrayLike, pinhole: Pinhole) -> F64:
             f"depth of {z.shape[1]} x {z.shape[0]} pixels for a camera of {pinhole.width} x {pinhole.height}",
             hint="use the camera info of this picture's size",
         )
-    return _organized(z, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
-
-
-@njit(cache=True)
-def _organized(z, fx, fy, cx, cy):
-    h, w = z.shape
-    out = np.empty((h, w, 3))
-    for v in range(h):
-        y = (v - cy) / fy
-        for u in range(w):
-            d = float(z[v, u])
-            if d > 0:
-                out[v, u, 0], out[v, u, 1], out[v, u, 2] = (u - cx) / fx * d, y * d, d
-            else:
-                out[v, u, :] = np.nan
+    z = np.where(z > 0, z, np.nan)
+    out = np.empty((*z.shape, 3))
+    out[..., 0] = (np.arange(pinhole.width) - pinhole.cx) / pinhole.fx * z
+    out[..., 1] = ((np.arange(pinhole.height) - pinhole.cy) / pinhole.fy)[:, None] * z
+    out[..., 2] = z
     return out

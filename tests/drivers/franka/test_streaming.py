@@ -80,6 +80,20 @@ def test_a_deviation_of_micrometers_is_no_step():
     assert 2.0 * np.abs(step).max() / TICK**3 < 0.1 * FR3.jerk.min()
 
 
+@pytest.mark.parametrize("model", [FR3, PANDA], ids=["fr3", "panda"])
+def test_rounding_never_carries_a_motion_at_a_joint_limit_beyond_it(model):
+    rise = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 400))[:, None]
+    for limit, start in ((model.upper, model.upper - 0.2), (model.lower, model.lower + 0.2)):
+        rows = start + rise * (limit - start)
+        rows[-1] = limit
+        setpoints = SetpointStream(SampledTrajectory(rows), limits=(model.lower, model.upper))
+        q, rest = start, np.zeros(7)
+        while not setpoints.finished:
+            q = setpoints.next(1, 1.0, 0.0, q, rest, rest)
+            assert (q > model.lower).all() and (q < model.upper).all()
+        assert np.abs(q - limit).max() < 2e-9
+
+
 @pytest.mark.slow
 def test_a_motion_may_start_beside_the_setpoint_and_follow_the_slider():
     rig = Rig()

@@ -81,7 +81,9 @@ class FrankaArm(RealArm):
         self.settings, self.identity, self._supervision = settings, identity, limits
         self.limits = limits_of(settings.model)
         self.step = 0.004  # [s]
-        self._link = WorkerConnection(name, settings.host, limits.watchdog, settings.backend, on_state)
+        self._link = WorkerConnection(
+            name, settings.host, limits.watchdog, settings.backend, self.limits, on_state
+        )
         self.armed = False
         self._slider, self._streamed, self._halted = 1.0, 0.0, 0.0
         self._number = 0

@@ -6,7 +6,7 @@ from collections import deque
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -18,6 +18,7 @@ WINDOW = 12  # [ms] of the moving average, which turns steps of acceleration int
 PACE_TIME = 0.5  # [s] in which the pace changes from 0 to 1
 REJOIN = 0.15  # [s] in which a deviation from the plan decays
 NOISE = 4e-7  # [rad] difference between sent and reported setpoints by float32
+INSIDE = 1e-9  # [rad] from a joint limit: rounding must not carry a setpoint beyond it
 COAST = 5.0  # [rad/s^2] deceleration after the last streamed point
 LATEST = 0.3  # [s] after the last streamed point before the stream ends
 GAP = 0.1  # [s] without points in which the arm decelerates instead of following a cubic
@@ -195,10 +196,14 @@ class SetpointStream:
     Args:
         source: positions over time.
         pace: initial pace, 0 to 1.
+        limits: lowest and highest joint positions (2, 7) [rad] of the setpoints.
     """
 
-    def __init__(self, source: SampledTrajectory | TimedSetpoints, pace: float = 1.0):
+    def __init__(
+        self, source: SampledTrajectory | TimedSetpoints, pace: float = 1.0, limits: ArrayLike | None = None
+    ):
         self.source = source
+        self._low, self._high = (-np.inf, np.inf) if limits is None else np.asarray(limits, dtype=float)
         self._pace = pace
         self._window: deque[Array] = deque(maxlen=WINDOW)
         self._plan: deque[Array] = deque(maxlen=3)  # the smoothed plan at the last three milliseconds
@@ -239,7 +244,8 @@ class SetpointStream:
         elif ticks > 1:
             self._since += (ticks - 1) * TICK
         self._advance(wanted_pace, now)
-        self._sent = self._plan[-1] + self._deviation()
+        wanted = self._plan[-1] + self._deviation()
+        self._sent = np.clip(wanted, self._low + INSIDE, self._high - INSIDE)
         return self._sent
 
     def _advance(self, wanted_pace: float, now: float) -> None:

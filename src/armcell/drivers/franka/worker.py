@@ -1,6 +1,7 @@
 """Worker subprocess that moves one Franka arm at 1 kHz, free of armcell's interpreter lock.
 
-`python worker_main.py FD HOST WATCHDOG BACKEND` starts it: FD is a stream socket with messages of `frames`.
+`python worker_main.py FD HOST WATCHDOG BACKEND LIMITS` starts it: FD is a stream socket with messages of
+`worker_messages`, LIMITS are the joint limits [rad] as JSON, [lower, upper].
 Orders: beat, setup, recover, trajectory (its rows precede it), point, cancel, end.
 """
 
@@ -50,8 +51,10 @@ class Worker:
     commands the robot in every cycle and reports the states.
     """
 
-    def __init__(self, link: socket.socket, client: FciClient, watchdog: float):
-        self._link, self._client, self._watchdog = link, client, watchdog
+    def __init__(
+        self, link: socket.socket, client: FciClient, watchdog: float, limits: list[list[float]]
+    ):  # fmt: skip
+        self._link, self._client, self._watchdog, self._limits = link, client, watchdog, limits
         self._received, self._rows = bytearray(), b""
         self._answers: dict[int, Callable[[bytes], None]] = {}
         self._beaten, self._pace = time.monotonic(), 1.0
@@ -189,7 +192,7 @@ class Worker:
                 self._drop()
                 self._result(f"the robot is not ready: mode {RobotMode(state.mode).name}")
             return
-        setpoints = SetpointStream(source, self._pace)
+        setpoints = SetpointStream(source, self._pace, self._limits)
         off = setpoints.start_error(state["q_d"])
         if off > START_DISTANCE:
             self._drop()
@@ -289,7 +292,7 @@ def _client(host: str, backend: str) -> FciClient:
     return FrankyClient(host)
 
 
-def main(descriptor: str, host: str, watchdog: str, backend: str) -> None:
+def main(descriptor: str, host: str, watchdog: str, backend: str, limits: str) -> None:
     link = socket.socket(fileno=int(descriptor))
     with suppress(PermissionError, AttributeError):  # the robot stops after 20 late answers
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(11))
@@ -299,4 +302,4 @@ def main(descriptor: str, host: str, watchdog: str, backend: str) -> None:
         link.sendall(worker_messages.pack_json(worker_messages.EVENT, {"failed": str(error)}))
         return
     link.sendall(worker_messages.pack_json(worker_messages.EVENT, {"ready": True}))
-    Worker(link, client, float(watchdog)).run()
+    Worker(link, client, float(watchdog), json.loads(limits)).run()

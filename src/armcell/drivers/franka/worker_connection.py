@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from armcell.core import InputError
 from armcell.drivers.execution_handle import RUNNING
 from armcell.drivers.franka import worker_messages
+from armcell.drivers.franka.motion_limits import FrankaLimits
 from armcell.drivers.franka.wire.commands import Command, WireError
 from armcell.drivers.franka.wire.state import RobotState, read_state
 
@@ -40,10 +41,11 @@ class WorkerConnection:
     """
 
     def __init__(
-        self, name: str, host: str, watchdog: float, backend: str, on_state: Callable[[], None]
+        self, name: str, host: str, watchdog: float, backend: str, limits: FrankaLimits,
+        on_state: Callable[[], None],
     ):  # fmt: skip
         self._name, self._host, self._on_state = name, host, on_state
-        self._options = str(watchdog), backend
+        self._options = str(watchdog), backend, json.dumps([limits.lower.tolist(), limits.upper.tolist()])
         self.history: deque[tuple[float, RobotState]] = deque(maxlen=KEPT)
         self.error: str | None = "not connected"
         self.progress = (0, 0.0)  # number of the motion and its clock [s]
