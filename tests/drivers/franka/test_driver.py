@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 
 import numpy as np
 import pytest
@@ -117,6 +117,24 @@ def test_a_panda_moves_stops_and_resumes_over_protocol_5():
         assert fault is not None and fault.kind == "protective stop"
         live.resume()
         assert live.fault() is None and np.abs(measured(address) - stopped).max() < 2e-3
+        assert wait(live.follow(swing(arm))) == "done", live.fault()
+
+
+@pytest.mark.realtime
+def test_a_library_that_hangs_on_damaged_messages_is_replaced(host):
+    """libfranka waits for the 3.5 GB that a damaged message announces, and holds a lock meanwhile."""
+    pytest.importorskip("franky")
+    with driver(host, backend="franky") as live:
+        arm = franka(live)
+        following = moving(live, arm)
+        operate(host, "fault garbage 100")
+        assert wait(following) not in ("done", "running")
+        end = time.monotonic() + 20
+        while live.fault() is not None and time.monotonic() < end:
+            time.sleep(0.5)
+            with suppress(ArmcellError):  # the hand reconnects after a while
+                live.resume()
+        assert live.fault() is None
         assert wait(live.follow(swing(arm))) == "done", live.fault()
 
 

@@ -236,6 +236,7 @@ class FrankaArm(RealArm):
         self._link.cancel()
 
     def check_resume(self) -> None:
+        self._link.close_hung()
         if self._link.error is not None:
             found = identify(self.settings.host)
             if (found.model, found.calibration) != (self.identity.model, self.identity.calibration):

@@ -95,7 +95,9 @@ class FrankyClient(FciClient):
             time.sleep(POLL)
 
     def _packed(self, state: Any, now: int) -> bytes:
-        """Encode a state of `franky` as Franka's message. In a motion, the setpoint is its reference."""
+        """Encode a robot state from the library `franky` as a Franka state message. During a motion, the
+        desired joint motion in the message is the streamed reference.
+        """
         m, mode = self._message, RobotMode(int(state.robot_mode.value))
         for field in ("q", "dq", "tau_J", "dtau_J", "tau_ext_hat_filtered", "O_F_ext_hat_K", "K_F_ext_hat_K"):
             m[field] = getattr(state, field)
@@ -179,7 +181,7 @@ class FrankyClient(FciClient):
         return MoveStatus.STARTED
 
     def _join(self, identifier: int) -> None:
-        """Wait until the motion has ended, and report how."""
+        """Wait until `franky` has ended the motion, and answer the Move command with the resulting status."""
         failed = False
         try:
             while not self._robot_api.join_motion(0.02):
@@ -202,8 +204,8 @@ class FrankyClient(FciClient):
             self._tried(self._robot_api.stop)
 
     def command(self, data: bytes) -> None:
-        """Set the reference of the motion: the position of a command, its rate of change, and the torque that
-        accelerates the arm accordingly.
+        """Set the reference of `franky`'s joint impedance controller from a motion command: the position, its
+        rate of change, and the torque that accelerates the arm accordingly.
         """
         motion, wanted = self._motion, read_command(data)
         if motion is None or self._finished:

@@ -147,7 +147,7 @@ def check_load(name: str, arm: FrankaArmSettings) -> None:
 
 
 def check_ready(name: str, found: FrankaIdentity) -> None:
-    """Check, after a Franka robot was identified, that it can be driven now.
+    """Check that an identified Franka robot is ready for motion commands.
 
     Raises:
         InputError: it cannot; the message states the remedy.
@@ -164,7 +164,7 @@ def check_ready(name: str, found: FrankaIdentity) -> None:
 
 
 def check_position(name: str, model: str, q: Array) -> None:
-    """Check, after a Franka arm was identified, that its joint positions (7,) [rad] are within the limits.
+    """Check that the joint positions (7,) [rad] of an identified Franka arm are within the joint limits.
 
     Raises:
         InputError: a joint is outside its limits.

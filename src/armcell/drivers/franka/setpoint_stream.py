@@ -72,8 +72,8 @@ class DecayingDeviation:
         self._coefficients = np.stack([off, rate * T, 0.5 * change * T**2, a, b, c])
 
     def at(self, t: float) -> Array | None:
-        """Return the deviation (7,) of the streamed Franka setpoints at time t [s],
-        or None once it has decayed.
+        """Return the deviation (7,) [rad] of the streamed Franka setpoints from the planned motion, t seconds
+        after the decay began. Return None once the deviation has decayed.
         """
         x = t / self._duration
         return None if x >= 1.0 else np.power(x, np.arange(6)) @ self._coefficients
@@ -176,8 +176,8 @@ def _coasted(point: Point, now: float) -> tuple[Array, Array]:
 
 
 def _between(points: list[Point], now: float) -> Array:
-    """Return the joint positions (7,) at a given time, interpolated between streamed Franka setpoints. Before
-    the first and after the last setpoint, return this setpoint.
+    """Interpolate the joint positions (7,) [rad] at a given time between streamed Franka setpoints. Outside
+    their time range, return the positions of the nearest setpoint.
     """
     if now <= points[0][0]:
         return points[0][1]
@@ -214,9 +214,7 @@ class SetpointStream:
 
     @property
     def finished(self) -> bool:
-        """Return whether the motion that is streamed to the Franka arm
-        has finished and its setpoints are at rest.
-        """
+        """Return whether the stream of Franka setpoints has reached the end of the motion and is at rest."""
         return self._settled > WINDOW and self._away is None
 
     def start_error(self, q: Array) -> float:

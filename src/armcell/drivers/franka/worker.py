@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import select
 import socket
 import time
@@ -33,6 +34,7 @@ from armcell.drivers.franka.wire.commands import (
 )
 from armcell.drivers.franka.wire.state import GeneratorMode, RobotCommand, RobotMode, RobotState, read_state
 
+LIBRARY_MEMORY = 2 << 30  # bytes that a worker with a library may address
 OWN = "own"  # backend; the other one is "franky"
 REPORT = 4  # [ms] between the states that armcell receives
 START_DISTANCE = 0.05  # [rad] largest distance of a motion's start from the arm
@@ -71,7 +73,7 @@ class Worker:
         link.setblocking(True)
 
     def run(self) -> None:
-        """Serve the orders that armcell sends to the Franka worker, until armcell closes the link.
+        """Execute the commands that armcell sends to the Franka worker until armcell closes the connection.
         Then stop the arm.
         """
         sockets = [self._client.udp, self._client.tcp, self._link]
@@ -154,7 +156,9 @@ class Worker:
         self._send(command, bytes.fromhex(order["payload"]), report)
 
     def _status(self, command: Command, content: bytes) -> IntEnum:
-        """Decode the status in an answer to the Franka worker. An unknown status ends the connection."""
+        """Decode the status in the robot's answer to a command from the Franka worker. An unknown status ends
+        the connection.
+        """
         try:
             return self._client.protocol.status(command, STATUS.unpack_from(content)[0])
         except WireError as error:
@@ -287,6 +291,8 @@ class Worker:
 def _client(host: str, backend: str) -> FciClient:
     if backend == OWN:
         return FciClient(host)
+    # libfranka allocates what the length of a damaged message demands, up to 4 GB.
+    resource.setrlimit(resource.RLIMIT_AS, (LIBRARY_MEMORY, LIBRARY_MEMORY))
     from armcell.drivers.franka.franky_client import FrankyClient  # imports the library
 
     return FrankyClient(host)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -29,6 +30,12 @@ WORKER = Path(__file__).with_name("worker_main.py")
 START_TIME = 30.0  # [s] for the process to start, also on a busy machine
 ANSWER_TIME = 10.0  # [s] for the robot's answer: a recovery takes a few seconds
 KEPT = 512  # states
+SEND_TIME = 1.0  # [s] in which a worker that lives reads an order
+SILENCE = 1.0  # [s] without a state after which a worker counts as hung
+
+
+def _timeval(seconds: float) -> bytes:
+    return struct.pack("@ll", int(seconds), int(seconds % 1.0 * 1e6))
 
 
 class WorkerConnection:
@@ -59,14 +66,15 @@ class WorkerConnection:
         self._socket: socket.socket | None = None
 
     def start(self) -> None:
-        """Start the worker process of a Franka arm over the link, let it connect to the robot,
-        and wait for the first state.
+        """Start the worker process of a Franka arm, which connects to the robot, and wait for the first robot
+        state.
 
         Raises:
             InputError: the connection failed.
         """
         self.close()
         mine, theirs = socket.socketpair()
+        mine.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(SEND_TIME))
         command = [sys.executable, str(WORKER), str(theirs.fileno()), self._host]
         self._process = subprocess.Popen([*command, *self._options], pass_fds=[theirs.fileno()])
         theirs.close()
@@ -104,6 +112,13 @@ class WorkerConnection:
         self._socket.close()
         self.error = self.error or "closed"
 
+    def close_hung(self) -> None:
+        """Close the link to a worker of a Franka arm that sends no states any more,
+        so that `start` replaces it: a library may wait forever for the rest of a damaged message.
+        """
+        if self.state_age > SILENCE:
+            self.close()
+
     # --- messages ---
     def _send(self, data: bytes) -> None:
         with self._sending:
@@ -112,7 +127,7 @@ class WorkerConnection:
             try:
                 self._socket.sendall(data)
             except OSError:
-                self._lost("the worker process ended")
+                self._lost("the worker process ended or does not react")
 
     def _order(self, **order: Any) -> None:
         self._send(worker_messages.pack_json(worker_messages.ORDER, order))
@@ -157,8 +172,8 @@ class WorkerConnection:
         self._on_state()
 
     def ask(self, command: Command, payload: bytes = b"") -> int:
-        """Send a command to the Franka robot over the link to its worker,
-        and return the status in the answer.
+        """Send a command to the Franka robot over the connection to its worker process, and return the status
+        in the robot's answer.
 
         Raises:
             InputError: no answer arrives.
@@ -204,7 +219,7 @@ class WorkerConnection:
         self._order(do="cancel")
 
     def result(self, number: int) -> str:
-        """Return the state of a motion from the Franka worker link: running, done,
+        """Return the state of a motion, as received over the connection to the Franka worker: running, done,
         cancelled, or the reason why it failed.
         """
         return self._results.get(number, self.error or "cancelled")

@@ -125,8 +125,8 @@ class MoveController(IntEnum):
 
 
 class MoveGenerator(IntEnum):
-    """Motion generator in Franka's Move command.
-    In the state message, the numbers of the generators are one higher.
+    """Motion generator in Franka's Move command. In the robot state message, the number of each generator is
+    higher by one.
     """
 
     JOINT_POSITION = 0

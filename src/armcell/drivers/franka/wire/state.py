@@ -203,7 +203,7 @@ class RobotCommand:
 
 
 def read_command(data: bytes, version: int = 10) -> RobotCommand:
-    """Decode a message with a motion command to a Franka robot.
+    """Decode a UDP motion command, with which a client answers a Franka robot's state message.
 
     Raises:
         WireError: the message has another size, or numbers that are not finite.
